@@ -1,8 +1,7 @@
-"""The PsychoPy window that asks the participant, a simulated participant with the same interface, and masking noise.
+"""The answer window (PsychoPy), a simulated participant with the same interface, and masking noise.
 
-Takes a protocol, its texts and, trial by trial, the stimulus; returns the answers and their times. `WindowOptions`
-opens the window, checks whether texts can be read in it and measures how accurately it keeps time; `Answerer` opens a
-simulated participant, `MaskingNoise` the noise. `examine_machine` says whether a machine is fit for a session.
+`WindowOptions` opens the window, checks the legibility of texts in it and measures its timing; `Answerer` opens a
+simulated participant, and `MaskingNoise` the noise. `examine_machine` checks whether a machine is fit for a session.
 """
 
 from __future__ import annotations

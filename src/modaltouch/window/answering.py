@@ -1,6 +1,7 @@
-"""Takes answers from events: what each event means, and which one answers the question.
+"""Answers from events: interpretation of events, and selection of the answer to a question.
 
-The answer is one of a list, where the first one counts unless the protocol wants it confirmed, or a number on a scale.
+The answer is one of a list, of which the first counts unless the protocol requires confirmation, or a number on a
+scale.
 """
 
 from __future__ import annotations
@@ -19,25 +20,25 @@ from modaltouch.window.rating import Entry
 from modaltouch.window.shapes import Picture
 
 DEVICES = {"key": "key", "click": "mouse", "answer": "console", "continue": "console"}
-"""Where an answer comes from, by the kind of its event."""
+"""Device of an answer, by the kind of its event."""
 
 
 @dataclass(frozen=True)
 class Reader:
-    """Interprets events by the keys of one protocol and the layout of one window.
+    """Interpretation of events, according to the protocol's keys and the window's layout.
 
     Attributes
     ----------
     layout : Layout
-        Where the answer buttons are.
+        Layout with the answer buttons.
     keys : dict of str to str
         Answer by key.
     continue_keys : frozenset of str
-        Keys that go on from one screen to the next.
+        Keys that continue to the next screen.
     needs_focus : bool
-        Whether answers come only from the window; the experimenter can also use the console.
+        Whether answers come from the window only; the experimenter can also use the console.
     rates : bool
-        Whether a number is entered on a scale, so that releases count, and going on at the console confirms it.
+        Whether a number is entered on a scale, so that releases count and continuing at the console confirms it.
     """
 
     layout: Layout
@@ -54,7 +55,7 @@ class Reader:
         return cls(layout, keys, goes_on, answers.given_by == "participant", answers.scale is not None)
 
     def answer(self, event: Event) -> str | None:
-        """Return the answer that an event gives, or its action on a scale; None for anything else."""
+        """Return the answer given by an event, or its action on a scale; None for other events."""
         if event.kind == "key":
             return self.keys.get(event.key) or self.keys.get(event.digit)
         if event.kind == "click":
@@ -64,20 +65,20 @@ class Reader:
         return event.answer
 
     def goes_on(self, event: Event) -> bool:
-        """Return whether the event is a key to go on, or the experimenter's request to."""
+        """Return whether the event continues to the next screen: a key, or a request at the console."""
         named = {event.key, event.digit}
         return event.kind == "continue" or (event.kind == "key" and not named.isdisjoint(self.continue_keys))
 
     def name(self, event: Event) -> str:
-        """Return the name by which the protocol knows the key that was pressed."""
+        """Return the protocol's name of the pressed key."""
         return event.digit if event.digit and event.key not in self.keys else event.key
 
     def pauses(self, event: Event) -> bool:
-        """Return whether the event asks for a pause, or for the end."""
+        """Return whether the event requests a pause or closes the window."""
         return event.kind in ("close", "pause") or (event.kind == "key" and event.key == AnswersSection.PAUSE_KEY)
 
     def interrupts(self, event: Event) -> bool:
-        """Return whether the event cuts a trial: a pause, or a loss of the keyboard focus."""
+        """Return whether the event interrupts a trial: a pause, or a loss of keyboard focus."""
         return (event.kind == "blur" and self.needs_focus) or self.pauses(event)
 
     def ends(self, event: Event) -> bool:
@@ -91,7 +92,7 @@ def is_press(event: Event) -> bool:
 
 
 def describe_press(event: Event) -> dict[str, Any]:
-    """Return a press as the record names it."""
+    """Return the facts of a press for the record."""
     if event.kind == "answer":
         return {"key": event.key, "device": DEVICES["answer"]}
     if event.kind == "key":
@@ -100,24 +101,24 @@ def describe_press(event: Event) -> dict[str, Any]:
 
 
 SETTLE = 0.25
-"""A press this soon after a screen appeared was meant for the one before [s]."""
+"""Time after the appearance of a screen within which a press is attributed to the previous screen [s]."""
 
 
 DOUBLE_WINDOW = 0.05
-"""A different answer this soon after the first flags the trial as double [s]."""
+"""Time after the first answer within which a different one flags the trial as double [s]."""
 
 
 Taken = tuple[str, Event] | None
-"""An answer with its event; None where time was up."""
+"""An answer with its event; None after a time-out."""
 
 
 class AskedQuestion:
-    """Shows one question and takes its answer; holds the session in a pause.
+    """A question on the display: shows it, takes its answer, and handles pauses.
 
     Parameters
     ----------
     loop, pictures
-        Where it is shown, and what is shown.
+        The display loop, and the illustrator of the screens.
     """
 
     def __init__(self, loop: DisplayLoop, pictures: Illustrator) -> None:
@@ -127,7 +128,7 @@ class AskedQuestion:
         self._loop = loop
 
     def hold(self, trial: Trial | None, event: Event) -> Event:
-        """Show the pause screen until the session goes on, and return what made it go on.
+        """Show the pause screen until the session continues, and return the event that continued it.
 
         Raises
         ------
@@ -154,7 +155,7 @@ class AskedQuestion:
                     return press
 
     def discard(self, event: Event, when: str, trial: Trial | None = None) -> None:
-        """Write down a press that does not count."""
+        """Record a press that does not count."""
         if is_press(event):
             self._loop.note("discarded", when=when, trial=trial.index if trial else None, **describe_press(event))
 
@@ -169,18 +170,18 @@ class AskedQuestion:
         times_out: Callable[[], bool] | None = None,
         since: float | None = None,
     ) -> Taken:
-        """Return the first answer and its event, or None once time is up; later events stay unread.
+        """Return the first answer and its event, or None after a time-out; later events stay unread.
 
         Parameters
         ----------
         trial : Trial
-            What is asked.
+            The trial.
         interrupt : callable
-            Called with an event that cuts the trial; raises.
+            Called with an event that interrupts the trial; raises.
         times_out : callable, optional
-            Asked at every poll whether the time for an answer is up.
+            Called at every poll; returns whether the time for an answer is up.
         since : float, optional
-            When the question appeared; by default, when the current picture did [s].
+            Time of appearance of the question; that of the current picture if not given [s].
         """
         while True:
             events = self._loop.poll()
@@ -188,7 +189,7 @@ class AskedQuestion:
                 if self.reader.interrupts(event):
                     interrupt(event)
                 if event.kind == "answer" and event.time < (since or self._loop.shown):
-                    # Typed at the console before the question appeared, and received only now.
+                    # Typed at the console before the question appeared.
                     self._loop.note("discarded", when="before the question", **describe_press(event))
                     continue
                 answer = self.reader.answer(event)
@@ -208,16 +209,16 @@ class AskedQuestion:
         event: Event,
         interrupt: Callable[[Event], NoReturn],
     ) -> tuple[str, Event]:
-        """Return the answer that is chosen a second time, with the event that chose it first.
+        """Return the answer once it is chosen a second time, with the event of the first choice.
 
         Parameters
         ----------
         trial, progress
-            What is asked, and where the session stands.
+            The trial and the progress of the session.
         answer, event
-            What was chosen first.
+            First choice and its event.
         interrupt : callable
-            Called with an event that cuts the trial; raises.
+            Called with an event that interrupts the trial; raises.
         """
         while True:
             picture = self.pictures.question(trial, progress, chosen=answer, confirmed=False)
@@ -227,7 +228,7 @@ class AskedQuestion:
                 continue
             again, press = chosen
             if again == answer and press.time < event.time + SETTLE:
-                # A double click, or a foot switch whose contact bounces, decides nothing twice.
+                # Ignore a double click or the contact bounce of a foot switch.
                 self._loop.note("discarded", when="as it was chosen", trial=trial.index, **describe_press(press))
                 continue
             if again == answer:
@@ -236,7 +237,7 @@ class AskedQuestion:
             answer, event = again, press
 
     def watch_double(self, answer: str, event: Event) -> bool:
-        """Return whether a different answer comes within `DOUBLE_WINDOW`; nothing here may raise."""
+        """Return whether a different answer follows within `DOUBLE_WINDOW`; never raises."""
         is_double = False
         rest: list[Event] = []
         while True:
@@ -259,14 +260,14 @@ class AskedQuestion:
         interrupt: Callable[[Event], NoReturn],
         times_out: Callable[[], bool],
     ) -> tuple[Taken, float | None]:
-        """Return the answer, and its number if it is on a scale.
+        """Return the answer, and its number on a scale.
 
         Parameters
         ----------
         moment : Moment
-            What the participant faces.
+            State of the display.
         draw : callable
-            Draws the question with what has been entered on the scale.
+            Draws the question with the number entered on the scale.
         interrupt, times_out
             As for `await_answer`.
         """
@@ -290,7 +291,7 @@ class AskedQuestion:
         return None, None
 
     def respond(self, taken: Taken, value: float | None, since: float, answered_by: str) -> Response:
-        """Return what was answered, or that time was up, counted from `since` [s]."""
+        """Return the response, or a time-out, with the reaction time counted from `since` [s]."""
         if taken is None:
             return Response(TIME_OUT, self._loop.clock.now() - since, answered_by=answered_by, device="none")
         answer, event = taken
@@ -299,6 +300,6 @@ class AskedQuestion:
 
 
 def chosen(response: Response) -> str | None:
-    """Return what the screen shows as chosen; None if time was up."""
+    """Return the choice shown on the screen; None after a time-out."""
     given = response.answer if response.value is None else f"{response.value:.10g}"
     return None if response.answer == TIME_OUT else given

@@ -1,4 +1,4 @@
-"""The answers on the screen: a button for each, with its word and the keys that give it."""
+"""Answer buttons on the screen, with labels and keys."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ _REFERENCE = 1000
 
 @dataclass(frozen=True)
 class Buttons:
-    """Draws the answers of one protocol in one window.
+    """Answer buttons of a protocol in a window.
 
     Attributes
     ----------
     layout : Layout
-        Places and sizes.
+        Positions and sizes.
     theme : Theme
         Colours.
     texts : Texts
@@ -39,7 +39,7 @@ class Buttons:
     answers: AnswersSection
 
     def draw(self, chosen: str | None, *, with_keys: bool) -> tuple[Mark, ...]:
-        """Return all buttons, that of the `chosen` answer pressed, with or without the keys of each answer."""
+        """Return all buttons, with that of the `chosen` answer pressed, and optionally the keys of each answer."""
         marks: list[Mark] = []
         for answer, box in self.layout.buttons.items():
             if self.answers.offered.named(answer).is_below:
@@ -52,7 +52,7 @@ class Buttons:
         return tuple(marks)
 
     def _low_button(self, answer: str, box: Box, *, pressed: bool, with_keys: bool) -> tuple[Mark, ...]:
-        """Return a button too low for two lines: its word in the middle, its key beside it."""
+        """Return a button too low for two lines, with its label in the middle and its key beside it."""
         theme, unit = self.theme, self.layout.unit
         fill, ink = (theme.pressed, theme.pressed_text) if pressed else (theme.button, theme.text)
         middle = Box(box.x, box.y, box.width * 0.5, box.height * 0.9)
@@ -67,7 +67,7 @@ class Buttons:
         )
 
     def _button(self, answer: str, *, pressed: bool, with_keys: bool) -> tuple[Mark, ...]:
-        """Return a button with its word above the keys, or in the middle where there are none."""
+        """Return a button with its label above the keys, or in the middle without keys."""
         theme, box, unit = self.theme, self.layout.buttons[answer], self.layout.unit
         own = self.answers.offered.named(answer)
         edges = {"left": theme.left, "between": theme.between, "right": theme.right}
@@ -89,19 +89,19 @@ class Buttons:
 
     @cached_property
     def _share(self) -> float:
-        """Share of a button's width that its word may take: arrows for fingers stand on both sides of it."""
+        """Share of a button's width for its label, between arrows if answers name fingers."""
         return 0.68 if any(answer.fingers for answer in self.answers.offered) else 0.84
 
     @cached_property
     def _answer_size(self) -> float:
-        """Size of type at which every answer of the row fits its button, on several lines if that makes it larger."""
+        """Type size at which every answer of the row fits its button, on several lines if that is larger."""
         labels = tuple(self.texts.label(each.name) for each in self.answers.offered if not each.is_below)
         box = Box(0, 0, self.layout.answer_width * self._share, 0.52 * next(iter(self.layout.buttons.values())).height)
         return common_size(typesetter_of(self.texts), labels or ("-",), box, 0.062 * self.layout.type_scale)
 
 
 def key_caps(texts: Texts, theme: Theme, keys: Sequence[str], box: Box) -> tuple[Mark, ...]:
-    """Return keys side by side as caps of a box's height: arrows where there are any, else the first two."""
+    """Return key caps side by side, of the height of a box: the arrow keys if any, else the first two keys."""
     shown = [key for key in keys if key in _ARROWS] or list(keys[:2])
     marks: list[Mark] = []
     labels = [None if key in _ARROWS else key_name(texts, key) for key in shown]
@@ -122,7 +122,7 @@ def key_caps(texts: Texts, theme: Theme, keys: Sequence[str], box: Box) -> tuple
 
 @cache
 def common_size(typesetter: Typesetter, labels: tuple[str, ...], box: Box, size: float) -> float:
-    """Return the size of type, up to an intended one, at which every label fits a box; cached for every question."""
+    """Return the largest type size up to `size` at which every label fits a box; cached."""
     words = (Words(label, box, size, "", bold=True) for label in labels)
     return size * min(typesetter.set_type(each, _REFERENCE).share for each in words)
 
@@ -133,5 +133,5 @@ def typesetter_of(texts: Texts) -> Typesetter:
 
 
 def key_name(texts: Texts, key: str) -> str:
-    """Return what the participant calls a key."""
+    """Return the name of a key for the participant."""
     return texts.key_names.get(key, key.removeprefix("num_").upper())

@@ -1,4 +1,4 @@
-"""Keeps one picture on the display and collects its events, about a thousand times a second."""
+"""Display loop: keeps a picture on the display and polls for events about a thousand times per second."""
 
 from __future__ import annotations
 
@@ -17,29 +17,30 @@ if TYPE_CHECKING:
     from modaltouch.window.screen import Screen
 
 POLL_INTERVAL = 1e-3
-"""Rest between two polls: the resolution of a reaction time [s]."""
+"""Time between two polls, the resolution of reaction times [s]."""
 _REDRAW_INTERVAL = 0.25
-"""Least time between two redraws of a window that was covered [s]."""
+"""Minimum time between two redraws of a window that was covered [s]."""
 
 
 @dataclass(frozen=True)
 class Moment:
-    """What the participant faces.
+    """State of the display as presented to a robot.
 
     Attributes
     ----------
     wants : str
-        ``go_on``, ``feel`` (a stimulus plays), ``answer``, ``confirm`` (the answer once more) or ``nothing``.
+        Expected action: ``go_on``, ``feel`` (a stimulus plays), ``answer``, ``confirm`` (the answer again) or
+        ``nothing``.
     trial : Trial or None
-        The trial that is on.
+        The current trial.
     onset : float
-        When its stimulus began, by the window's clock [s].
+        Onset of its stimulus, by the window's clock [s].
     interval : int
-        Which of several intervals it is, from 1; 0 if the question follows it.
+        Number of the interval, from 1; 0 if the question follows it.
     asked : str
-        Name of the further question that is asked; empty for the first of a trial.
+        Name of the further question; empty for the first question of a trial.
     entered : str
-        What stands on a scale so far.
+        Number entered on a scale so far.
     """
 
     wants: Literal["go_on", "feel", "answer", "confirm", "nothing"] = "nothing"
@@ -51,39 +52,39 @@ class Moment:
 
 
 class WindowUser:
-    """A robot in front of the window (`robot.Robot`), or nobody, as here."""
+    """Base class of robots that use the window (`robot.Robot`); does nothing."""
 
     def see(self, moment: Moment, shown: float, picture: str) -> None:
-        """Take in the picture that appeared at `shown` [s]."""
+        """Process the picture that appeared at `shown` [s]."""
 
     def act(self, now: float, type_key: Callable[..., None]) -> None:
-        """Do what is due; the moment last seen still holds."""
+        """Perform due actions for the last moment seen."""
 
 
 class DisplayLoop:
-    """One display, the picture on it, and the events to be read.
+    """A display with its current picture and pending events.
 
     Parameters
     ----------
     display : Screen
         The window.
     tick : callable
-        Called at every poll; may raise, and returns what the experimenter asks for.
+        Called at every poll; may raise, and returns the experimenter's request.
     log : callable
-        Takes the window's events for the record.
+        Receives the window's events for the record.
     screenshots : Path, optional
         Folder for one PNG of each kind of picture.
     window_user : WindowUser
-        A robot, or nobody.
+        A robot, or the base class for none.
     emergency_keys : frozenset of str
         Keys that end the session at once, on every screen.
     clock : Clock
-        Stamps events and times the pause between two polls; shared with the display.
+        Clock of time stamps and polling; shared with the display.
 
     Raises
     ------
     WindowError
-        If the folder for screenshots cannot be made.
+        If the folder for screenshots cannot be created.
     """
 
     def __init__(
@@ -101,7 +102,7 @@ class DisplayLoop:
         self._display = display
         self._tick = tick
         self.note = log
-        """Writes an event into the record now."""
+        """Writes an event to the record immediately."""
         self._screenshots = screenshots
         self._window_user = window_user
         self._emergency_keys = emergency_keys
@@ -112,14 +113,14 @@ class DisplayLoop:
         self._picture: Picture | None = None
         self._ahead: Picture | None = None
         self.shown = 0.0
-        """When the picture appeared on the screen [s]."""
+        """Time when the picture appeared on the screen [s]."""
         self._drawn = 0.0
         self._is_stale = False
         self._last_poll = self.clock.now()
         self.poll_gap = 0.0
-        """Time between the last two polls: the longest an event of the last one can have waited [s]."""
+        """Time between the last two polls, the maximum age of an event of the last poll [s]."""
         self.flip_took = 0.0
-        """How long it took to bring the picture onto the screen [s]."""
+        """Duration of the flip that showed the picture [s]."""
         if screenshots is not None:
             try:
                 screenshots.mkdir(parents=True, exist_ok=True)
@@ -130,7 +131,7 @@ class DisplayLoop:
                 ) from error
 
     def show(self, picture: Picture, moment: Moment | None = None) -> float:
-        """Show a picture unless it is on already, and return when it appeared [s]."""
+        """Show a picture unless it is already shown, and return the time of its appearance [s]."""
         if picture != self._picture:
             self.draw_ahead(picture)
             screenshot = self._screenshot(picture)
@@ -144,22 +145,22 @@ class DisplayLoop:
         return self.shown
 
     def draw_ahead(self, picture: Picture) -> None:
-        """Draw the next picture out of sight, so that `show` takes no longer than a frame."""
+        """Draw the next picture to the back buffer, so that `show` takes at most one frame."""
         if picture != self._ahead:
             self._display.draw(picture)
             self._ahead = picture
 
     def attend(self, moment: Moment) -> None:
-        """Tell a robot about a moment that shows no new picture."""
+        """Notify a robot of a moment without a new picture."""
         self._window_user.see(moment, self.clock.now(), self._picture.name if self._picture else "")
 
     def poll(self) -> list[Event]:
-        """Tick, and return what happened since the last poll; sleep a millisecond if nothing did.
+        """Tick, and return the events since the last poll; sleep a millisecond if there are none.
 
         Raises
         ------
         SessionStopped
-            At an emergency key, even one that was read by `poll_quietly`.
+            At an emergency key, including one read by `poll_quietly`.
         """
         asked = self._tick()
         self._window_user.act(self.clock.now(), self._display.type_key)
@@ -167,7 +168,7 @@ class DisplayLoop:
         if self._is_emergency:
             raise SessionStopped("emergency stop")
         if asked is not None:
-            # Only the key of an answer is stamped where it is read.
+            # Only the keys of answers are time-stamped where they are read.
             events.append(asked if asked.kind == "answer" else replace(asked, time=self.clock.now()))
         self._refresh()
         if not events:
@@ -175,7 +176,7 @@ class DisplayLoop:
         return events
 
     def poll_quietly(self) -> list[Event]:
-        """Return what happened since the last poll, without a tick, so that nothing can raise."""
+        """Return the events since the last poll without a tick, so that nothing can raise."""
         events = self._display.poll()
         self.poll_gap, self._last_poll = self.clock.now() - self._last_poll, self.clock.now()
         self._is_stale = self._is_stale or any(event.kind == "expose" for event in events)
@@ -185,28 +186,28 @@ class DisplayLoop:
         return [*unread, *(event for event in events if event.kind != "expose")]
 
     def put_back(self, events: list[Event]) -> None:
-        """Leave events to be returned by the next poll."""
+        """Return events to the queue, for the next poll."""
         self._unread.extend(events)
 
     def log_later(self, event: str, **facts: Any) -> None:
-        """Keep an event until `write_notes`, while nothing may raise."""
+        """Keep an event until `write_notes`, where nothing may raise."""
         self._unwritten.append((event, facts))
 
     def write_notes(self) -> None:
-        """Write the events that were kept."""
+        """Write the kept events."""
         notes, self._unwritten = self._unwritten, []
         for event, facts in notes:
             self.note(event, **facts)
 
     def _refresh(self) -> None:
-        """Draw again what another window has covered."""
+        """Redraw the picture after the window was covered."""
         if self._is_stale and self.clock.now() - self._drawn > _REDRAW_INTERVAL and self._picture is not None:
             self._display.draw(self._picture)
             self._drawn = self._display.flip()
             self._is_stale, self._ahead = False, None
 
     def _screenshot(self, picture: Picture) -> Path | None:
-        """Return the file for the first screenshot of this kind of picture."""
+        """Return the file for the first screenshot of a kind of picture; None for further ones."""
         if self._screenshots is None or picture.name in self._kept:
             return None
         self._kept.add(picture.name)

@@ -1,4 +1,4 @@
-"""The environment that PsychoPy needs, what its failures mean, and a virtual display for machines without a screen."""
+"""Environment of PsychoPy: libraries, variables, error messages, and virtual displays."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ LIBRARIES = {
     "libfreetype.so.6": "libfreetype6",
     "libfribidi.so.0": "libfribidi0",
 }
-"""The shared libraries that draw the window on Linux, and the Debian package of each."""
+"""Shared libraries required by the window on Linux, with the Debian package of each."""
 
 _SELDOM_USED = ("json_tricks", "pandas", "requests", "scipy.interpolate")
-"""Modules that PsychoPy imports before any window, but uses only for monitor files, spreadsheets and web fonts."""
+"""Modules imported by PsychoPy at start but used only for monitor files, spreadsheets and web fonts."""
 _NOT_NEEDED = ("matplotlib", "openpyxl")
-"""Modules that PsychoPy works without if they are not installed: they serve points in polygons and Excel files."""
+"""Optional modules of PsychoPy, for points in polygons and Excel files."""
 
 
 class _PutOff(ModuleType):
-    """Stands in for a module until one of its names is used; Python's own lazy loader loads at a second import."""
+    """Placeholder of a module until one of its names is used; Python's lazy loader would load it at a second import."""
 
     def __getattr__(self, name: str) -> Any:
         if sys.modules.get(self.__name__) is self:
@@ -46,14 +46,14 @@ class _PutOff(ModuleType):
 
 
 def missing_libraries() -> dict[str, str]:
-    """Return the libraries of the window that this machine lacks, with their Debian packages."""
+    """Return the missing libraries of the window, with their Debian packages."""
     if not sys.platform.startswith("linux"):
         return {}
     missing = {name: package for name, package in LIBRARIES.items() if not is_loadable(name)}
     if is_loadable("libGLX_nvidia.so.0"):
-        # A graphics card with drivers of its own needs none of Mesa's.
+        # A graphics card with its own drivers needs no Mesa drivers.
         return {name: package for name, package in missing.items() if "mesa" not in name}
-    # Where Mesa keeps its drivers depends on its version and on the system.
+    # The location of Mesa's drivers depends on its version and the system.
     patterns = ("dri/*_dri.so", "*/dri/*_dri.so", "libgallium*.so", "*/libgallium*.so")
     if not any(any(Path("/usr").glob(f"lib*/{pattern}")) for pattern in patterns):
         missing["the drivers of Mesa"] = "libgl1-mesa-dri"
@@ -61,7 +61,7 @@ def missing_libraries() -> dict[str, str]:
 
 
 def is_loadable(library: str) -> bool:
-    """Return whether the system's loader finds a shared library."""
+    """Return whether the dynamic loader finds a shared library."""
     try:
         ctypes.CDLL(library)
     except OSError:
@@ -71,15 +71,15 @@ def is_loadable(library: str) -> bool:
 
 @contextmanager
 def few_imports() -> Iterator[None]:
-    """Have PsychoPy imported without what no window needs: that halves the time until one opens.
+    """Import PsychoPy within this context without modules that no window needs, which halves the time to open one.
 
-    Modules that PsychoPy seldom uses are imported at first use; those it works without cannot be imported meanwhile.
+    Rarely used modules are imported at first use; optional ones cannot be imported meanwhile.
     """
     for name in _SELDOM_USED:
         if name not in sys.modules:
             sys.modules[name] = _PutOff(name)
     hidden = [name for name in _NOT_NEEDED if name not in sys.modules]
-    # Python refuses to import a module whose entry there is None.
+    # Python refuses to import a module whose entry in sys.modules is None.
     sys.modules.update(dict.fromkeys(hidden))  # type: ignore[arg-type]
     try:
         yield
@@ -89,12 +89,12 @@ def few_imports() -> Iterator[None]:
 
 
 def prepare_environment() -> None:
-    """Set the environment variables that PsychoPy reads when it is imported.
+    """Set the environment variables that PsychoPy reads on import.
 
     Raises
     ------
     WindowError
-        If there is no display: PsychoPy could not even be imported, now or later in this process.
+        If there is no display; importing PsychoPy would fail, now and later in this process.
     """
     if sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
         raise WindowError(
@@ -105,13 +105,13 @@ def prepare_environment() -> None:
     # Without these, PsychoPy puts its plug-in folders on sys.path and its clock follows the wall clock.
     os.environ.setdefault("PSYCHOPYNOPACKAGES", "1")
     os.environ.setdefault("PSYCH_GETSECS_CLOCK", "1")
-    # Without a graphics card, drawing a frame would occupy every core, and bursts would be late.
+    # Without a graphics card, drawing a frame would occupy all cores and delay bursts.
     os.environ.setdefault("LP_NUM_THREADS", str(max(1, (os.cpu_count() or 2) - 1)))
     _ensure_writable_home()
 
 
 def _ensure_writable_home() -> None:
-    """Give PsychoPy a folder for its settings if the home folder is not writable."""
+    """Provide a folder for PsychoPy's settings if the home folder is not writable."""
     name = "APPDATA" if sys.platform == "win32" else "HOME"
     home = os.environ.get(name)
     if not home or not os.access(home, os.W_OK | os.X_OK):
@@ -119,7 +119,7 @@ def _ensure_writable_home() -> None:
 
 
 def explain(error: Exception) -> str:
-    """Return what a failure to reach the display means, and what to do."""
+    """Return the explanation and remedy for a failure to open the display."""
     display = os.environ.get("DISPLAY", "")
     kind = type(error).__name__
     if missing := missing_libraries():
@@ -146,7 +146,7 @@ def fit(size: tuple[int, int], monitor: int) -> tuple[int, int]:
     Raises
     ------
     WindowError
-        If there is no such monitor, or too few colours: pyglet would wait for its window for ever.
+        If there is no such monitor, or the colour depth is too low, where pyglet would wait for its window forever.
     """
     import pyglet.canvas
 
@@ -169,17 +169,17 @@ def fit(size: tuple[int, int], monitor: int) -> tuple[int, int]:
 
 
 _PATIENCE = 60.0
-"""Longest time Xvfb may take to report its display, and ten times the longest time to end [s]."""
+"""Maximum time for Xvfb to report its display, and ten times the maximum time for it to end [s]."""
 
 
 @contextmanager
 def some_display() -> Iterator[str]:
-    """Use the existing display, or a virtual one until the end of the context.
+    """Use the existing display, or a virtual one within the context.
 
     Yields
     ------
     str
-        The display used, in words.
+        Description of the display.
 
     Raises
     ------
@@ -199,7 +199,7 @@ def some_display() -> Iterator[str]:
 
 @contextmanager
 def virtual_display(size: tuple[int, int] = (1920, 1080), *options: str) -> Iterator[str]:
-    """Run Xvfb on a display number of its own choice and yield its name, such as ``:1``."""
+    """Run Xvfb on a free display number and yield the name of the display, such as ``:1``."""
     program = shutil.which("Xvfb")
     if program is None:
         raise WindowError("there is no display, and no Xvfb to make one: install xvfb, or log in at a screen")

@@ -1,8 +1,7 @@
-"""The event tap: everything a person does to the window, stamped by one monotonic clock.
+"""Event tap: all input to the window, time-stamped by one monotonic clock.
 
-PsychoPy's own input classes lose quick clicks and keys, or end the process (design notes of the project), so
-the tap is attached to the pyglet window that PsychoPy draws into. Its handlers only queue: an exception raised
-inside one would be swallowed on Windows.
+PsychoPy's input classes lose fast clicks and keys, or end the process, so the tap is attached to the pyglet window that
+PsychoPy draws into. Its handlers only queue, since Windows would swallow an exception raised in a handler.
 """
 
 from __future__ import annotations
@@ -21,14 +20,14 @@ _ALIASES = {
     "num_next": "num_3",
     "num_prior": "num_9",
 }
-"""The aliases that protocols may use, and two names that only pyglet uses."""
+"""Aliases of keys allowed in protocols, and two names used by pyglet only."""
 
 _FIRST_DIGIT = 10
-"""X's code of the key 1 in the upper row; the other digits follow."""
+"""X keycode of the key 1 in the upper row; the other digits follow."""
 
 
 def canonical_key(name: str) -> str:
-    """Return the one name of a key, as protocols write it and the tap reports it.
+    """Return the canonical name of a key, as in protocols and reported by the tap.
 
     Examples
     --------
@@ -42,14 +41,14 @@ def canonical_key(name: str) -> str:
 
 
 class EventTap:
-    """Queues the events of one pyglet window.
+    """Queue of the events of a pyglet window.
 
     Parameters
     ----------
     window : pyglet window
         The window that PsychoPy draws into (its ``winHandle``).
     clock : Clock
-        Stamps the events.
+        Clock of the time stamps.
     """
 
     def __init__(self, window: Any, clock: Clock = SYSTEM_CLOCK) -> None:
@@ -77,14 +76,14 @@ class EventTap:
         )
 
     def poll(self) -> list[Event]:
-        """Return what happened since the last poll, in order, key repeats left out."""
+        """Return the events since the last poll in order, without key repeats."""
         self._window.dispatch_events()
         events = list(self._queue)
         self._queue.clear()
         return [event for event in events if self._is_news(event)]
 
     def _is_news(self, event: Event) -> bool:
-        """Return whether the event is new, not the repeat of a key that is held."""
+        """Return whether the event is not the repeat of a held key."""
         if event.kind == "key":
             if event.key in self._held:
                 return False
@@ -92,7 +91,7 @@ class EventTap:
         elif event.kind == "release":
             self._held.discard(event.key)
         elif event.kind in ("focus", "blur"):
-            # A release outside the window is never reported.
+            # A key release outside the window is not reported.
             self._held.clear()
         return True
 
@@ -110,15 +109,15 @@ class EventTap:
         return self._add("click", "", (x - width / 2) / height, (y - height / 2) / height)
 
     def _ignore_text(self, *_: object) -> bool:
-        """Keep PsychoPy's own buffers empty."""
+        """Keep PsychoPy's buffers empty."""
         return True
 
 
 def _report_releases_once(window: Any) -> bool:
-    """Ask X to report a held key by presses only, without releases, and return whether it agreed.
+    """Request detectable auto-repeat from X (no releases for a held key), and return whether it is supported.
 
-    pyglet asks only on the connection of its hidden window, while PsychoPy opens the visible one on a connection of
-    its own. A release followed by a press is then always a person's, however short the time between them.
+    pyglet requests it only on the connection of its hidden window, but PsychoPy opens the visible one on a separate
+    connection. A release followed by a press is then always a real one, however short the time between.
     """
     if not sys.platform.startswith("linux"):
         return True
@@ -132,9 +131,9 @@ def _report_releases_once(window: Any) -> bool:
 
 
 def _engraved_digits(window: Any) -> dict[str, str]:
-    """Return the digits that a layout types only with Shift, as the French one does, by the names of their keys.
+    """Return the digits typed only with Shift, as in the French layout, by the names of their keys.
 
-    On systems without X the keys have their digits' names already.
+    On systems without X, the keys are already named after their digits.
     """
     if not sys.platform.startswith("linux"):
         return {}

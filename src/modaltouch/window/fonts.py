@@ -1,4 +1,4 @@
-"""Fonts: a letter is drawn in the first font that has it, of those that are bundled or installed."""
+"""Fonts: choice of the first bundled or installed font that has a character."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from importlib.util import find_spec
 from pathlib import Path
 
 _ALSO = ("DejaVuSans", "NotoSansCJK-Regular", "wqy-microhei", "DroidSansFallbackFull")
-"""Tried after Noto Sans and the Noto font of a script; the first comes with matplotlib, the rest have CJK."""
+"""Fonts tried after Noto Sans and the Noto font of a script; the first comes with matplotlib, the others have CJK."""
 _COME_ALONG = {"NotoSans": ("psychopy", "assets/fonts"), "DejaVuSans": ("matplotlib", "mpl-data/fonts/ttf")}
-"""Fonts bundled with packages, so that every machine shows the same picture."""
+"""Fonts bundled with packages, so that pictures are the same on every machine."""
 
 
 @dataclass(frozen=True)
@@ -22,27 +22,27 @@ class Font:
     Attributes
     ----------
     path : str
-        The file.
+        Path of the file.
     is_emboldened : bool
-        Whether it has no bold companion and is to be drawn with thicker strokes.
+        Whether it lacks a bold companion and must be drawn with thicker strokes.
     """
 
     path: str
     is_emboldened: bool = False
 
     def has(self, character: str) -> bool:
-        """Return whether the font has a glyph for a character; spaces and invisible characters need none."""
+        """Return whether the font has a glyph for a character; True for spaces and invisible characters."""
         return unicodedata.category(character) in ("Cc", "Cf", "Zs") or ord(character) in _coverage(self.path)
 
 
 @dataclass(frozen=True)
 class Fonts:
-    """The fonts for the texts of one language.
+    """Fonts for the texts of one language.
 
     Attributes
     ----------
     named : str
-        File name of an installed font that is tried first, such as ``Amiri-Regular.ttf``, or its absolute path.
+        File name of an installed font to try first, such as ``Amiri-Regular.ttf``, or its absolute path.
     """
 
     named: str = ""
@@ -50,7 +50,7 @@ class Fonts:
     def choose(self, text: str, *, bold: bool = False) -> list[Font]:
         """Return the font of each character: one that has it, else that of a hyphen.
 
-        Spaces, digits and punctuation are in the font of the letters before them, if it has them.
+        Spaces, digits and punctuation use the font of the preceding letters if it has them.
         """
         letters = [character for character in text if unicodedata.category(character)[0] == "L"]
         last, chosen = _first(self.named, letters[0] if letters else "-", bold), []
@@ -62,7 +62,7 @@ class Fonts:
         return chosen
 
     def lacking(self, text: str) -> str:
-        """Return the characters that no font has; for Western European texts, which bundled fonts cover, read none."""
+        """Return the characters that no font has; Western European texts, covered by bundled fonts, are not checked."""
         with suppress(UnicodeEncodeError):
             text.encode("cp1252")
             return ""
@@ -72,7 +72,7 @@ class Fonts:
 @cache
 def _first(named: str, character: str, bold: bool) -> Font:
     """Return the first font that has a character, else that of a hyphen."""
-    # The first word of a letter's Unicode name is its script.
+    # The Unicode name of a letter begins with its script.
     script = unicodedata.name(character, "").partition(" ")[0].title()
     names = (*([named] if named else []), "NotoSans", f"NotoSans{script}", *_ALSO)
     fonts = (font for name in names if (font := find_font(name, bold=bold)) and font.has(character))
@@ -81,14 +81,14 @@ def _first(named: str, character: str, bold: bool) -> Font:
 
 @cache
 def find_font(name: str, *, bold: bool = False) -> Font | None:
-    """Return a font that is bundled or installed, or None.
+    """Find a bundled or installed font; None if there is none.
 
     Parameters
     ----------
     name : str
-        Name of its file with or without ``-Regular`` and suffix, or the absolute path of the file.
+        File name, with or without ``-Regular`` and suffix, or absolute path.
     bold : bool
-        Whether its bold companion is wanted.
+        Whether to use its bold companion.
     """
     stem = name.removesuffix(Path(name).suffix).removesuffix("-Regular")
     regular = _find_file(name) or _find_file(f"{stem}-Regular")
@@ -99,7 +99,7 @@ def find_font(name: str, *, bold: bool = False) -> Font | None:
 
 
 def _find_file(name: str) -> str | None:
-    """Return the file of a font that is bundled or installed, by its name."""
+    """Find the file of a bundled or installed font by name."""
     from PIL import ImageFont
 
     stem = name.removesuffix(".ttf")
@@ -107,7 +107,7 @@ def _find_file(name: str) -> str | None:
     spec = find_spec(package) if package else None
     file = Path(spec.origin).parent / folder / f"{stem}.ttf" if spec is not None and spec.origin else Path(name)
     try:
-        # Pillow looks in the folders where each system keeps its fonts.
+        # Pillow searches the font folders of the system.
         return str(ImageFont.truetype(file, 10).path)
     except OSError:
         return None
@@ -115,7 +115,7 @@ def _find_file(name: str) -> str | None:
 
 @cache
 def _coverage(path: str) -> frozenset[int]:
-    """Return the characters for which a font has glyphs."""
+    """Return the code points for which a font has glyphs."""
     from fontTools.ttLib import TTFont
 
     with TTFont(path, fontNumber=0, lazy=True) as font:

@@ -1,4 +1,4 @@
-"""What the session asks of the answer window."""
+"""Interfaces of the answer window and the masking noise."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class WindowError(Exception):
     Attributes
     ----------
     ending : str
-        Reason in the stop record of a session that this ended.
+        Reason in the stop record of a session ended by this error.
     """
 
     ending = "window lost"
@@ -38,13 +38,13 @@ class SessionStopped(_EndedEarly):
     Attributes
     ----------
     reason : str
-        One of ``escape`` (and confirmed), ``window closed``, ``practice not passed``, ``experimenter``, ``end of
-        block``, ``emergency stop``.
+        One of ``escape`` (confirmed), ``window closed``, ``practice not passed``, ``experimenter``, ``end of block``,
+        ``emergency stop``.
     """
 
 
 class TrialInterrupted(_EndedEarly):
-    """The trial was cut by a pause or a lost focus: offer it again.
+    """The trial was interrupted by a pause or a loss of focus and must be repeated.
 
     Attributes
     ----------
@@ -55,23 +55,23 @@ class TrialInterrupted(_EndedEarly):
 
 @dataclass(frozen=True)
 class Event:
-    """One thing that happened to the window.
+    """An event of the window, or a request of the experimenter.
 
     Attributes
     ----------
     time : float
-        When it was received, by the window's clock [s].
+        Time of receipt, by the window's clock [s].
     kind : str
-        ``key``, ``release``, ``click``, ``close``, ``focus``, ``blur`` or ``expose``; or what the experimenter asks
-        for: ``pause``, ``continue`` or ``answer``, typed at the console.
+        ``key``, ``release``, ``click``, ``close``, ``focus``, ``blur`` or ``expose``; or from the console ``pause``,
+        ``continue`` or ``answer``.
     key : str
         Name of the key, for ``key``, ``release`` and ``answer``.
     digit : str
-        Digit engraved on the key, if the layout needs Shift for it: the window takes the key for that digit, too.
+        Digit engraved on the key, if the layout needs Shift for it; the key also counts as that digit.
     answer : str or None
-        What is answered, for ``answer``.
+        The answer, for ``answer``.
     x, y : float
-        Place of a click [window heights], origin in the middle of the window, y upwards.
+        Position of a click [window heights], origin in the middle of the window, y upwards.
     """
 
     time: float
@@ -84,7 +84,7 @@ class Event:
 
 
 Tick = Callable[[], Event | None]
-"""Called about every millisecond while the window waits; may raise, and returns what the experimenter asks for."""
+"""Called about every millisecond while the window waits; may raise, and returns the experimenter's request."""
 
 Log = Callable[..., None]
 """``log(event, **facts)`` appends one event to the session log."""
@@ -97,15 +97,15 @@ class Presentation:
     Attributes
     ----------
     onset : float
-        When its first burst began, by the clock of the session [s].
+        Onset of the first burst, by the session's clock [s].
     ends : float
-        When the last of its bursts is over, if nothing ends it earlier [s].
+        End of the last burst, unless stopped earlier [s].
     end : callable
-        Prevents further bursts; cheap, never raises.
+        Prevents further bursts; fast, never raises.
     stop : callable
-        Switches the outputs off after the burst that plays; may raise `RigError` only in intervals before the last.
+        Switches the outputs off after the current burst; may raise `RigError` only in intervals before the last.
     interval : int
-        Which of several intervals of the trial it is, from 1; 0 if there is only one.
+        Number of the interval in the trial, from 1; 0 for a single interval.
     """
 
     onset: float
@@ -116,23 +116,23 @@ class Presentation:
 
 
 class Progress(typing.NamedTuple):
-    """Where the session stands, as the participant may see it: trial `number` of `total`."""
+    """Progress shown to the participant: trial `number` of `total`."""
 
     number: int
     total: int
 
 
 class AnswerWindow(AbstractContextManager["AnswerWindow"]):
-    """Shows the session to the participant and collects the answers; `progress` is a trial's number and their total.
+    """Interface that presents the session to the participant and collects the answers.
 
-    Every method that waits calls the `tick` given at opening about every millisecond. `tick` may raise, and what it
-    returns is carried out: ``pause`` holds the session until ``continue`` or a press to go on; an answer is taken as
-    if it had been given at the window.
+    `progress` is the number of a trial and the total. Methods that wait call `tick`, given at opening, about every
+    millisecond. `tick` may raise, and its result is acted on: ``pause`` holds the session until ``continue`` or a key
+    to continue; an answer counts as if given at the window.
 
     Attributes
     ----------
     on_question : callable
-        Called for each question with its trial and when it appeared on the screen [s].
+        Called for each question with its trial and the time of its appearance on the screen [s].
     """
 
     on_question: Callable[[Trial, float], None] = staticmethod(lambda trial, instant: None)
@@ -142,92 +142,90 @@ class AnswerWindow(AbstractContextManager["AnswerWindow"]):
         """Return size, backend and versions for the start record."""
 
     def welcome(self, trial: Trial) -> None:
-        """Show the instructions until the participant goes on, with the fingers where the first trial wants them."""
+        """Show the instructions until the participant continues, with the fingers as in the first trial."""
 
     def place_fingers(self, trial: Trial) -> None:
-        """Show which finger goes on which zone until it is confirmed."""
+        """Show which finger goes on which zone until confirmed."""
 
     @abstractmethod
     def settle(self, trial: Trial, progress: tuple[int, int], lead: float = 0.0) -> float:
-        """Let hands and fingers come to rest before a stimulus: the pause since the last answer or key to go on.
+        """Let hands and fingers come to rest before each stimulus: the pause since the last answer or key.
 
-        If a finger was lifted from the beam to press, a countdown is shown. Called before every stimulus.
+        A countdown is shown if a finger was lifted from the beam to press.
 
         Parameters
         ----------
         trial, progress
             As for `ask`.
         lead : float
-            How long before the end of the pause to return [s].
+            Time before the end of the pause at which to return [s].
 
         Returns
         -------
         float
-            When the pause ends, by the session's clock [s].
+            End of the pause, by the session's clock [s].
         """
 
     def show_stall(self) -> None:
-        """Show briefly that the computer was held up, and that the last stimulus comes again."""
+        """Show briefly that the computer was busy and that the last stimulus will be repeated."""
 
     def show_measuring(self, seconds: float) -> None:
-        """Show for some time [s] that the beam is being measured and fingers must keep still; the screen then stays."""
+        """Show for a time [s] that the beam is being measured and fingers must keep still; the screen then stays."""
 
     def announce(self, text: str) -> None:
-        """Show one text of the protocol, such as ``practice``, ``start`` or ``hands_off``, until somebody goes on."""
+        """Show a text of the protocol, such as ``practice``, ``start`` or ``hands_off``, until a key to continue."""
 
     @abstractmethod
     def feel(self, trial: Trial, progress: tuple[int, int], presentation: Presentation, until: float) -> None:
-        """Show which interval before the last is on, call `presentation.stop` when it is over, and wait.
+        """Show an interval before the last one, call `presentation.stop` at its end, and wait.
 
         Parameters
         ----------
         trial : Trial
-            Its condition is what this interval presents, and in `ask` what the last one does.
+            Trial with the condition of this interval; `ask` gets that of the last interval.
         progress, presentation
             As for `ask`.
         until : float
-            When to return, by the session's clock [s].
+            Time at which to return, by the session's clock [s].
 
         Raises
         ------
         TrialInterrupted, SessionStopped
-            As `ask` does.
+            As for `ask`.
         """
 
     @abstractmethod
     def ask(self, trial: Trial, progress: tuple[int, int], presentation: Presentation) -> Response:
-        """Show the trial and return the answer, as soon as it is known and without confirming it on screen.
+        """Show the trial and return the answer as soon as it is known, without confirming it on screen.
 
-        The session writes the answer to the disk first and calls `confirm` then, so that an answer the
-        participant saw confirmed is never lost. From the accepted answer to the return nothing may raise,
-        `tick` included.
+        The session writes the answer to disk before it calls `confirm`, so that an answer shown as confirmed is never
+        lost. Between the accepted answer and the return, nothing may raise, including `tick`.
 
-        `presentation.end` is called at the answer, `presentation.stop` at any interruption and when the last burst
-        is over.
+        `presentation.end` is called at the answer, and `presentation.stop` at an interruption or after the last burst.
 
         Raises
         ------
         TrialInterrupted
-            If the trial was cut and must be offered again.
+            If the trial was interrupted and must be repeated.
         SessionStopped
             If the session was ended.
         """
 
     def confirm(self, response: Response) -> None:
-        """Show which answer was taken; it is on the disk."""
+        """Show the accepted answer, which is on disk."""
 
     @abstractmethod
     def ask_further(self, name: str, asked: AnswersSection, trial: Trial | None = None) -> Response:
-        """Ask a further question, and return its answer; after a pause it is asked once more.
+        """Ask a further question and return its answer; ask again after a pause.
 
         Parameters
         ----------
         name : str
-            Its name in the protocol.
+            Name of the question in the protocol.
         asked : AnswersSection
-            How it is asked.
+            The question.
         trial : Trial, optional
-            The trial whose stimulus is over; None for a question of the closing form.
+            The completed trial; None for a question of the closing form.
 
         Raises
         ------
@@ -236,13 +234,13 @@ class AnswerWindow(AbstractContextManager["AnswerWindow"]):
         """
 
     def give_feedback(self, response: Response, expected: str) -> None:
-        """Show for a moment where the vibration was stronger, after a practice trial."""
+        """Show briefly where the vibration was stronger, after a practice trial."""
 
     def wait(self, seconds: float) -> None:
-        """Let the pause between two trials pass, counted from the answer; a simulated participant does not wait."""
+        """Wait for the pause between two trials, counted from the answer; no wait for a simulated participant."""
 
     def rest(self, progress: tuple[int, int]) -> None:
-        """Show the break until the participant goes on."""
+        """Show the break until the participant continues."""
 
     def goodbye(self) -> None:
         """Thank the participant."""
@@ -258,51 +256,51 @@ class AnswerWindow(AbstractContextManager["AnswerWindow"]):
 
 
 class MaskingError(WindowError):
-    """The masking noise that a protocol demands cannot be played."""
+    """The masking noise required by a protocol cannot be played."""
 
     ending = "masking lost"
 
 
 class Masking(AbstractContextManager["Masking"]):
-    """The masking noise as the session uses it; this one plays nothing.
+    """Interface of the masking noise; this base class plays nothing.
 
     Parameters
     ----------
     reason : str
-        Why it plays nothing although the protocol wants masking; empty if the protocol does not.
+        Why no noise is played although the protocol has masking; empty if it has none.
     """
 
     def __init__(self, reason: str = "") -> None:
         self._reason = reason
 
     def describe(self) -> dict[str, Any] | None:
-        """Return noise, level and device for the start record; None if the protocol wants no masking."""
+        """Return noise, level and device for the start record; None if the protocol has no masking."""
         return {"state": "not masked", "reason": self._reason} if self._reason else None
 
     def start(self) -> None:
-        """Begin to fade in."""
+        """Start the fade-in."""
 
     def ensure(self, tick: Callable[[], object], *, on: bool = True) -> None:
-        """Make sure before a trial that the noise is at its level, or silent; reopen a device that was lost.
+        """Ensure before a trial that the noise is at its level, or silent; reopen a lost device.
 
-        Calls `tick` while it waits.
+        Calls `tick` while waiting.
 
         Raises
         ------
         MaskingError
-            If it is lost and the protocol demands it.
+            If the device is lost and the protocol requires the noise.
         """
 
     @property
     def is_on(self) -> bool | None:
-        """Whether the noise has been on since `ensure`; None if the protocol wants no masking."""
+        """Whether the noise has been on since `ensure`; None if the protocol has no masking."""
         return False if self._reason else None
 
     def stop(self, *, hurry: bool) -> None:
-        """Fade out, quickly if in a `hurry`, and release the device; a second call does nothing.
+        """Fade out, quickly if `hurry`, and release the device; a second call does nothing.
 
-        The number of times that the device got no samples in time, each heard as a click, goes into the record.
+        The number of underflows of the device, each audible as a click, is recorded.
         """
 
     def __exit__(self, *exc: object) -> None:
-        """Release the device, whatever happened."""
+        """Release the device."""

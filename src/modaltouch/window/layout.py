@@ -1,4 +1,4 @@
-"""Where everything stands on the screen, and what a click hits; pure geometry."""
+"""Layout of the screen and hit testing of clicks; pure geometry."""
 
 from __future__ import annotations
 
@@ -10,35 +10,35 @@ from modaltouch.protocol import AnswerList, ScaleSection
 from modaltouch.window.shapes import Box
 
 Spans = Mapping[str, tuple[float, float]]
-"""Where each zone begins and ends, by name from the left, as shares of the beam's length from its middle [1]."""
+"""Start and end of each zone, by name from the left, as shares of the beam's length from its middle [1]."""
 
 _FULL_ASPECT = 1.32
-"""Windows at least this much wider than high show everything at full size; narrower ones shrink it to fit."""
+"""Aspect ratio from which everything is shown at full size; narrower windows shrink it to fit."""
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Places and sizes for one window [window heights].
+    """Positions and sizes in a window [window heights].
 
     Attributes
     ----------
     width : float
         Width of the window; its height is 1.
     unit : float
-        Size of what must fit across the window, relative to a wide window [1].
+        Scale of parts that must fit the width of the window, relative to a wide window [1].
     type_scale : float
-        Size of the type, relative to a wide window [1].
+        Scale of type, relative to a wide window [1].
     beam : Box
         The whole beam.
     zones : dict of str to Box
-        Its zones from the left, by name, to scale.
+        Zones from the left, by name, to scale.
     buttons : dict of str to Box
         Answer buttons, by answer; or the parts of a scale.
     answer_width : float
         Width of the buttons in the row.
     headline, body, page, go_on, label, bar, note : Box
-        The question or title; the text under a title; the text of a screen without a beam; the button to go
-        on; progress in words; progress as a bar; the line under the answer buttons.
+        Question or title; text under a title; text of a screen without a beam; button to continue; progress as text;
+        progress bar; line under the answer buttons.
     """
 
     width: float
@@ -57,17 +57,17 @@ class Layout:
     note: Box
 
     def answer_at(self, x: float, y: float) -> str | None:
-        """Return the answer whose button lies at a point, or None.
+        """Return the answer whose button is at a point, or None.
 
         Parameters
         ----------
         x, y : float
-            Place of the click [window heights], origin in the middle of the window, y upwards.
+            Position of the click [window heights], origin in the middle of the window, y upwards.
         """
         return next((answer for answer, box in self.buttons.items() if box.contains(x, y)), None)
 
     def turned(self) -> Layout:
-        """Return the layout for the beam turned end to end, its last zone on the left."""
+        """Return the layout for the beam turned end to end, with its last zone on the left."""
         return replace(self, zones={name: replace(box, x=-box.x) for name, box in reversed(self.zones.items())})
 
 
@@ -78,7 +78,7 @@ def lay_out(
     answers: AnswerList,
     scale: ScaleSection | None = None,
 ) -> Layout:
-    """Return where everything stands in a window.
+    """Return the layout of a window.
 
     Parameters
     ----------
@@ -87,9 +87,9 @@ def lay_out(
     zones : mapping of str to (float, float)
         As `Spans`.
     answers : AnswerList
-        Answers that are offered.
+        Offered answers.
     scale : ScaleSection, optional
-        The scale in their place; its parts are then among the buttons, by what a click on each does.
+        Scale in place of the answers; its parts are then the buttons, by the action of a click.
     """
     width = width_px / height_px
     unit = min(1.0, width / _FULL_ASPECT)
@@ -117,7 +117,7 @@ def lay_out(
 
 
 def _answer_buttons(answers: AnswerList, across: float, unit: float) -> dict[str, Any]:
-    """Return the answer buttons, and the width of those in the row; with others below, they stand higher."""
+    """Return the answer buttons, and the width of those in the row, which is higher if others are below."""
     row = tuple(answer.name for answer in answers if not answer.is_below)
     gap = min(0.045, 0.16 / max(len(row), 1)) * unit
     below = tuple(answer.name for answer in answers if answer.is_below)
@@ -130,7 +130,7 @@ def _answer_buttons(answers: AnswerList, across: float, unit: float) -> dict[str
 
 
 def _scale_parts(scale: ScaleSection, across: float, unit: float) -> dict[str, Any]:
-    """Return the parts of a scale by what a click on each does, and the width of a point or key."""
+    """Return the parts of a scale by the action of a click, and the width of a point or key."""
     confirm, line = Box(0, -0.333, 0.42 * unit, 0.058), Box(0, -0.215, 0.96 * across, 0.07)
     if scale.kind == "vas":
         return {"buttons": {"confirm": confirm, "line": line}, "answer_width": line.width}
@@ -142,6 +142,6 @@ def _scale_parts(scale: ScaleSection, across: float, unit: float) -> dict[str, A
 
 
 def _row(names: tuple[str, ...], middle: Box, gap: float = 0.0) -> dict[str, Box]:
-    """Return boxes side by side, from the left, the row centred on the box `middle`."""
+    """Return a row of boxes from the left, centred on the box `middle`."""
     step, centre = middle.width + gap, (len(names) - 1) / 2
     return {name: replace(middle, x=middle.x + (place - centre) * step) for place, name in enumerate(names)}

@@ -1,4 +1,4 @@
-"""Whether the participant can read the texts: a glyph for every character, in type that is large enough."""
+"""Check that participants can read the texts: a glyph for each character, and type that is large enough."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ if TYPE_CHECKING:
     from modaltouch.window.shapes import Picture
 
 LEAST_ANGLE = 20.0
-"""Smallest visual angle of the height of a capital; ISO 9241-303 recommends 20 to 22 [arcmin]."""
+"""Minimum visual angle of the height of a capital; ISO 9241-303 recommends 20 to 22 [arcmin]."""
 _NOT_SHOWN = {"protocol", "title", "apparatus", "texts", "language", "language_code", "font", "stimulus", "stimuli"}
 _CAPITAL = 0.714
-"""Height of a capital of Noto Sans, which Noto's other fonts are designed to match [em]."""
+"""Height of a capital of Noto Sans, matched by the other Noto fonts [em]."""
 _PAGES = ("practice", "start", "practice_again", "rest", "stalled", "hands_off", "measuring", "measure_again")
 _LAST_PAGES = ("session_ended", "goodbye")
 
@@ -27,16 +27,16 @@ _LAST_PAGES = ("session_ended", "goodbye")
 def check_texts(
     findings: Findings, window: tuple[int, int] | None = None, *, letters_only: bool = False
 ) -> Iterator[Problem]:
-    """Yield the texts that cannot be read.
+    """Yield a problem for each illegible text.
 
     Parameters
     ----------
     findings : Findings
-        The protocol's files; sound, unless only letters are looked for.
+        The protocol's files; must be valid unless `letters_only`.
     window : (width, height) of int, optional
-        Size of the answer window [pixels]; by default the whole screen.
+        Size of the answer window; the whole screen if not given [pixels].
     letters_only : bool
-        Whether only to look for letters that no font has.
+        Whether to check only for missing glyphs.
     """
     lacking = list(_check_letters(findings))
     yield from lacking
@@ -45,7 +45,7 @@ def check_texts(
 
 
 def _check_letters(findings: Findings) -> Iterator[Problem]:
-    """Yield the characters that no installed font has, and a named font that is not installed."""
+    """Yield a problem for each text with a character that no installed font has, and for a missing named font."""
     if findings.texts is None:
         return
     fonts = Fonts(findings.texts.sound("font") or "")
@@ -62,7 +62,7 @@ def _check_letters(findings: Findings) -> Iterator[Problem]:
 
 
 def _strings(path: tuple[str | int, ...], node: Any) -> Iterator[tuple[tuple[str | int, ...], str]]:
-    """Yield every text below a node of a file that may be shown, with its path."""
+    """Yield each text below a node of a file that may be shown, with its path."""
     content = None if node is None else node.content
     if isinstance(content, str):
         yield path, content
@@ -72,7 +72,7 @@ def _strings(path: tuple[str | int, ...], node: Any) -> Iterator[tuple[tuple[str
 
 
 def _check_type(findings: Findings, window: tuple[int, int] | None) -> Iterator[Problem]:
-    """Yield the smallest text if it is too small to be read well at the stated distance."""
+    """Yield a problem if the smallest text is too small at the stated viewing distance."""
     experiment, reading = findings.experiment(), findings.apparatus
     protocol, screen = experiment.protocol, experiment.apparatus.screen
     if screen is None or reading is None:
@@ -93,14 +93,14 @@ def _check_type(findings: Findings, window: tuple[int, int] | None) -> Iterator[
 
 
 def every_picture(pictures: Illustrator, trial: Trial) -> list[Picture]:
-    """Return each kind of screen that a session may show around one trial.
+    """Return each kind of screen that a session may show for a trial.
 
     Parameters
     ----------
     pictures : Illustrator
-        Draws them.
+        Illustrator of the screens.
     trial : Trial
-        Which fingers lie where.
+        Trial with the placement of the fingers.
     """
     from modaltouch.window.interface import Progress
 
@@ -132,18 +132,18 @@ def smallest_type(
     trials: list[Trial],
     size: tuple[int, int],
 ) -> tuple[float, str]:
-    """Return the height of a capital where the type is smallest [pixels], and the text that is set in it.
+    """Return the height of a capital in the smallest type [pixels], and the text set in it.
 
     Parameters
     ----------
     protocol, texts, zones
-        What is asked, in which words, of fingers on which zones.
+        The protocol, its texts, and the zones of the beam.
     trials : list of Trial
-        One of each placement.
+        One trial per placement.
     size : (width, height) of int
         Size of the window [pixels].
     """
-    # The pictures are loaded only where type is measured.
+    # Import the drawing modules only to measure type.
     from modaltouch.window.buttons import typesetter_of
     from modaltouch.window.interface import Progress
     from modaltouch.window.layout import lay_out

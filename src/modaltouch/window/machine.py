@@ -1,4 +1,4 @@
-"""Whether this machine has what a session needs, and how accurately it times pictures and keys."""
+"""Checks of this machine for sessions, and measurement of its timing of pictures and keys."""
 
 from __future__ import annotations
 
@@ -25,32 +25,32 @@ from modaltouch.window.screen import Screen
 from modaltouch.window.shapes import Box, Picture, Words, rectangle
 
 _LATE_FRAME = 1.5
-"""A frame counts as dropped when it takes this many times the usual [1]."""
+"""Ratio to the usual frame time above which a frame counts as dropped [1]."""
 _TIMEOUT = 0.5
-"""A key that is not seen within this time is lost [s]."""
+"""Time after which an unseen key counts as lost [s]."""
 _F12 = 0xFFC9
-"""X's keysym of F12, which no program reacts to."""
+"""X keysym of F12, to which no program reacts."""
 _LETTERS = {"\u0915": "fonts-noto-core", "\u4e2d": "fonts-wqy-microhei"}
-"""A letter of Devanagari and an ideograph, and the Debian package with a font for each script."""
+"""A letter of Devanagari and an ideograph, with the Debian package of a font for each script."""
 _NO_RETRACE_MS = 4.0
-"""Frames shorter than this do not wait for a monitor: none refreshes so fast [ms]."""
+"""Frame time below which frames do not wait for a monitor, since none refreshes so fast [ms]."""
 
 
 class MachineCheck(NamedTuple):
-    """One thing that a session needs of a machine.
+    """Result of one check of a machine.
 
     Attributes
     ----------
     subject : str
-        What was looked at.
+        Subject of the check.
     state : str
-        ``ok``, ``warning`` (something optional is absent) or ``fault`` (a session cannot run).
+        ``ok``, ``warning`` (something optional is missing) or ``fault`` (a session cannot run).
     found : str
-        What is there.
+        What was found.
     remedy : str
-        What to do; empty where all is well.
+        What to do; empty if nothing.
     packages : list of str
-        The Debian packages that are missing.
+        Missing Debian packages.
     """
 
     subject: str
@@ -61,14 +61,14 @@ class MachineCheck(NamedTuple):
 
 
 def examine_machine(results: Path = Path("results"), *, quick: bool = False) -> tuple[MachineCheck, ...]:
-    """Check everything a session needs, and draw a letter in the window; no instrument is opened.
+    """Check what a session needs on this machine, including a test drawing; no instrument is opened.
 
     Parameters
     ----------
     results : Path
-        Where sessions shall be recorded.
+        Folder where sessions will be recorded.
     quick : bool
-        Whether to check only what is installed, and use neither window nor sound device nor disk.
+        Whether to check only installed software, without window, sound device and disk.
     """
     window, disk = ((), ()) if quick else ((_window(),), (_disk(results),))
     display = (_display(), _libraries(), _virtual_display(), _fonts(), *window, _sound(quick=quick))
@@ -101,7 +101,7 @@ def _virtual_display() -> MachineCheck:
 
 
 def _fonts() -> MachineCheck:
-    """Look for fonts beyond the bundled ones, which have Latin, Greek and Cyrillic, Arabic and Hebrew."""
+    """Check for fonts of scripts beyond the bundled Latin, Greek, Cyrillic, Arabic and Hebrew."""
     packages = [package for letter, package in _LETTERS.items() if Fonts().lacking(letter)]
     if not packages:
         return MachineCheck("fonts", "ok", "Latin, Greek, Cyrillic, Arabic, Hebrew, Devanagari, Chinese, Japanese")
@@ -110,7 +110,7 @@ def _fonts() -> MachineCheck:
 
 
 def _window() -> MachineCheck:
-    """Open the window and draw a letter, which needs a display, OpenGL, fonts and PsychoPy together."""
+    """Draw a letter in the window, which requires a display, OpenGL, fonts and PsychoPy."""
     try:
         with (
             some_display() as where,
@@ -130,7 +130,7 @@ def _window() -> MachineCheck:
 
 
 def _share_lit(picture: Path) -> float:
-    """Return how much of a picture is not its ground [1]."""
+    """Return the share of bright pixels in a picture [1]."""
     from matplotlib.image import imread
 
     return float((imread(picture)[..., :3] > 0.5).any(axis=2).mean())
@@ -174,7 +174,7 @@ def _usb() -> MachineCheck:
 
 
 def _precedence() -> MachineCheck:
-    """Check whether `modaltouch.rig.watchdog_process`, which triggers bursts, may have real-time priority."""
+    """Check whether `modaltouch.rig.watchdog_process`, which triggers bursts, may run at real-time priority."""
     if sys.platform != "linux":
         return MachineCheck("real time", "ok", "left to the system's scheduler")
     import resource
@@ -208,19 +208,19 @@ def _disk(results: Path) -> MachineCheck:
 def time_window(
     screen: Screen, *, n_frames: int = 120, n_keys: int = 60, display: str = "the screen"
 ) -> tuple[dict[str, Any], str]:
-    """Return how accurately an open window with the keyboard focus times pictures and keys, and what that means.
+    """Measure the timing of pictures and keys in an open window with keyboard focus, and assess it.
 
     Returns
     -------
     figures : dict
-        ``display``, what it was measured on, in words; ``n_frames``, and ``n_dropped`` that took 1.5 times the usual
-        time or more; ``waits_for_monitor``, whether frames follow a monitor's refresh; ``n_keys`` injected, ``n_lost``
-        that were never seen, and ``key_path``: ``display server`` (as from a keyboard) or ``event queue`` (of the
-        window, if nothing else is available); time from one frame to the next (``frame_median_ms``,
-        ``frame_p95_ms``), and from the injection of a key to its time stamp (``key_delay_median_ms``,
-        ``key_delay_p95_ms``, ``key_delay_max_ms``), None if no key was seen.
+        ``display``, a description of the display; ``n_frames``, and ``n_dropped`` of at least 1.5 times the usual
+        duration; ``waits_for_monitor``, whether frames follow a monitor's refresh; ``n_keys`` injected, ``n_lost``
+        never seen, and ``key_path``: ``display server`` (as from a keyboard) or ``event queue`` (of the window, if
+        nothing else is available); time between frames (``frame_median_ms``, ``frame_p95_ms``), and from the injection
+        of a key to its time stamp (``key_delay_median_ms``, ``key_delay_p95_ms``, ``key_delay_max_ms``), None if no key
+        was seen.
     verdict : str
-        What they mean for an experiment, and what to do.
+        Consequences for an experiment, and what to do.
     """
     frames = _measure_frames(screen, n_frames) * 1e3
     with _injector(screen) as (press, path):
@@ -245,7 +245,7 @@ def time_window(
 
 
 def judge_window(figures: Mapping[str, Any]) -> str:
-    """Return what the figures of a window mean for an experiment, and what to do."""
+    """Return the consequences of the figures of a window for an experiment, and what to do."""
     lines, delay = [f"On {figures['display']}:"], figures["key_delay_p95_ms"]
     if figures["n_lost"]:
         lines.append(
@@ -277,7 +277,7 @@ def judge_window(figures: Mapping[str, Any]) -> str:
 
 
 def _measure_frames(screen: Screen, n_frames: int) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """Return the times between frames [s], two pictures in turn."""
+    """Return the times between frames of two alternating pictures [s]."""
     boxes = (Box(-0.2, 0, 0.1, 0.1), Box(0.2, 0, 0.1, 0.1))
     pictures = [Picture(f"timing_{side}", (rectangle(boxes[side], "#808080"),)) for side in (0, 1)]
     shown = []
@@ -289,9 +289,9 @@ def _measure_frames(screen: Screen, n_frames: int) -> np.ndarray[Any, np.dtype[n
 
 
 def _measure_key(screen: Screen, press: Callable[[], float], number: int) -> float | None:
-    """Return the time from a key's injection to its stamp [s], or None if it is lost; polls as a session does."""
+    """Return the time from a key's injection to its time stamp, polled as in a session [s]; None if lost."""
     screen.poll()
-    # Presses fall at any phase of the poll.
+    # Vary the phase of presses relative to the poll.
     until = time.perf_counter() + 0.02 + (number * 0.618 % 1) * POLL_INTERVAL
     while time.perf_counter() < until:
         time.sleep(1e-4)
@@ -306,7 +306,7 @@ def _measure_key(screen: Screen, press: Callable[[], float], number: int) -> flo
 
 @contextmanager
 def _injector(screen: Screen) -> Iterator[tuple[Callable[[], float], str]]:
-    """Yield a function that presses and releases F12 and returns when, and the path that the key takes."""
+    """Yield a function that presses and releases F12 and returns the time, and the path of the key."""
     if not sys.platform.startswith("linux"):
 
         def type_key() -> float:
@@ -317,7 +317,7 @@ def _injector(screen: Screen) -> Iterator[tuple[Callable[[], float], str]]:
 
         yield type_key, "event queue"
         return
-    # PsychoPy brings it along.
+    # A dependency of PsychoPy.
     from Xlib import X, display
     from Xlib.ext import xtest
 

@@ -1,10 +1,10 @@
-"""Noise that masks the sound of the beam, without a break from before the first trial until after the last.
+"""Noise that masks the sound of the beam, played continuously from before the first trial until after the last.
 
-The noise has random phases and an exact spectrum, so that its period repeats without a seam; it is played through
-PortAudio. If the device is lost during a session (unplugged, taken away by the system), the current trial continues
-and its answer is recorded as not masked. Before the next trial the device is opened again. If that fails and the
-protocol demands masking, the session ends properly, and `modaltouch resume` continues it once the device is back;
-otherwise it continues without noise, and its trials are recorded as not masked.
+The noise has random phases and an exact spectrum, so that its period repeats seamlessly; it is played through
+PortAudio. If the device is lost during a session (unplugged, or removed by the system), the current trial continues and
+its answer is recorded as not masked. The device is reopened before the next trial. If that fails and the protocol
+requires masking, the session ends properly, and `modaltouch resume` continues it once the device is back; otherwise it
+continues without noise, and its trials are recorded as not masked.
 """
 
 from __future__ import annotations
@@ -26,21 +26,21 @@ from modaltouch.window.interface import Log, Masking, MaskingError
 Kind = Literal["pink", "white"]
 
 LOWEST, HIGHEST = 20.0, 20_000.0
-"""Band of the noise: what can be heard [Hz]."""
+"""Band of the noise, the audible range [Hz]."""
 
 PERIOD = 10.0
-"""Length of the period [s]; nobody hears a repetition this slow."""
+"""Period of the noise, too long for the repetition to be heard [s]."""
 
 SEED = 20_120_501
-"""Seed of the random phases: the noise of every session is the same."""
+"""Seed of the random phases; the noise is the same in every session."""
 
 SINE_DB = 20 * math.log10(math.sqrt(2))
-"""How far the rms of a sine of full scale, 0 dB FS (AES17), lies below full scale [dB]."""
+"""Difference between full scale and the RMS of a full-scale sine, which is 0 dB FS (AES17) [dB]."""
 
 
 @lru_cache(maxsize=4)
 def make_noise(kind: Kind, sampling_rate: float) -> NDArray[np.float32]:
-    """Return one period of seamless noise with a root mean square of 1, a read-only (n_samples,) array [1].
+    """Return one period of seamless noise with an RMS of 1, a read-only (n_samples,) array [1].
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ def make_noise(kind: Kind, sampling_rate: float) -> NDArray[np.float32]:
     in_band = (frequency >= LOWEST) & (frequency <= min(HIGHEST, 0.45 * sampling_rate))
     magnitude = np.zeros(frequency.size)
     magnitude[in_band] = 1.0 if kind == "white" else 1 / np.sqrt(frequency[in_band])
-    # Raw words, whose stream numpy promises to keep: the same noise in every version.
+    # NumPy guarantees the stream of raw words, so the noise is the same in every version.
     phase = np.random.PCG64(SEED).random_raw(frequency.size).astype(np.float64) * (2 * np.pi / 2.0**64)
     samples = np.fft.irfft(magnitude * np.exp(1j * phase), n_samples)
     noise: NDArray[np.float32] = (samples / np.sqrt(np.mean(samples**2))).astype(np.float32)
@@ -63,7 +63,7 @@ def make_noise(kind: Kind, sampling_rate: float) -> NDArray[np.float32]:
 
 
 def amplitude_at(level: float) -> float:
-    """Return the root mean square of noise at a level [dB FS], as a share of full scale [1].
+    """Return the RMS of noise at a level [dB FS], relative to full scale [1].
 
     Examples
     --------
@@ -74,21 +74,21 @@ def amplitude_at(level: float) -> float:
 
 
 class DeviceError(Exception):
-    """There is no sound device, or it refuses; says why, and what to do about it."""
+    """There is no sound device, or it cannot be opened; the message says why, and what to do."""
 
 
 def default_device(name: str = "") -> dict[str, Any]:
-    """Return the properties of a sound device, as PortAudio reports them.
+    """Return the properties of a sound device, as reported by PortAudio.
 
     Parameters
     ----------
     name : str
-        Part of its name; empty for the system's own choice.
+        Part of its name; empty for the system's default.
 
     Raises
     ------
     DeviceError
-        If there is none, or no PortAudio.
+        If there is no such device or no PortAudio.
     """
     try:
         import sounddevice
@@ -103,7 +103,7 @@ def default_device(name: str = "") -> dict[str, Any]:
 
 
 def open_stream(apparatus: Apparatus, fill: Callable[..., None]) -> tuple[dict[str, Any], Any]:
-    """Return the properties of the device, and a running stream on it."""
+    """Open and start a stream, and return the properties of its device and the stream."""
     sound = apparatus.sound
     device = default_device(sound.device)
     import sounddevice
@@ -131,7 +131,7 @@ def open_stream(apparatus: Apparatus, fill: Callable[..., None]) -> tuple[dict[s
 
 
 class LoopedNoise:
-    """Repeats a period of noise for ever."""
+    """Endless repetition of a period of noise, with fades."""
 
     def __init__(self, period: NDArray[np.float32], n_fade: int) -> None:
         self._period = period
@@ -140,11 +140,11 @@ class LoopedNoise:
         self._way = self._target = 0
 
     def fade_in(self) -> None:
-        """Let what follows grow to its full level."""
+        """Fade in over the following samples."""
         self._target = self._n_fade
 
     def fade_out(self) -> None:
-        """Let what follows fall silent."""
+        """Fade out over the following samples."""
         self._target = 0
 
     @property
@@ -154,7 +154,7 @@ class LoopedNoise:
 
     @property
     def is_silent(self) -> bool:
-        """Whether nothing is heard any more."""
+        """Whether the noise is silent."""
         return self._way == self._target == 0
 
     def fill(self, out: NDArray[np.float32]) -> None:
@@ -163,7 +163,7 @@ class LoopedNoise:
         Parameters
         ----------
         out : (n_samples, n_channels) array
-            Where it goes; every channel gets the same.
+            Output block; all channels get the same samples.
         """
         n = len(out)
         if self.is_silent:
@@ -175,27 +175,27 @@ class LoopedNoise:
             ahead = np.arange(1, n + 1) * (1 if self._target > self._way else -1)
             way = np.clip(self._way + ahead, 0, self._n_fade)
             self._way = int(way[-1])
-            # A raised cosine, which has no corner at either end.
+            # Raised cosine, smooth at both ends.
             samples = samples * np.sin(np.pi / 2 * way / self._n_fade).astype(np.float32) ** 2
         out[:] = samples[:, np.newaxis]
 
 
 STALE = 1.0
-"""A device that asks for no samples for this long is lost [s]."""
+"""Time without a request for samples after which a device counts as lost [s]."""
 _HURRY = 0.1
-"""Longest fade where something went wrong [s]."""
+"""Maximum fade-out after a fault [s]."""
 
 
 @dataclass(frozen=True)
 class MaskingNoise:
-    """The masking noise that a protocol wants.
+    """The masking noise of a protocol.
 
     Attributes
     ----------
     section : MaskingSection
-        What the protocol wants.
+        The protocol's masking section.
     apparatus : Apparatus
-        What plays it.
+        Apparatus with the sound device.
     """
 
     section: MaskingSection
@@ -203,12 +203,12 @@ class MaskingNoise:
 
     @property
     def highest_level(self) -> float:
-        """Level at which the highest peak of the noise just reaches full scale [dB FS]."""
+        """Level at which the highest peak of the noise reaches full scale [dB FS]."""
         noise = make_noise(self.section.noise, self.apparatus.sound.sampling_rate_Hz)
         return SINE_DB - 20 * math.log10(float(abs(noise).max()))
 
     def check_level(self, findings: Findings) -> Iterator[Problem]:
-        """Yield a problem of the protocol's files if the peaks of the noise would exceed full scale."""
+        """Yield a problem if the peaks of the noise exceed full scale."""
         section, sound = self.section, self.apparatus.sound
         level = section.level(sound)
         if level is None or level <= (highest := self.highest_level):
@@ -216,24 +216,24 @@ class MaskingNoise:
         unit = section.level_key.removeprefix("level_").replace("_", " ")
         shift = 0.0 if section.level_dB_FS is not None else sound.full_scale_dB_SPL or 0.0
         given = f"{level + shift:g} {unit}, at which the peaks of the {section.noise} noise pass full scale"
-        # Rounded down, so that the level named as allowed is allowed.
+        # Round down, so that the level in the message is itself allowed.
         allowed = f"at most {math.floor((highest + shift) * 10) / 10:g} {unit}"
         yield findings.problem(("masking", section.level_key), given, allowed, "lower it, and turn up the amplifier")
 
     def open(self, log: Log, *, is_heard: bool = True) -> Masking:
-        """Return the masking, silent until `Masking.start`.
+        """Open the masking noise, silent until `Masking.start`.
 
         Parameters
         ----------
         log : callable
-            Takes its events for the record.
+            Receives its events for the record.
         is_heard : bool
-            Whether a person answers; for a simulated participant no noise is played.
+            Whether a person answers; no noise is played for a simulated participant.
 
         Raises
         ------
         MaskingError
-            If it cannot be played and the protocol demands it.
+            If the noise cannot be played and the protocol requires it.
         """
         if not is_heard:
             return SimulatedMasking(self.section, self.apparatus)
@@ -247,7 +247,7 @@ class MaskingNoise:
 
 
 class _Noise(Masking):
-    """What the record says about the noise, played or simulated."""
+    """Description of the noise for the record, played or simulated."""
 
     def __init__(self, section: MaskingSection, apparatus: Apparatus) -> None:
         super().__init__()
@@ -272,20 +272,20 @@ class _Noise(Masking):
 
 
 class SimulatedMasking(_Noise):
-    """Noise for a simulated participant: described in the record like any other, but not played."""
+    """Noise for a simulated participant: described in the record but not played."""
 
     def ensure(self, tick: Callable[[], object], *, on: bool = True) -> None:
-        """Have it on, or silent."""
+        """Set the noise on or silent."""
         self._is_wanted = on
 
     @property
     def is_on(self) -> bool | None:
-        """Whether it was wanted at the last `ensure`."""
+        """Whether the noise was set on by the last `ensure`."""
         return self._is_wanted
 
 
 class PlayedMasking(_Noise):
-    """Noise on a sound device; PortAudio is loaded with the first."""
+    """Noise on a sound device; PortAudio is loaded on first use."""
 
     def __init__(self, section: MaskingSection, apparatus: Apparatus, log: Log) -> None:
         super().__init__(section, apparatus)
@@ -302,12 +302,12 @@ class PlayedMasking(_Noise):
         self._open()
 
     def start(self) -> None:
-        """Begin to fade in."""
+        """Start the fade-in."""
         self._playback.fade_in()
         self._log("masking", state="on")
 
     def ensure(self, tick: Callable[[], object], *, on: bool = True) -> None:
-        """Make sure that the noise is at its level, or silent; reopen a device that was lost."""
+        """Ensure that the noise is at its level, or silent; reopen a lost device."""
         self._watch()
         if on != self._is_wanted:
             self._is_wanted = on
@@ -350,19 +350,19 @@ class PlayedMasking(_Noise):
         self._asked = time.perf_counter()
 
     def _fill(self, out: Any, n_frames: int, moment: Any, status: Any) -> None:
-        """Hand over the next samples; called by PortAudio in a thread of its own."""
+        """Provide the next samples; called by PortAudio in a separate thread."""
         self._asked = time.perf_counter()
         self._n_underflows += bool(status.output_underflow)
         self._playback.fill(out)
 
     def _watch(self) -> None:
-        """Notice that the device is gone, and record it once."""
+        """Detect a lost device, and record it once."""
         if self._is_lost:
             return
         if time.perf_counter() - self._asked > STALE or self._stream is None or not self._stream.active:
             self._is_lost = True
             reason = f"the sound device {self._device.get('name')!r} accepts no more samples"
-            # On the record's clock: an answer of the last second may have been written down as masked.
+            # By the record's clock, since an answer of the last second may have been recorded as masked.
             self._log("masking_lost", reason=reason, last_samples_s=round(self._asked, 6))
 
     def _reopen(self) -> None:
@@ -370,7 +370,7 @@ class PlayedMasking(_Noise):
         with contextlib.suppress(Exception):
             import sounddevice
 
-            # PortAudio knows only the devices present when it was initialised.
+            # PortAudio only knows the devices present at its initialisation.
             sounddevice._terminate()
             sounddevice._initialize()
         try:

@@ -1,4 +1,4 @@
-"""How the answer window is opened: for a person, or for a robot that types into it."""
+"""Options and opening of the answer window, for a person or a robot."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class WindowOptions:
-    """How the window is opened.
+    """Options of the answer window.
 
     Attributes
     ----------
@@ -31,7 +31,7 @@ class WindowOptions:
     theme : str
         ``dark`` or ``light``.
     screen : int
-        Which monitor, from 0.
+        Number of the monitor, from 0.
     screenshots : Path, optional
         Folder for one PNG of each kind of screen.
     """
@@ -44,19 +44,19 @@ class WindowOptions:
 
     @classmethod
     def recorded(cls, window: Mapping[str, Any]) -> Self:
-        """Return how the window of a record was opened; what older records do not say is set to the default.
+        """Return the options of a recorded window, with defaults for facts missing from older records.
 
         Parameters
         ----------
         window : mapping
-            What the record's line `start` or `resume` says about the window.
+            Facts of the window in the record's line `start` or `resume`.
         """
         from modaltouch.window.theme import THEMES
 
         usual, size = cls(), window.get("size_px")
         fullscreen, theme = bool(window.get("fullscreen", False)), window.get("theme")
         return cls(
-            # The recorded size of a full screen is the monitor's.
+            # The recorded size of a full screen is that of the monitor.
             size=(int(size[0]), int(size[1])) if size and not fullscreen else usual.size,
             fullscreen=fullscreen,
             theme=theme if theme in THEMES else usual.theme,
@@ -74,14 +74,14 @@ class WindowOptions:
         answerer: Answerer | None = None,
         clock: Clock = SYSTEM_CLOCK,
     ) -> AnswerWindow:
-        """Return the open window.
+        """Open the window.
 
         Parameters
         ----------
         protocol, texts, zones, tick, log, clock
             As for `participant.ParticipantWindow`.
         answerer : Answerer, optional
-            The observer that types into the window in place of a person.
+            Observer that types into the window in place of a person.
 
         Raises
         ------
@@ -111,7 +111,7 @@ class WindowOptions:
         return Screen(size=self.size, fullscreen=self.fullscreen, monitor=self.screen, ground=ground, **options)
 
     def measure_timing(self) -> tuple[dict[str, Any], str]:
-        """Return how accurately the window times pictures and keys (`machine.time_window`); takes some seconds.
+        """Measure the timing of pictures and keys in the window (`machine.time_window`); takes some seconds.
 
         Raises
         ------
@@ -125,14 +125,14 @@ class WindowOptions:
             return time_window(screen, display=display)
 
     def check_texts(self, findings: Findings, *, letters_only: bool = False) -> Iterator[Problem]:
-        """Yield what the participant cannot read in the window (`legibility.check_texts`).
+        """Yield the problems of texts that are illegible in the window (`legibility.check_texts`).
 
         Parameters
         ----------
         findings : Findings
             The protocol's files.
         letters_only : bool
-            Whether only to look for letters that no font has: type is measured only on sound files.
+            Whether to check only for missing glyphs; the type size requires valid files.
         """
         from modaltouch.window.legibility import check_texts
 

@@ -1,4 +1,4 @@
-"""The answer window: leads one participant through a session on a display."""
+"""Answer window: presents a session to the participant on a display."""
 
 from __future__ import annotations
 
@@ -26,44 +26,44 @@ if TYPE_CHECKING:
     from modaltouch.window.screen import Screen
 
 _CONFIRMATION = 0.4
-"""How long the chosen answer stays marked, at most [s]."""
+"""Maximum time for which the chosen answer is shown [s]."""
 _COUNTDOWN = (3, 2, 1)
 """Numbers counted down while hands return to the beam, in equal steps of the time available."""
 _STALL = 2.0
-"""How long the message that the computer was held up stays [s]."""
+"""Duration of the message about a busy computer [s]."""
 _FEEDBACK = 1.5
-"""How long practice feedback stays [s]."""
+"""Duration of practice feedback [s]."""
 _DISMISSAL = 3.0
-"""How long the screen of a session that ends early stays [s]."""
+"""Duration of the screen of a session that ends early [s]."""
 _FAREWELL = 8.0
-"""How long the last screen stays if nobody presses a key [s]."""
+"""Maximum duration of the last screen without a key press [s]."""
 
 
 class ParticipantWindow(AnswerWindow):
-    """Shows instructions, placements and questions, and takes answers from keys, clicks and touches.
+    """Answer window that shows instructions, placements and questions, and takes answers from keys, clicks and touches.
 
     Parameters
     ----------
     display : Screen
         The open window; closed by `close`.
     protocol : Protocol
-        What is asked, and by which keys it is answered.
+        The protocol, with its questions and keys.
     texts : Texts
-        Every word on the screen.
+        All texts on the screen.
     zones : mapping of str to (float, float)
         As `layout.Spans`.
     theme : str
-        Colours, by their name in `theme.THEMES`.
+        Name of the colours in `theme.THEMES`.
     tick : callable
-        Called about every millisecond while the window waits; may raise, and returns what the experimenter asks for.
+        Called about every millisecond while the window waits; may raise, and returns the experimenter's request.
     log : callable
-        Takes the window's events for the record, as ``log(event, **facts)``.
+        Receives the window's events for the record, as ``log(event, **facts)``.
     screenshots : Path, optional
         Folder for one PNG of each kind of screen.
     robot : WindowUser, optional
-        Answers in a person's place, through the display's own event queue.
+        Answers in place of a person, through the display's event queue.
     clock : Clock
-        Stamps events; shared with the display.
+        Clock of the time stamps; shared with the display.
     """
 
     def __init__(
@@ -109,14 +109,14 @@ class ParticipantWindow(AnswerWindow):
         return {**self._display.describe(), **told}
 
     def welcome(self, trial: Trial) -> None:
-        """Show the instructions until the participant goes on; the first trial is drawn ahead meanwhile."""
+        """Show the instructions until the participant continues, and prepare the first trial meanwhile."""
         self._loop.show(self._pictures.welcome(trial))
         self._make_ready(trial)
         self._go_on(lambda: self._pictures.welcome(trial))
         self._go_on(lambda: self._pictures.answering(trial))
 
     def place_fingers(self, trial: Trial) -> None:
-        """Show which finger goes on which zone until it is confirmed."""
+        """Show which finger goes on which zone until confirmed."""
         self._make_ready(trial)
         self._go_on(lambda: self._pictures.placement(trial), trial)
 
@@ -131,7 +131,7 @@ class ParticipantWindow(AnswerWindow):
             if now >= end:
                 return over
             steps = _COUNTDOWN if counts else (0,)
-            # After a pause the countdown starts anew, from the key that ended the pause.
+            # After a pause, the countdown restarts at the key that ended it.
             if all(
                 self._rest_on(self._pictures.ready(*self._current, step), end - (end - now) * place / len(steps))
                 for place, step in zip(reversed(range(len(steps))), steps, strict=True)
@@ -139,22 +139,22 @@ class ParticipantWindow(AnswerWindow):
                 return over
 
     def show_stall(self) -> None:
-        """Show briefly that the computer was held up, and that the last stimulus comes again."""
+        """Show briefly that the computer was busy and that the last stimulus will be repeated."""
         self._rest_on(self._pictures.page("stalled", self._texts.stalled, waits=False), self._clock.now() + _STALL)
         self._answered = self._clock.now()
 
     def show_measuring(self, seconds: float) -> None:
-        """Show for some time [s] that the beam is being measured; the screen then stays."""
+        """Show for a time [s] that the beam is being measured; the screen then stays."""
         picture = self._pictures.page("measuring", self._texts.measuring, waits=False)
         self._rest_on(picture, self._clock.now() + seconds)
 
     def announce(self, text: str) -> None:
-        """Show one text of the protocol, such as ``practice`` or ``start``, until the participant goes on."""
+        """Show a text of the protocol, such as ``practice`` or ``start``, until the participant continues."""
         words = str(getattr(self._texts, text))
         self._go_on(lambda: self._pictures.page(text, words))
 
     def feel(self, trial: Trial, progress: tuple[int, int], presentation: Presentation, until: float) -> None:
-        """Show the number of the interval that is on, then the beam alone."""
+        """Show the number of the current interval, then the beam alone."""
         self._current = (trial, counted) = (trial, self._count(trial, progress))
         self._loop.attend(Moment("feel", trial, presentation.onset, presentation.interval))
         rest = self._pictures.ready(trial, counted)
@@ -169,7 +169,7 @@ class ParticipantWindow(AnswerWindow):
         Raises
         ------
         TrialInterrupted
-            If the trial was cut and must be offered again.
+            If the trial was interrupted and must be repeated.
         SessionStopped
             If the session was ended.
         """
@@ -186,7 +186,7 @@ class ParticipantWindow(AnswerWindow):
         asked = self._loop.show(question, Moment("answer", trial, onset))
         self.on_question(trial, asked)
         flip_took = self._loop.flip_took
-        # What is read now was pressed while the question was being drawn: it cannot answer it.
+        # Events read now occurred while the question was being drawn and cannot answer it.
         for event in self._loop.poll_quietly():
             self._before_question(event, trial, presentation.stop)
 
@@ -259,7 +259,7 @@ class ParticipantWindow(AnswerWindow):
         return self._clock.now() >= instant
 
     def _asking(self, answers: AnswersSection) -> AskedQuestion:
-        """Return a question that is answered from a list or on a scale."""
+        """Return the question for a section of answers, a list or a scale."""
         answers = as_read(answers, self._texts)
         layout = lay_out(*self._display.size, self._zones, answers.offered, answers.scale)
         design = self._design
@@ -267,7 +267,7 @@ class ParticipantWindow(AnswerWindow):
         return AskedQuestion(self._loop, pictures)
 
     def _end_of(self, presentation: Presentation, asked: float) -> Callable[[], bool]:
-        """Return a function to poll: it stops the longest stimulus, and returns whether the time to answer is up."""
+        """Return a function to poll that stops the stimulus at its end and returns whether the answer timed out."""
         is_over = stops_first = self._answers.stimulus_until == "question"
         limit = asked + (self._answers.time_out_s or math.inf)
 
@@ -282,7 +282,7 @@ class ParticipantWindow(AnswerWindow):
         return times_out
 
     def confirm(self, response: Response) -> None:
-        """Show which answer was taken; it is on the disk."""
+        """Show the accepted answer, which is on disk."""
         self._by_hand = response.answer != TIME_OUT
         if self._current is not None:
             draw = partial(self._pictures.question, chosen=chosen(response)) if self._by_hand else self._pictures.ready
@@ -290,27 +290,27 @@ class ParticipantWindow(AnswerWindow):
         self._loop.write_notes()
 
     def give_feedback(self, response: Response, expected: str) -> None:
-        """Show for a moment where the vibration was stronger, after a practice trial."""
+        """Show briefly where the vibration was stronger, after a practice trial."""
         if self._current is not None and response.answer != TIME_OUT:
             picture = self._pictures.feedback(*self._current, response.answer, expected)
             self._rest_on(picture, self._clock.now() + _FEEDBACK)
             if self._settles:
-                # A participant who is reading has not put the finger back yet.
+                # The participant may put the finger back only after reading.
                 self._answered = self._clock.now()
 
     def wait(self, seconds: float) -> None:
-        """Let the pause between two trials pass, counted from the answer; the countdown of `settle` is part of it."""
+        """Wait for the pause between two trials, counted from the answer; the countdown of `settle` is part of it."""
         until = self._answered + seconds
         self._rest_on(None, min(until, self._answered + _CONFIRMATION))
         if self._clock.now() < until and self._current is not None and not self._settles:
             self._rest_on(self._pictures.ready(*self._current), until)
 
     def rest(self, progress: tuple[int, int]) -> None:
-        """Show the break until the participant goes on."""
+        """Show the break until the participant continues."""
         self._go_on(lambda: self._pictures.page("rest", self._texts.rest, Progress(*progress)))
 
     def goodbye(self) -> None:
-        """Thank the participant, until a key is pressed or some seconds have passed."""
+        """Thank the participant until a key press or for some seconds."""
         shown = self._loop.show(self._pictures.page("goodbye", self._texts.goodbye, waits=False), Moment("go_on"))
         while self._clock.now() < shown + _FAREWELL:
             for event in self._loop.poll():
@@ -319,7 +319,7 @@ class ParticipantWindow(AnswerWindow):
 
     def dismiss(self) -> None:
         """Show briefly that the session ends early; never raises, and does not tick."""
-        # Whatever ended the session may have taken the display with it; its own error is the one to report.
+        # The display may be lost, too; the error that ended the session is the one to report.
         with contextlib.suppress(Exception):
             shown = self._loop.show(self._pictures.page("session_ended", self._texts.session_ended, waits=False))
             while self._clock.now() < shown + _DISMISSAL:
@@ -331,7 +331,7 @@ class ParticipantWindow(AnswerWindow):
         self._display.close()
 
     def _make_ready(self, trial: Trial) -> None:
-        """Prepare the trial's pictures, so that none of them is late."""
+        """Prepare the trial's pictures, so that none is late."""
         progress, draw = Progress(1, 1), self._pictures
         felt = [draw.feel(trial, progress, interval) for interval in range(self._n_intervals + 1)]
         for picture in (draw.placement(trial), *felt, draw.question(trial, progress)):
@@ -340,7 +340,7 @@ class ParticipantWindow(AnswerWindow):
             self._display.prepare(draw.question(trial, progress, chosen=answer))
 
     def _count(self, trial: Trial, progress: tuple[int, int]) -> Progress:
-        """Return the progress as the participant sees it: practice trials are counted separately."""
+        """Return the progress shown to the participant, with practice trials counted separately."""
         if not trial.practice:
             return Progress(*progress)
         n_trials = max(self._n_practice, 1)
@@ -351,7 +351,7 @@ class ParticipantWindow(AnswerWindow):
         return "experimenter" if way == "experimenter" else "participant"
 
     def _go_on(self, draw: Callable[[], Picture], trial: Trial | None = None) -> None:
-        """Show a picture until a key to go on or a click."""
+        """Show a picture until a key to continue or a click."""
         shown = self._loop.show(draw(), Moment("go_on", trial))
         while True:
             for event in self._loop.poll():
@@ -368,7 +368,7 @@ class ParticipantWindow(AnswerWindow):
                     self._loop.note("ignored", key=event.key)
 
     def _rest_on(self, picture: Picture | None, until: float) -> bool:
-        """Show a picture, or keep the current one, until a time; return whether no pause intervened.
+        """Show a picture, or keep the current one, until a time; return False if a pause intervened.
 
         Presses do not count.
         """
@@ -383,11 +383,11 @@ class ParticipantWindow(AnswerWindow):
         return True
 
     def _hold(self, trial: Trial | None, event: Event) -> None:
-        """Pause until the session goes on."""
+        """Pause until the session continues."""
         self._note_press(self._first.hold(trial, event))
 
     def _note_press(self, event: Event) -> None:
-        """Remember when something was pressed, and whether it was at the window."""
+        """Store the time of a press, and whether it was at the window."""
         self._answered, self._by_hand = event.time, is_press(event)
 
     @property
@@ -395,14 +395,14 @@ class ParticipantWindow(AnswerWindow):
         return self._current is not None and self._answers.settles(self._current[0].condition.finger_condition)
 
     def _feel(self, trial: Trial, ahead: Picture, presentation: Presentation, until: float) -> None:
-        """Show the beam, and which interval is on, until a time; draw the next picture meanwhile."""
+        """Show the beam and the current interval until a time, and draw the next picture meanwhile."""
         if self._current is not None and self._clock.now() < until:
             self._loop.show(self._pictures.feel(*self._current, presentation.interval))
         self._loop.draw_ahead(ahead)
         self._await(trial, presentation, until)
 
     def _await(self, trial: Trial, presentation: Presentation, until: float) -> None:
-        """Keep the current picture until a time; presses do not count yet."""
+        """Keep the current picture until a time; presses do not count."""
         while self._clock.now() < until:
             for event in self._loop.poll():
                 self._before_question(event, trial, presentation.stop)
@@ -413,7 +413,7 @@ class ParticipantWindow(AnswerWindow):
         self._first.discard(event, "before the question", trial)
 
     def _interrupt(self, trial: Trial, event: Event, stop: Callable[[], None]) -> NoReturn:
-        """Stop the stimulus, pause, and have the trial offered again."""
+        """Stop the stimulus, pause, and raise so that the trial is repeated."""
         stop()
         self._hold(trial, event)
         raise TrialInterrupted({"blur": "focus lost", "pause": "experimenter"}.get(event.kind, "escape"))

@@ -1,4 +1,4 @@
-"""Every screen the participant sees, as plain pictures."""
+"""Screens shown to the participant, as plain pictures."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from modaltouch.window.theme import Theme, mixed
 from modaltouch.window.typesetting import Typesetter
 
 _STEPS = {"thumb": 0.0, "index": 0.06, "middle": 0.052, "ring": 0.052, "little": 0.048}
-"""Distance of each finger's knuckle from the previous one, if the fingers are not spread [window heights]."""
+"""Distance of each finger's knuckle from the previous one for unspread fingers [window heights]."""
 _MIDDLE = Box(0, -0.26, 0.4, 0.18)
-"""The middle of the answers, where numbers are shown before them so that the eyes need not move."""
+"""Middle of the answers, where preceding numbers are shown so that the eyes need not move."""
 
 
 def draw_beam(layout: Layout, theme: Theme, touched: tuple[str, ...], typesetter: Typesetter) -> tuple[Mark, ...]:
-    """Return the beam with its zones; every touched zone looks the same, and all names have one size."""
+    """Draw the beam with its zones; all touched zones look the same, and all names have the same size."""
     unit, beam = layout.unit, layout.beam
     rim = 0.007 * unit
     outline = Box(beam.x, beam.y, beam.width + 2 * rim, beam.height + 2 * rim)
@@ -50,22 +50,22 @@ def draw_hands(
     names: tuple[str, ...],
     typesetter: Typesetter,
 ) -> tuple[Mark, ...]:
-    """Return the hands with each finger on its zone, and the fingers' names above, all in one size.
+    """Draw the hands with each finger on its zone, and the names of the fingers above, all in the same size.
 
     Parameters
     ----------
     layout : Layout
-        Where the zones lie.
+        Layout with the zones.
     theme : Theme
         Colours.
     zones : tuple of str
-        Zones under one to three fingers, from left to right as the participant sees them.
+        Zones under one to three fingers, from left to right as seen by the participant.
     fingers : tuple of str
         Those fingers, such as ``left index``.
     names : tuple of str
-        What the participant calls them.
+        Names of the fingers for the participant.
     typesetter : Typesetter
-        Sets those names.
+        Sets the names.
     """
     colours = (theme.left, *[theme.between] * (len(zones) - 2), theme.right)[: len(zones)]
     tips = {finger: (layout.zones[zone].x, layout.zones[zone].y) for finger, zone in zip(fingers, zones, strict=True)}
@@ -82,16 +82,16 @@ def draw_hands(
     places, room, size = _place_names(layout, [layout.zones[zone].x for zone in zones], names, typesetter)
     named = zip(places, names, colours, strict=True)
     words = (Words(name, replace(room, x=x), size, fill, bold=True) for x, name, fill in named)
-    # Crossed hands on neighbouring zones overlap: no palm may hide the other hand's finger.
+    # Crossed hands on neighbouring zones overlap, and a palm must not hide the other hand's finger.
     return (*palms, *touching, *words)
 
 
 def _place_names(
     layout: Layout, tips: list[float], names: tuple[str, ...], typesetter: Typesetter
 ) -> tuple[list[float], Box, float]:
-    """Return where the names of fingers stand, the room of each, and their size [window heights].
+    """Return the positions of finger names, the box of each, and their type size [window heights].
 
-    Names wider than their fingers are apart move outwards; only what the window cannot hold is drawn smaller.
+    Names wider than the distance of their fingers move outwards, and are drawn smaller only if they exceed the window.
     """
     gap, n = min((b - a for a, b in pairwise(tips)), default=layout.beam.width / 2), len(tips)
     middle, size = (tips[(n - 1) // 2] + tips[n // 2]) / 2, 0.031 * layout.type_scale
@@ -104,14 +104,14 @@ def _place_names(
 
 
 def spoken(zone: str) -> str:
-    """Return what the participant reads as the name of a zone, which in files contains no spaces."""
+    """Return the displayed name of a zone, with spaces, which names in files cannot contain."""
     return zone.replace("_", " ")
 
 
 def _draw_hand(
     layout: Layout, theme: Theme, side: str, tips: dict[str, Point], fills: dict[str, str]
 ) -> tuple[list[Mark], list[Mark]]:
-    """Return one hand: palm and resting fingers, and the touching fingers that go over them."""
+    """Draw a hand: palm and resting fingers, and the touching fingers to be drawn over them."""
     unit = layout.unit
     outward = 1 if side == "right" else -1
     thick, thin = 0.034 * unit, 0.026 * unit
@@ -138,9 +138,9 @@ def _draw_hand(
 
 
 def _place_knuckles(layout: Layout, outward: int, tips: dict[str, Point]) -> dict[str, float]:
-    """Return where the fingers leave the palm, from the thumb to the little finger [window heights].
+    """Return the horizontal positions of the knuckles, from the thumb to the little finger [window heights].
 
-    Between the outer two that touch, they spread with the zones; the others are next to their neighbours.
+    Between the outer two touching fingers they spread with the zones; the others are next to their neighbours.
     """
     unit, names = layout.unit, list(_STEPS)
     first, last = (pick(map(names.index, tips)) for pick in (min, max))
@@ -156,7 +156,7 @@ def _place_knuckles(layout: Layout, outward: int, tips: dict[str, Point]) -> dic
 
 
 def _draw_nail(knuckle: Point, tip: Point, radius: float, fill: str) -> Mark:
-    """Return the nail, which shows that the palm looks down."""
+    """Draw the nail, which shows that the palm faces down."""
     run, rise = tip[0] - knuckle[0], tip[1] - knuckle[1]
     length = (run**2 + rise**2) ** 0.5
     along = (run / length, rise / length)
@@ -167,25 +167,25 @@ def _draw_nail(knuckle: Point, tip: Point, radius: float, fill: str) -> Mark:
 
 @dataclass(frozen=True)
 class Illustrator:
-    """Draws the screens of one protocol in one window.
+    """Illustrator of the screens of a protocol in a window.
 
-    Nothing in a picture depends on the stimulus: two trials with the same fingers on the same zones look
-    alike whatever their level.
+    Pictures do not depend on the stimulus: trials with the same fingers on the same zones look the same at every
+    level.
 
     Attributes
     ----------
     layout : Layout
-        Places and sizes.
+        Positions and sizes.
     theme : Theme
         Colours.
     texts : Texts
-        Words.
+        Texts.
     answers : AnswersSection
-        Keys, and who answers.
+        Keys and ways of answering.
     hand : str
         Hand used in ``one_hand``.
     fingers : mapping
-        Fingers of the finger conditions that the protocol names.
+        Fingers of the finger conditions named in the protocol.
     """
 
     layout: Layout
@@ -196,14 +196,14 @@ class Illustrator:
     fingers: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def welcome(self, trial: Trial) -> Picture:
-        """Return the first screen: what happens, with the beam and the hands."""
+        """Return the first screen, with the instructions, the beam and the hands."""
         lowered = moved(self._beam(trial), -0.21)
         text, size = "\n\n".join(_paragraphs(self.texts.instructions)), 0.038 * self.layout.type_scale
         words = Words(text, self.layout.body, size, self.theme.text)
         return Picture("welcome", (self._headline(self.texts.welcome, 0.054), words, *self._go_on(), *lowered))
 
     def answering(self, trial: Trial) -> Picture:
-        """Return the screen that shows how to answer, first under the fingers of a trial."""
+        """Return the screen that explains how to answer, for the finger condition of a trial."""
         layout, texts, offered = self.layout, self.texts, self.answers.offered
         nothing = offered.naming()
         words = (texts.how_to_answer_or_none if nothing else None) or texts.how_to_answer
@@ -225,13 +225,13 @@ class Illustrator:
         )
 
     def placement(self, trial: Trial) -> Picture:
-        """Return which finger goes on which zone."""
+        """Return the screen that shows which finger goes on which zone."""
         words = self.texts.placing(self.finger_names(trial), tuple(map(spoken, trial.condition.zones)))
         marks = (self._headline(words, 0.046), *self._beam(trial), *self._go_on(self._confirm_placement(trial)))
         return Picture(f"place_fingers_{_tag(trial)}", marks)
 
     def ready(self, trial: Trial, progress: Progress, count: int = 0) -> Picture:
-        """Return the beam alone, between two trials, with the number of a countdown if there is one."""
+        """Return the screen between two trials: the beam, with the number of a countdown if any."""
         marks: tuple[Mark, ...] = (*self._beam(trial), *self._progress(trial, progress))
         if not count:
             return Picture(f"ready_{_tag(trial)}", marks)
@@ -239,7 +239,7 @@ class Illustrator:
         return Picture(f"ready_{_tag(trial)}_{count}", (self._headline(self.texts.fingers_back, 0.056), *marks, number))
 
     def feel(self, trial: Trial, progress: Progress, interval: int = 0) -> Picture:
-        """Return the screen while the stimulus plays before the question, with the interval's number if it has one."""
+        """Return the screen during a stimulus before the question, with the number of the interval if any."""
         marks: tuple[Mark, ...] = (self._headline(self.texts.feel, 0.056, dim=True), *self._beam(trial))
         marks += self._progress(trial, progress)
         if not interval:
@@ -250,16 +250,16 @@ class Illustrator:
     def question(
         self, trial: Trial, progress: Progress, chosen: str | None = None, *, confirmed: bool = True, name: str = ""
     ) -> Picture:
-        """Return the question with its answers; `chosen` is shown as taken, or as still to be confirmed.
+        """Return the screen of a question with its answers; `chosen` is shown as accepted or as to be confirmed.
 
         Parameters
         ----------
         trial, progress
-            What is asked, and where the session stands.
+            The trial and the progress of the session.
         chosen : str, optional
             The answer, or the number on a scale.
         confirmed : bool
-            Whether it is taken.
+            Whether it is accepted.
         name : str
             Name of a further question.
         """
@@ -291,7 +291,7 @@ class Illustrator:
         )
 
     def feedback(self, trial: Trial, progress: Progress, answer: str, expected: str) -> Picture:
-        """Return where the vibration was stronger, or which answer was right, after a practice trial."""
+        """Return the feedback after a practice trial: where the vibration was stronger, or the right answer."""
         texts, offered = self.texts, self.answers.offered
         said = {
             ("left",): texts.practice_was_left,
@@ -305,7 +305,7 @@ class Illustrator:
         return Picture(name, (self._headline(words, 0.05), *self._beam(trial), *self._progress(trial, progress)))
 
     def page(self, name: str, text: str, progress: Progress | None = None, *, waits: bool = True) -> Picture:
-        """Return a screen of words: its first paragraph large, the rest under it."""
+        """Return a screen of text, the first paragraph large and the rest below it."""
         title, *rest = _paragraphs(text)
         layout, scale = self.layout, self.layout.type_scale
         top = Box(layout.page.x, layout.page.y + (0.11 if rest else 0.03), layout.page.width, 0.22)
@@ -320,7 +320,7 @@ class Illustrator:
         return Picture(name, tuple(marks))
 
     def pause(self, trial: Trial | None) -> Picture:
-        """Return the pause screen, with the fingers' places if a trial is to be repeated."""
+        """Return the pause screen, with the placement of the fingers if a trial will be repeated."""
         words = self.texts.pause if trial else self.texts.pause_between_trials
         words = words.format(
             key=key_name(self.texts, self.answers.continue_keys[0]),
@@ -341,13 +341,13 @@ class Illustrator:
         )
 
     def finger_names(self, trial: Trial) -> tuple[str, ...]:
-        """Return what the participant calls the fingers on the zones, from left to right."""
+        """Return the names of the fingers on the zones for the participant, from left to right."""
         return tuple(map(self.texts.finger, trial.condition.fingers(self.hand, self.fingers)))
 
     def _pressing_hand(self, trial: Trial) -> str:
-        """Return what the participant calls the hand that presses.
+        """Return the name of the pressing hand for the participant.
 
-        With both hands on the beam it is always `hand`; with one hand there, the other, unless a finger lifts to press.
+        With both hands on the beam it is `hand`; with one hand, the other one, unless a finger lifts to press.
         """
         condition = trial.condition
         on_beam = {finger.split()[0] for finger in condition.fingers(self.hand, self.fingers)}
@@ -358,7 +358,7 @@ class Illustrator:
         return self.texts.right_hand if is_right else self.texts.left_hand
 
     def _confirm_placement(self, trial: Trial) -> str:
-        """Return who confirms a placement, by which key and with which hand."""
+        """Return the text on how a placement is confirmed: by whom, with which key and hand."""
         texts, way = self.texts, self.answers.way(trial.condition.finger_condition)
         if self.answers.settles(trial.condition.finger_condition):
             words = texts.placed_by_hand_on_beam
@@ -373,7 +373,7 @@ class Illustrator:
         return Words(words, self.layout.headline, size * self.layout.type_scale, fill, bold=not dim)
 
     def form(self, name: str, entered: str | None, *, confirmed: bool) -> Picture:
-        """Return a question of the closing form, with what has been answered."""
+        """Return the screen of a question of the closing form, with the number or answer entered."""
         page, keys = self.layout.page, self.answers.given_by == "participant"
         words, state = self.texts.named(self.answers.question or name), "_answered" if confirmed else ""
         above = Box(page.x, 0.12, page.width, 0.3)
@@ -386,11 +386,11 @@ class Illustrator:
         )
 
     def _types(self, trial: Trial) -> bool:
-        """Return whether the participant, and not the experimenter, types the answer."""
+        """Return whether the participant types the answer, not the experimenter."""
         return self.answers.way(trial.condition.finger_condition) != "experimenter"
 
     def _draw_answers(self, chosen: str | None, *, confirmed: bool, with_keys: bool) -> tuple[Mark, ...]:
-        """Return the answers, or the scale, with what is chosen."""
+        """Draw the answers, or the scale, with the chosen one."""
         own = self.layout, self.theme, self.texts
         if self.answers.scale is None:
             return Buttons(*own, self.answers).draw(chosen, with_keys=with_keys)
@@ -425,7 +425,7 @@ class Illustrator:
         return (label, *self._bar(progress))
 
     def _bar(self, progress: Progress, lift: float = 0.0) -> tuple[Mark, ...]:
-        """Return the bar of what is done; the trial that is on counts as not done."""
+        """Draw the progress bar; the current trial counts as not done."""
         low = self.layout.bar
         bar = Box(low.x, low.y + lift, low.width, low.height)
         share = min(max((progress.number - 1) / max(progress.total, 1), 0.0), 1.0)
@@ -434,13 +434,13 @@ class Illustrator:
 
 
 _WIDE = "[\u2e80-\ua4cf\uf900-\ufaff\ufe30-\ufe4f\uff00-\uffef]"
-"""What is written without spaces between words: ideographs, kana and their punctuation."""
+"""Characters written without spaces between words: ideographs, kana and their punctuation."""
 
 
 def _paragraphs(text: str) -> list[str]:
-    """Return the paragraphs of a text, which are separated by blank lines; other line breaks become spaces."""
+    """Split a text into paragraphs at blank lines; other line breaks become spaces."""
     paragraphs = re.sub(rf"(?<={_WIDE})\n(?={_WIDE})", "", text.strip()).split("\n\n")
-    # Not split(): a no-break space, as in French before a question mark, stays one.
+    # Keep no-break spaces, as in French before a question mark, which split() would not.
     return [re.sub(r"[ \t\n]+", " ", paragraph) for paragraph in paragraphs]
 
 

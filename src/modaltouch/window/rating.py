@@ -1,4 +1,4 @@
-"""A scale on the screen: what has been entered so far, and how it looks."""
+"""Rating scales: entry of a number, and drawing of the scale."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from modaltouch.window.typesetting import Typesetter, first_letter_is_rtl
 
 _MOVES = {"lower": -1, "higher": 1, "ten_lower": -10, "ten_higher": 10}
 _BEFORE_CREEPING, _CREEP = 0.4, 0.03
-"""Time after which a held key starts to move the mark on, and the time for each further place [s]."""
+"""Delay before a held key moves the mark repeatedly, and the time per step [s]."""
 _LONGEST = 8
-"""Most characters of a typed number."""
+"""Maximum length of a typed number [characters]."""
 
 
 class Entry:
-    """What has been entered on a scale so far.
+    """A number being entered on a scale.
 
     Parameters
     ----------
     scale : ScaleSection
         The scale.
     line : Box
-        The line of the scale on the screen, where there is one.
+        Line of the scale on the screen, if any.
     text : str
-        The number entered so far; empty at first.
+        Initial text of the number.
     """
 
     def __init__(self, scale: ScaleSection, line: Box | None = None, text: str = "") -> None:
@@ -40,7 +40,7 @@ class Entry:
 
     @property
     def value(self) -> float | None:
-        """The number that can be confirmed; None if what was entered is not one that the scale accepts."""
+        """The entered number; None if the scale does not accept the text."""
         try:
             value = float(self.text)
         except ValueError:
@@ -48,14 +48,14 @@ class Entry:
         return value if self._scale.takes(value) else None
 
     def take(self, action: str, event: Event) -> bool:
-        """Take in what was done, and return whether the number is confirmed.
+        """Apply an action, and return whether the number is confirmed.
 
         Parameters
         ----------
         action : str
-            As `ScaleSection.actions` names it; the number of a point; ``line``, a place on it; or ``release``.
+            Name in `ScaleSection.actions`, number of a point, ``line`` for a position on it, or ``release``.
         event : Event
-            What did it.
+            Event of the action.
         """
         self._held = ""
         if action == "confirm":
@@ -76,7 +76,7 @@ class Entry:
         return False
 
     def creeps(self, now: float) -> bool:
-        """Move the mark on while a key is held, and return whether it moved."""
+        """Move the mark while a key is held, and return whether it moved."""
         if not self._held or now < self._moves_at:
             return False
         self._moves_at = now + _CREEP
@@ -84,7 +84,7 @@ class Entry:
         return True
 
     def towards(self, value: float) -> str:
-        """Return the next action towards confirming a number."""
+        """Return the next action to enter and confirm a number."""
         if self.value == value:
             return "confirm"
         wanted = f"{value:.10g}"
@@ -111,7 +111,7 @@ class Entry:
 
 
 def as_read(asked: AnswersSection, texts: Texts) -> AnswersSection:
-    """Return a question whose scale runs in the reading direction of the texts, from right to left if theirs does."""
+    """Return the question with its scale in the reading direction of the texts."""
     if asked.scale is None or not first_letter_is_rtl(texts.question):
         return asked
     return asked.model_copy(update={"scale": asked.scale.from_right()})
@@ -120,20 +120,20 @@ def as_read(asked: AnswersSection, texts: Texts) -> AnswersSection:
 def draw_scale(
     layout: Layout, theme: Theme, texts: Texts, scale: ScaleSection, entered: str, *, confirmed: bool, keys: bool
 ) -> tuple[Mark, ...]:
-    """Return the scale with what has been entered.
+    """Draw the scale with the number entered so far.
 
     Parameters
     ----------
     layout : Layout
-        With the parts of the scale.
+        Layout with the parts of the scale.
     theme, texts, scale
-        Colours, words, and the scale.
+        Colours, texts, and the scale.
     entered : str
         The number entered so far; empty at first.
     confirmed : bool
-        Whether it has been taken.
+        Whether it is confirmed.
     keys : bool
-        Whether the participant's keys are shown.
+        Whether to show the participant's keys.
     """
     parts = {"vas": _draw_line, "likert": _draw_points, "number": _draw_keypad}
     way = -1 if scale.is_from_right else 1
@@ -157,7 +157,7 @@ def draw_scale(
 
 
 def _fills(theme: Theme, *, chosen: bool, confirmed: bool) -> tuple[str, str]:
-    """Return the fill and the ink of a part: pressed if it is confirmed, a touched zone's colour if only chosen."""
+    """Return fill and text colour of a part: those of a pressed button if confirmed, of a touched zone if chosen."""
     if chosen:
         return (theme.pressed, theme.pressed_text) if confirmed else (theme.zone, theme.text)
     return theme.button, theme.text
@@ -203,7 +203,7 @@ def _draw_keypad(layout: Layout, theme: Theme, entered: str, names: list[str], c
 
 
 def _draw_words(layout: Layout, theme: Theme, words: tuple[str, ...], typesetter: Typesetter) -> list[Mark]:
-    """Return the words under the points, or under the two ends and turned towards the middle."""
+    """Return the words under the points, or under the two ends and shifted towards the middle."""
     if not words:
         return []
     boxes = [box for name, box in layout.buttons.items() if name != "confirm"]

@@ -1,7 +1,7 @@
-"""A robot that types into the real window, through the window's own event queue.
+"""Robot that types into the real window through the window's event queue.
 
-Its keys take the same path as every key press: pyglet's queue, the event tap, the window's rules. A session that it
-answers therefore tests the whole path, on every platform and without a display server's help.
+Its keys take the same path as any key press: pyglet's queue, the event tap, the window's rules. A session that it
+answers therefore tests the whole path, on every platform and independently of the display server.
 """
 
 from __future__ import annotations
@@ -16,28 +16,28 @@ from modaltouch.window.rating import Entry, as_read
 from modaltouch.window.simulated import Answerer
 
 _HOLD = 0.06
-"""Least time for which a key stays down, and then up before the next press [s]."""
+"""Minimum time for which a key is held down, and up before the next press [s]."""
 _SHORTEST_VIEW = 0.12
-"""An answer never comes sooner than this after the question is on the screen [s]."""
+"""Minimum time from the appearance of a question to its answer [s]."""
 _AGAIN = 1.0
-"""A key that was not taken is typed again after this long [s]."""
+"""Time after which a key that had no effect is typed again [s]."""
 _TRIES = 60
-"""Most times it is typed: a minute's worth. Counted, not timed, so that an hour's suspension does not use them up."""
+"""Maximum number of attempts, about a minute; counted, not timed, so that suspending the machine does not matter."""
 
 
 class Robot(WindowUser):
-    """Types what an observer answers, at the observer's reaction time, until the window takes it.
+    """Window user that types an observer's answers at its reaction times, until the window accepts them.
 
     Parameters
     ----------
     answerer : Answerer
-        Who answers.
+        Source of the answers.
     protocol : Protocol
-        Which key gives which answer, and which one goes on.
+        Protocol with the keys.
     patience : float
-        Time it takes to read a screen [s].
+        Time to read a screen [s].
     texts : Texts, optional
-        What it reads: scales run from right to left if the texts do.
+        Texts on the screen; scales run from right to left if the texts do.
     """
 
     def __init__(
@@ -56,7 +56,7 @@ class Robot(WindowUser):
         self._down, self._moved = "", 0.0
 
     def see(self, moment: Moment, shown: float, picture: str) -> None:
-        """Decide what to type at the picture that appeared at `shown` [s]."""
+        """Choose the key for the picture that appeared at `shown` [s]."""
         if (moment, picture) == self._seen:
             return
         self._seen, self._wanted, self._tries = (moment, picture), "", 0
@@ -64,7 +64,7 @@ class Robot(WindowUser):
             self._wanted = self._continue_key if moment.wants == "go_on" else self._key(moment)
             self._due = shown + self._patience
         elif moment.wants == "feel" and moment.trial is not None:
-            # Felt now: by the time of the question the stimulus may have stopped.
+            # Feel now, since the stimulus may have stopped by the time of the question.
             if moment.interval:
                 self._answerer.feel(moment.trial, moment.interval)
             else:
@@ -78,15 +78,15 @@ class Robot(WindowUser):
             self._wanted, self._due = self._key(moment), shown if moment.entered else due
 
     def _key(self, moment: Moment) -> str:
-        """Return the key that answers, or brings what has been entered on a scale nearer to the answer."""
+        """Return the key that answers, or moves the number on a scale towards the answer."""
         asked, (answer, value, _) = self._asked[moment.asked], self._felt
         if asked.scale is not None and value is not None:
             answer = Entry(asked.scale, text=moment.entered).towards(value)
         return canonical_key(asked.actions[answer][0])
 
     def act(self, now: float, type_key: Callable[..., None]) -> None:
-        """Press or release the key that is due; raise `WindowError` if the window has not taken one for a minute."""
-        # What was typed before has been read: had it been accepted, something else would be wanted.
+        """Press or release the key that is due; raise `WindowError` if the window accepts none for a minute."""
+        # The previous key has been read; had it been accepted, another key would be due.
         if self._down and now >= self._moved + _HOLD:
             type_key(self._down, down=False)
             self._down, self._moved = "", now

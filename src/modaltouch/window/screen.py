@@ -1,4 +1,4 @@
-"""The one module that uses PsychoPy: opens its window, draws pictures into it, reports what happens to it."""
+"""Screen: the PsychoPy window, drawing of pictures, and its events; no other module uses PsychoPy."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ from modaltouch.window.shapes import Mark, Picture, Shape, cover
 from modaltouch.window.typesetting import Typesetter
 
 _HANDLERS: list[Any] = []
-"""Functions that Xlib may call for as long as the process lives; it keeps only their addresses."""
+"""Callbacks of Xlib, which stores only their addresses, kept alive with the process."""
 
 
 class DisplayLoss:
-    """Whether the X server behind a window has gone; on systems without X this never happens.
+    """Detection of a lost X server; never happens on systems without X.
 
-    Xlib calls ``exit(1)`` once its connection is broken. Since libX11 1.7 a program may decline that
-    (``XSetIOErrorExitHandler``): then every call on the connection does nothing, and the session can end properly. With
-    an older libX11 the process ends, and the watchdog switches the outputs off.
+    Xlib calls ``exit(1)`` when its connection breaks. Since libX11 1.7 this can be prevented
+    (``XSetIOErrorExitHandler``): calls on the connection then do nothing, and the session can end properly. With an
+    older libX11 the process ends, and the watchdog switches the outputs off.
     """
 
     def __init__(self, look: Callable[[], object]) -> None:
@@ -44,7 +44,7 @@ class DisplayLoss:
         Raises
         ------
         WindowError
-            If the display has gone.
+            If the display is lost.
         """
         try:
             yield
@@ -61,7 +61,7 @@ class DisplayLoss:
             raise WindowError(f"the display {name!r} is gone; check why its X server ended, and start it again")
 
     def _decline_to_exit(self) -> None:
-        """Stay alive when a connection breaks: pyglet has one for each window, hidden ones too."""
+        """Prevent exit on a broken connection, of which pyglet has one per window, including hidden ones."""
         from ctypes import CFUNCTYPE, c_void_p, cast
 
         import pyglet.canvas
@@ -84,7 +84,7 @@ class DisplayLoss:
 
 
 _KEPT_MARKS = 1500
-"""Marks kept ready to draw; a session with ten zone pairs needs about 600."""
+"""Number of cached marks; a session with ten zone pairs needs about 600."""
 
 
 class Screen:
@@ -93,24 +93,24 @@ class Screen:
     Parameters
     ----------
     size : (width, height) of int
-        Size of the window [pixels], cut to the monitor's; a full screen takes the monitor's.
+        Size of the window, limited to that of the monitor; ignored for full screen [pixels].
     fullscreen : bool
         Whether the window covers the monitor.
     monitor : int
-        Which monitor, from 0.
+        Number of the monitor, from 0.
     ground : str
         Background colour as ``#RRGGBB``.
     title : str
         Title of the window.
     typesetter : Typesetter, optional
-        Sets the words, in the fonts and the language of an experiment's texts.
+        Sets texts in the fonts and the language of an experiment.
     clock : Clock
-        Stamps pictures and events.
+        Clock of the time stamps of pictures and events.
 
     Raises
     ------
     WindowError
-        If there is no display, none that can draw, or no such monitor.
+        If there is no usable display or no such monitor.
     """
 
     def __init__(
@@ -140,7 +140,7 @@ class Screen:
                 color=ground,
                 colorSpace="rgb",
                 units="height",
-                # A monitor without a file behind it: PsychoPy then neither warns nor writes one.
+                # With a monitor that has no file, PsychoPy neither warns nor writes one.
                 monitor=monitors.Monitor("modaltouch", width=50, distance=60, verbose=False, autoLog=False),
                 checkTiming=False,
                 gammaErrorPolicy="ignore",
@@ -161,7 +161,7 @@ class Screen:
         return int(width), int(height)
 
     def describe(self) -> dict[str, Any]:
-        """Return what the start record says about the window."""
+        """Return the facts of the window for the start record."""
         import psychopy
         import pyglet
 
@@ -176,34 +176,34 @@ class Screen:
         }
 
     def prepare(self, picture: Picture) -> None:
-        """Prepare the picture's marks, so that drawing it later takes no longer than a frame."""
+        """Prepare the picture's marks, so that drawing it later takes at most one frame."""
         with self._loss.told():
             for mark in picture.marks:
                 self._stimulus(mark)
 
     def draw(self, picture: Picture) -> None:
-        """Draw the picture out of sight, until `flip` brings it onto the screen."""
+        """Draw the picture to the back buffer, until `flip` shows it."""
         from pyglet.gl import glFinish
 
         with self._loss.told():
             self._window.clearBuffer()
             for mark in picture.marks:
                 self._stimulus(mark).draw()
-            # Otherwise OpenGL would do the work within the flip.
+            # Otherwise OpenGL would defer the work to the flip.
             glFinish()
 
     def flip(self, screenshot: Path | None = None) -> float:
-        """Bring what is drawn onto the screen, and return when it appeared, by the window's clock [s].
+        """Show the back buffer, and return the time of its appearance, by the window's clock [s].
 
         Parameters
         ----------
         screenshot : Path, optional
-            PNG file to write it to.
+            PNG file to write.
 
         Raises
         ------
         WindowError
-            If the screenshot cannot be written, or the display has gone.
+            If the screenshot cannot be written, or the display is lost.
         """
         with self._loss.told():
             image = self._window._getFrame(buffer="back") if screenshot is not None else None
@@ -220,18 +220,18 @@ class Screen:
         return shown
 
     def poll(self) -> list[Event]:
-        """Return what happened to the window since the last poll.
+        """Return the events of the window since the last poll.
 
         Raises
         ------
         WindowError
-            If the display has gone.
+            If the display is lost.
         """
         with self._loss.told():
             return self._tap.poll()
 
     def type_key(self, key: str, *, down: bool) -> None:
-        """Put a key press or release into the window's own event queue, as if a person had typed it."""
+        """Dispatch a key press or release through the window's event queue, as if typed by a person."""
         from pyglet.window import key as keys
 
         symbol = getattr(keys, key.upper() if not key.isdigit() else f"_{key}")
@@ -240,17 +240,17 @@ class Screen:
     def close(self) -> None:
         """Close the window; never raises."""
         if self._loss.happened:
-            # Nothing is left to close, and OpenGL would crash if asked to, now or as the process ends.
+            # There is nothing to close, and OpenGL would crash on closing, now or at exit.
             self._window._closed = True
             return
         try:
             self._window.close()
-        # Whatever the display does, the session must go on to its end.
+        # The session must be concluded whatever the display raises.
         except Exception as error:
             sys.stderr.write(f"the answer window did not close cleanly: {error}\n")
 
     def _image(self, mark: Mark) -> Any:
-        """Return the mark as an image whose pixels are the window's own."""
+        """Return the mark as an image in the pixel grid of the window."""
         width, height = self.size
         if isinstance(mark, Shape):
             covered = cover(np.array(mark.corners) * height + (width / 2, height / 2))
@@ -258,7 +258,7 @@ class Screen:
             covered = self._typesetter.cover(mark, self.size)
         rows, columns = covered.alpha.shape
         image = np.empty((rows, columns, 4), dtype=np.float32)
-        # Unlike everywhere else in PsychoPy, colours run from 0 to 1 in an image with opacity.
+        # Unlike elsewhere in PsychoPy, colours range from 0 to 1 in an image with opacity.
         image[..., :3] = [int(mark.fill[place : place + 2], 16) / 255 for place in (1, 3, 5)]
         image[..., 3] = covered.alpha
         return self._visual.ImageStim(
@@ -273,7 +273,7 @@ class Screen:
 
 
 def _import_psychopy() -> tuple[Any, Any]:
-    """Import the drawing part of PsychoPy quietly, and return its modules ``visual`` and ``monitors``."""
+    """Import PsychoPy's modules ``visual`` and ``monitors`` quietly, and return them."""
     prepare_environment()
     try:
         with few_imports():

@@ -1,7 +1,7 @@
-"""What a picture is made of: filled polygons and words, in units of the window's height.
+"""Elements of pictures: filled polygons and texts, in units of the window's height.
 
-The origin is the middle of the window, x to the right and y upwards. A picture is plain data: what a screen
-shows can be read, compared and tested without opening a window; `cover` tells which pixels a polygon covers.
+The origin is the middle of the window, x to the right and y upwards. A picture is plain data, so that screens can be
+compared and tested without a window; `cover` rasterises a polygon.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class Box:
         return self.left <= x <= self.right and self.bottom <= y <= self.top
 
     def inset(self, margin: float) -> Box:
-        """Return the box with a margin taken off every side."""
+        """Return the box reduced by a margin on every side."""
         return Box(self.x, self.y, self.width - 2 * margin, self.height - 2 * margin)
 
 
@@ -71,16 +71,16 @@ class Shape:
 
 @dataclass(frozen=True)
 class Words:
-    """A text centred in its box, made smaller where it would not fit.
+    """A text centred in its box, made smaller if it does not fit.
 
     Attributes
     ----------
     text : str
-        What is written; a line break starts a new line.
+        The text; a line break starts a new line.
     box : Box
-        Where it must fit.
+        Box that the text must fit.
     size : float
-        Intended size of the type, em [window heights].
+        Intended type size, em [window heights].
     fill : str
         Colour as ``#RRGGBB``.
     bold : bool
@@ -99,14 +99,14 @@ Mark = Shape | Words
 
 @dataclass(frozen=True)
 class Picture:
-    """One screen: its name and its marks, in drawing order.
+    """A screen, with its marks in drawing order.
 
     Attributes
     ----------
     name : str
-        Name under which a screenshot is kept, such as ``question_one_hand_AC``.
+        Name, used for screenshots, such as ``question_one_hand_AC``.
     marks : tuple of Shape or Words
-        What is drawn, the first mark lowest.
+        Marks in drawing order.
     """
 
     name: str
@@ -114,7 +114,7 @@ class Picture:
 
     @property
     def texts(self) -> tuple[str, ...]:
-        """Every text in the picture, in drawing order."""
+        """Texts of the picture in drawing order."""
         return tuple(mark.text for mark in self.marks if isinstance(mark, Words))
 
 
@@ -134,7 +134,7 @@ def rectangle(box: Box, fill: str) -> Shape:
 
 
 def rounded(box: Box, radius: float, fill: str, *, n_steps: int = 8) -> Shape:
-    """Return a filled rectangle with round corners of a radius [window heights]."""
+    """Return a filled rectangle with rounded corners of a radius [window heights]."""
     radius = min(radius, box.width / 2, box.height / 2)
     centres = (
         (box.right - radius, box.top - radius, 0.0),
@@ -151,12 +151,12 @@ def rounded(box: Box, radius: float, fill: str, *, n_steps: int = 8) -> Shape:
 
 
 def framed(box: Box, radius: float, edge: str, fill: str, line: float) -> tuple[Shape, Shape]:
-    """Return a rounded rectangle with an edge of a width [window heights] inside the box."""
+    """Return a rounded rectangle with an edge of width `line` inside the box [window heights]."""
     return rounded(box, radius, edge), rounded(box.inset(line), radius - line, fill)
 
 
 def capsule(start: Point, end: Point, radius: float, fill: str, *, n_steps: int = 12) -> Shape:
-    """Return a bar with round ends between two points [window heights]."""
+    """Return a bar with rounded ends between two points [window heights]."""
     heading = math.atan2(end[1] - start[1], end[0] - start[0])
     halves = ((end, heading - math.pi / 2), (start, heading + math.pi / 2))
     corners = tuple(
@@ -176,14 +176,14 @@ def triangle(direction: str, x: float, y: float, radius: float, fill: str) -> Sh
 
 @dataclass(frozen=True, eq=False)
 class Coverage:
-    """The share of each pixel that is covered.
+    """Covered share of each pixel.
 
     Attributes
     ----------
     left, bottom : int
-        Place of the first pixel [pixels].
+        Position of the first pixel [pixels].
     alpha : (n_rows, n_columns) array
-        Share of each pixel, the lowest row first [1].
+        Covered share of each pixel, the lowest row first [1].
     """
 
     left: int
@@ -192,15 +192,15 @@ class Coverage:
 
 
 def cover(corners: NDArray[np.float64]) -> Coverage:
-    """Return how much of each pixel a convex polygon covers.
+    """Return the share of each pixel covered by a convex polygon.
 
-    A pixel's share is taken from the distance of its centre to the nearest edge: exact for a straight edge
-    along the pixel grid, and within 0.1 of the true area elsewhere.
+    The share is computed from the distance of the pixel's centre to the nearest edge: exact for edges along the pixel
+    grid, and within 0.1 of the true area otherwise.
 
     Parameters
     ----------
     corners : (n_corners, 2) array
-        Corners in order, either way round [pixels], y upwards.
+        Corners in order, in either direction, y upwards [pixels].
     """
     left, bottom = (math.floor(low) - 1 for low in corners.min(axis=0))
     right, top = (math.ceil(high) + 1 for high in corners.max(axis=0))

@@ -1,4 +1,4 @@
-"""A simulated participant: a psychophysical observer that answers without a window."""
+"""Simulated participant: a psychophysical observer that answers without a window."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Rated = tuple[str, float | None, float]
 
 
 class Observing(Protocol):
-    """A participant's decision rule; `modaltouch.planning` has such observers."""
+    """Decision rule of a participant, such as those in `modaltouch.planning`."""
 
     def answer(
         self,
@@ -35,7 +35,7 @@ class Observing(Protocol):
         ...
 
     def rate(self, speeds: Sequence[float], rng: np.random.Generator) -> tuple[float, float]:
-        """Return how strong peak speeds [m/s] are felt, as a share of a scale [1], and the reaction time [s]."""
+        """Return the perceived strength of peak speeds [m/s] as a share of a scale [1], and the reaction time [s]."""
         ...
 
     def compare(
@@ -47,21 +47,17 @@ class Observing(Protocol):
 
 @dataclass(frozen=True)
 class Answerer:
-    """A simulated observer who answers by what the fingers feel.
+    """A simulated observer that answers according to the felt speeds.
 
     Attributes
     ----------
     participant : Observing
-        Drawn from an observer model.
+        Participant drawn from an observer model.
     felt : callable
         Peak speeds under the fingers in a trial, from left to right [m/s].
     generator : numpy.random.Generator
-        Source of randomness. It is never advanced: each trial has a stream of its own, so that a resumed session and a
-        repeated trial get the same answers as an uninterrupted one.
-    answers : AnswerList
-        Answers that the protocol offers.
-    scale : ScaleSection or None
-        The scale, where it offers one in their place.
+        Source of random numbers. It is never advanced: each trial has a separate stream, so that a resumed session and
+        repeated trials get the same answers as an uninterrupted session.
     """
 
     participant: Observing
@@ -73,35 +69,35 @@ class Answerer:
     _remembered: dict[Trial, tuple[float, ...]] = field(default_factory=dict, repr=False)
 
     def feel(self, trial: Trial, interval: int) -> None:
-        """Remember what is felt in an interval of a trial (from 1) before the last."""
+        """Store the felt speeds of an interval (from 1) before the last one of a trial."""
         self._intervals[interval - 1 :] = [self.felt(trial)]
 
     def answer(self, trial: Trial) -> tuple[str, float]:
-        """Return the answer to a trial and its reaction time [s]; its stimulus, or last interval, is felt now."""
+        """Return the answer to a trial and its reaction time [s], given the currently felt stimulus."""
         speeds, stream = self._feel(trial), self._stream(int(trial.practice), trial.index)
         if self._intervals and any(answer.interval for answer in self.answers):
             return self.participant.compare([*self._intervals, speeds], stream, self.answers)
-        # One finger alone counts as two that feel the same: it can only tell whether there was anything.
+        # A single finger counts as two that feel the same, and can only detect a stimulus.
         of = speeds[0], speeds[-1], trial.condition.finger_condition
         return self.participant.answer(*of, stream, self.answers, *speeds[1:-1])
 
     def first(self, trial: Trial) -> Rated:
-        """Return the answer to the first question of a trial, as `rate` does."""
+        """Return the answer to the first question of a trial, in the form of `rate`."""
         if self.scale is not None:
             return self.rate(trial, self.scale, self.answers.names)
         answer, reaction_time = self.answer(trial)
         return answer, None, reaction_time
 
     def rate(self, trial: Trial | None, scale: ScaleSection | None, names: Iterable[str], name: str = "") -> Rated:
-        """Return the answer to a question of strength, its number on a scale, and the reaction time [s].
+        """Return the answer to a question about strength, its number on a scale, and the reaction time [s].
 
-        The stronger the vibration, the larger the number, and the later the answer in a list. Without a trial, all are
-        equally likely.
+        A stronger vibration gives a larger number, or a later answer in the list. Without a trial, all are equally
+        likely.
 
         Parameters
         ----------
         trial : Trial or None
-            What was presented, if anything.
+            The presented trial, if any.
         scale : ScaleSection or None
             The scale; None for a list of answers.
         names : iterable of str
@@ -115,7 +111,7 @@ class Answerer:
             share, reaction_time = float(stream.random()), self.participant.rate((0.0,), stream)[1]
         else:
             stream = self._stream(int(trial.practice), trial.index, number)
-            # The beam is at rest by the time of a further question: what was felt is remembered.
+            # Further questions come when the beam is at rest, so use the stored speeds.
             speeds = self._remembered.get(trial) if name else None
             share, reaction_time = self.participant.rate(speeds or self._feel(trial), stream)
         if scale is not None:
@@ -123,7 +119,7 @@ class Answerer:
         return listed[int(share * len(listed))], None, reaction_time
 
     def open(self, section: AnswersSection, *, tick: Tick, log: Log, clock: Clock) -> AnswerWindow:
-        """Return what stands for the answer window: this observer, who answers as a protocol's section says."""
+        """Return the simulated answer window, in which this observer answers according to a protocol's section."""
         before = section.question_delay_s if section.stimulus_until == "answer" else 0.0
         return SimulatedParticipant(
             self, tick=tick, log=log, stimulus_until=section.stimulus_until, after_longest=section.after_longest,
@@ -131,17 +127,17 @@ class Answerer:
         )  # fmt: skip
 
     def _feel(self, trial: Trial) -> tuple[float, ...]:
-        """Return what the fingers feel now, and remember it for this trial only."""
+        """Return the currently felt speeds, and store them for this trial."""
         self._remembered.clear()
         return self._remembered.setdefault(trial, self.felt(trial))
 
     def _stream(self, *key: int) -> np.random.Generator:
-        """Return the random generator of one answer.
+        """Return the random generator of an answer.
 
         Raises
         ------
         ValueError
-            If the generator was not made from a seed sequence.
+            If the generator was not created from a seed sequence.
         """
         seed = self.generator.bit_generator.seed_seq
         if not isinstance(seed, np.random.SeedSequence):
@@ -153,26 +149,26 @@ class Answerer:
 
 
 class SimulatedParticipant(AnswerWindow):
-    """Answers every trial by an observer model.
+    """Answer window of an observer model.
 
     Parameters
     ----------
     answerer : Answerer
-        Who answers.
+        Source of the answers.
     tick : callable
-        Called at every step; may raise, and a request to pause is obeyed.
+        Called at every step; may raise or request a pause.
     log : callable
-        Takes the pauses for the record.
+        Receives pauses for the record.
     stimulus_until : str
-        ``answer``, or ``question`` where the stimulus stops before the question.
+        ``answer``, or ``question`` if the stimulus stops before the question.
     after_longest : str
-        ``ask``, or ``time_out`` where the trial ends with the longest stimulus.
+        ``ask``, or ``time_out`` if the trial ends with the longest stimulus.
     time_out : float
-        Longest reaction time [s].
+        Maximum reaction time [s].
     clock : Clock
         Clock of reaction times and pauses.
     step : float, optional
-        Time between two ticks [s]; by default 1 ms, or 10 ms on a virtual clock.
+        Time between two ticks; 1 ms if not given, or 10 ms on a virtual clock [s].
     """
 
     def __init__(
@@ -205,12 +201,12 @@ class SimulatedParticipant(AnswerWindow):
     welcome = place_fingers = show_stall = announce = rest = goodbye = _look
 
     def settle(self, trial: Trial, progress: tuple[int, int], lead: float = 0.0) -> float:
-        """Return at once: `wait` has passed."""
+        """Return at once, since `wait` has passed."""
         self._tick()
         return self._clock.now() + lead
 
     def feel(self, trial: Trial, progress: tuple[int, int], presentation: Presentation, until: float) -> None:
-        """Feel an interval, and let it and the gap after it pass."""
+        """Store the felt speeds of an interval, and wait for the interval and the gap after it."""
         self._answerer.feel(trial, presentation.interval)
         self._pass_until(presentation.ends, presentation)
         presentation.stop()
@@ -246,13 +242,13 @@ class SimulatedParticipant(AnswerWindow):
             raise TrialInterrupted("experimenter")
 
     def wait(self, seconds: float) -> None:
-        """Let the pause pass."""
+        """Wait for the pause."""
         self._pass(seconds)
 
     show_measuring = wait
 
     def _pass(self, seconds: float) -> bool:
-        """Let time pass, ticking meanwhile; return whether a pause came between."""
+        """Wait while ticking, and return whether a pause intervened."""
         paused = self._tick()
         end = self._clock.now() + seconds
         while (left := end - self._clock.now()) > 0:
@@ -261,7 +257,7 @@ class SimulatedParticipant(AnswerWindow):
         return paused
 
     def _tick(self) -> bool:
-        """Tick, hold if the experimenter asks for a pause, and return whether that was so."""
+        """Tick, hold if the experimenter requests a pause, and return whether that was the case."""
         if not self._is_asked("pause"):
             return False
         began = self._clock.now()
@@ -277,7 +273,7 @@ class SimulatedParticipant(AnswerWindow):
 
 
 def _respond(answer: str, value: float | None, reaction_time: float, limit: float, onset: str) -> Response:
-    """Return an answer, or that time was up, counted from an onset [s]."""
+    """Return the response, or a time-out, with the reaction time counted from an onset [s]."""
     if reaction_time > limit:
         return Response(TIME_OUT, limit, onset=onset, answered_by="simulated", device="none")
     return Response(answer, reaction_time, onset=onset, answered_by="simulated", device="model", value=value)

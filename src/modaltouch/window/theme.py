@@ -1,4 +1,4 @@
-"""The colours of the answer window, dark and light."""
+"""Colours of the answer window, dark and light."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from dataclasses import dataclass
 class Theme:
     """Colours as ``#RRGGBB``.
 
-    The colours of fingers are the blue, purple and orange of Okabe and Ito (Color Universal Design, 2008), which
-    stay apart under every common colour vision deficiency; colour is never the only cue.
+    The colours of fingers are the blue, purple and orange of Okabe and Ito (Color Universal Design, 2008), which remain
+    distinguishable under all common colour vision deficiencies; colour is never the only cue.
 
     Attributes
     ----------
@@ -19,11 +19,11 @@ class Theme:
     beam, beam_edge, zone : str
         The beam, its outline and divisions, and the fill of all touched zones.
     left, between, right : str
-        Everything that belongs to the finger on the left or on the right zone, or to one between them.
+        Fingers on the left and right zone and between them, with their labels.
     hand, hand_edge, nail : str
-        Hands apart from the touching fingers, and the tint of a nail.
+        Hands except the touching fingers, and the tint of a nail.
     button, button_edge, pressed, pressed_text : str
-        Answer buttons, and the one that was chosen.
+        Answer buttons, and the chosen one.
     """
 
     ground: str
@@ -84,10 +84,10 @@ LIGHT = Theme(
 
 
 def mixed(colour: str, other: str, share: float) -> str:
-    """Return a colour with a share (0 to 1) of another in it."""
+    """Mix a colour with a share (0 to 1) of another."""
     pairs = ((int(colour[i : i + 2], 16), int(other[i : i + 2], 16)) for i in (1, 3, 5))
     return "#" + "".join(f"{round(a + (b - a) * share):02X}" for a, b in pairs)
 
 
 THEMES: dict[str, Theme] = {"dark": DARK, "light": LIGHT}
-"""Themes by the name a protocol or command line gives."""
+"""Themes by name."""

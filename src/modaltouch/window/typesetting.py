@@ -1,7 +1,7 @@
-"""Typesetting: words of any script as pixels, shaped by HarfBuzz through Pillow's Raqm.
+"""Typesetting of texts in any script, shaped by HarfBuzz through Pillow's Raqm.
 
-Lines break at spaces and between ideographs; their letters are ordered by the Unicode bidirectional algorithm (UAX 9,
-by FriBidi), each paragraph in the direction of its first letter.
+Lines break at spaces and between ideographs; characters are ordered by the Unicode bidirectional algorithm (UAX 9, by
+FriBidi), each paragraph in the direction of its first letter.
 """
 
 from __future__ import annotations
@@ -27,34 +27,34 @@ if TYPE_CHECKING:
     from PIL.ImageFont import FreeTypeFont
 
 FRIBIDI = {"darwin": "libfribidi.0.dylib", "win32": "fribidi-0.dll"}.get(sys.platform, "libfribidi.so.0")
-"""Library that orders letters, for Pillow as well."""
+"""Library of the bidirectional algorithm, also used by Pillow."""
 _RTL, _LTR = 0x111, 0x110
-"""FriBidi's numbers for the direction of a paragraph."""
+"""FriBidi's constants for the direction of a paragraph."""
 _ASCENT, _DESCENT, _LEADING = 0.93, 0.22, 0.21
 """Extent of a line above and below its baseline, symmetric about the middle of its capitals and larger where letters
-protrude; and the space between two lines [em]."""
+protrude, and the leading between two lines [em]."""
 _OVERHANG = 0.04
-"""How far letters may protrude from that extent, as descenders do, so that words side by side share a baseline [em]."""
+"""Allowed protrusion of letters such as descenders from that extent, so that adjacent texts share a baseline [em]."""
 _STROKE = 0.02
-"""Thickening where a font has no bold companion [em]."""
+"""Stroke width added to embolden a font without a bold companion [em]."""
 _NARROWER = (0.6, 0.7, 0.8, 0.9)
-"""Shares of the width that are tried so that the last of several lines is not a single word [1]."""
+"""Shares of the width tried to avoid a single word on the last of several lines [1]."""
 _STEP, _SMALLEST = 0.05, 0.4
-"""Steps in which type is made smaller until it fits, and its smallest share of the intended size [1]."""
+"""Step of reductions of the type size until a text fits, and its minimum share of the intended size [1]."""
 _NEVER_FIRST = frozenset("ぁぃぅぇぉっゃゅょゎァィゥェォッャュョヮ々")
-"""Small kana and the repetition mark, which begin no line."""
+"""Small kana and the repetition mark, which must not begin a line."""
 
 
 @dataclass(frozen=True)
 class GlyphRun:
-    """Letters of one font and direction.
+    """Characters of one font and direction.
 
     Attributes
     ----------
     text : str
-        The letters in the order in which they are read.
+        The characters in reading order.
     font : Font
-        What draws them.
+        Their font.
     is_rtl : bool
         Whether they run from right to left.
     """
@@ -66,12 +66,12 @@ class GlyphRun:
 
 @dataclass(frozen=True)
 class Line:
-    """A line in its place.
+    """A line of text.
 
     Attributes
     ----------
     runs : tuple of GlyphRun
-        From left to right.
+        Runs from left to right.
     width, ascent, descent : float
         Extent [pixels].
     """
@@ -84,16 +84,16 @@ class Line:
 
 @dataclass(frozen=True)
 class TypeBlock:
-    """A text that is broken into lines at a size.
+    """A text broken into lines at a type size.
 
     Attributes
     ----------
     lines : tuple of Line
-        From the top.
+        Lines from the top.
     size : float
-        Size of the type, em [pixels].
+        Type size, em [pixels].
     share : float
-        That size relative to the intended one [1].
+        Type size relative to the intended one [1].
     """
 
     lines: tuple[Line, ...]
@@ -107,39 +107,39 @@ class TypeBlock:
 
     @property
     def height(self) -> float:
-        """From the top of the first line to the bottom of the last [pixels]."""
+        """Height from the top of the first line to the bottom of the last [pixels]."""
         leading = _LEADING * self.size * (len(self.lines) - 1)
         return leading + sum(line.ascent + line.descent for line in self.lines)
 
     def fits(self, width: float, height: float) -> bool:
-        """Return whether the text lies within a box [pixels]."""
+        """Return whether the text fits a box [pixels]."""
         return self.width <= width and self.height <= height
 
 
 @dataclass(frozen=True)
 class Typesetter:
-    """Sets the texts of one language.
+    """Typesetter of the texts of one language.
 
     Attributes
     ----------
     font : str
-        File name of an installed font that is tried first, or its absolute path; empty for those found by script.
+        File name or absolute path of an installed font to try first; empty to choose fonts by script.
     language : str
-        BCP 47 code, for which a font may have letter shapes of its own; empty if unknown.
+        BCP 47 code, for which a font may have specific glyphs; empty if unknown.
     """
 
     font: str = ""
     language: str = ""
 
     def set_type(self, words: Words, window_height: int) -> TypeBlock:
-        """Return a text at its intended size or the largest that fits its box.
+        """Set a text at its intended size, or the largest that fits its box.
 
         Parameters
         ----------
         words : Words
             Text, box and intended size.
         window_height : int
-            Height of the window, the unit of box and size [pixels].
+            Height of the window, which is the unit of box and size [pixels].
         """
         width, height = words.box.width * window_height, words.box.height * window_height
         share = 1.0
@@ -151,7 +151,7 @@ class Typesetter:
             share -= _STEP
 
     def measure(self, text: str, *, bold: bool = False) -> float:
-        """Return the width of a text in one line [em]."""
+        """Return the width of a text on one line [em]."""
         size = 100.0
         return self._line(text, size, bold=bold, is_rtl=first_letter_is_rtl(text)).width / size
 
@@ -168,7 +168,7 @@ class Typesetter:
         from PIL import Image, ImageDraw
 
         block = self.set_type(words, window[1])
-        # Swashes and marks may protrude from a line's own extent.
+        # Swashes and marks may protrude from the extent of a line.
         margin = math.ceil(block.size)
         columns, rows = math.ceil(block.width) + 2 * margin, math.ceil(block.height) + 2 * margin
         image = Image.new("L", (columns, rows))
@@ -193,7 +193,7 @@ class Typesetter:
         return {"direction": "rtl" if run.is_rtl else "ltr", "language": self.language or None}
 
     def _break_lines(self, text: str, size: float, width: float, *, bold: bool) -> Iterator[Line]:
-        """Yield the lines of a text, within the width where they can be broken, of similar length in a paragraph."""
+        """Yield the lines of a text, broken within the width if possible, of similar length in each paragraph."""
         for paragraph in text.split("\n"):
             lines = self._fill(paragraph, size, width, bold=bold)
             shares = _NARROWER if len(lines) > 1 else ()
@@ -201,7 +201,7 @@ class Typesetter:
             yield from next((fewer for fewer in narrower if len(fewer) == len(lines)), lines)
 
     def _fill(self, paragraph: str, size: float, width: float, *, bold: bool) -> list[Line]:
-        """Return lines, each with as many words as fit."""
+        """Return the lines of a paragraph, each with as many words as fit."""
         is_rtl = first_letter_is_rtl(paragraph)
         lines, begun = [self._line("", size, bold=bold, is_rtl=is_rtl)], ""
         for piece in _pieces(paragraph):
@@ -213,7 +213,7 @@ class Typesetter:
         return [self._extended(line, size) for line in lines]
 
     def _line(self, text: str, size: float, *, bold: bool, is_rtl: bool) -> Line:
-        """Return the runs of a line from left to right, and its width."""
+        """Return a line with its runs from left to right and its width."""
         chosen = zip(*_levels(text, is_rtl=is_rtl), Fonts(self.font).choose(text, bold=bold), text, strict=True)
         placed = {}
         for (level, font), group in groupby(chosen, key=itemgetter(0, 2)):
@@ -231,7 +231,7 @@ class Typesetter:
 
 
 def _pieces(text: str) -> Iterator[str]:
-    """Yield the pieces that no line break splits: words with the spaces after them, ideographs with their punctuation.
+    """Yield the unbreakable pieces of a text: words with trailing spaces, ideographs with their punctuation.
 
     A small part of UAX 14, for words separated by spaces or zero-width spaces, and for Chinese and Japanese.
     """
@@ -266,7 +266,7 @@ def _fribidi() -> ctypes.CDLL:
 
 
 def _levels(text: str, *, is_rtl: bool) -> tuple[list[int], list[int]]:
-    """Return each character's embedding level by UAX 9, odd from right to left, and its place from the left."""
+    """Return each character's embedding level by UAX 9, odd for right to left, and its position from the left."""
     n = len(text)
     letters, places, levels = (ctypes.c_uint32 * n)(*map(ord, text)), (ctypes.c_int * n)(), (ctypes.c_int8 * n)()
     direction = ctypes.c_uint32(_RTL if is_rtl else _LTR)
