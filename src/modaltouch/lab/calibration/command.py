@@ -77,12 +77,11 @@ def calibrate(
     """
     preflight = examine(protocol, uncalibrated=True).of_untouched_beam()
     experiment, inputs_of = preflight.experiment, design_inputs_of(preflight)
-    between = levels_between(experiment.protocol)
     prepare_file(out)
     with progress.interruptible() as heard:
         scope = RecordedFiles(record, experiment.apparatus, heard) if record else None
         with open_laboratory(experiment.apparatus, rig, heard, scope=scope) as laboratory:
-            outcomes = calibrate_each(laboratory, experiment.apparatus, inputs_of, between)
+            outcomes = calibrate_each(laboratory, experiment.apparatus, inputs_of, levels_between(experiment.protocol))
             calibration = calibration_of(
                 outcomes,
                 protocol=experiment.protocol.protocol,
