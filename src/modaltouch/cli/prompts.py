@@ -81,7 +81,7 @@ def ask_participant(dataset: Path) -> str:
 
 
 def ask_people(fields: Mapping[str, Any], may_ask: bool) -> dict[str, Any]:
-    """Ask the protocol's questions about the participant, consents first, until a required consent is refused.
+    """Prompt for the answers to the protocol's questions, consents first; stop if a required consent is refused.
 
     Parameters
     ----------
