@@ -32,7 +32,7 @@ _PRESENTED = ("stimulus.", "conditions.", "schedule.order")
 
 
 def field_warnings(inputs: DesignInputs, stimulus: Stimulus, figures: list[dict[str, Any]]) -> list[str]:
-    """Warn if the beam moves fastest outside the focus, or the field misses its target.
+    """Return warnings about a field that is fastest outside the focus or misses its target.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ def field_warnings(inputs: DesignInputs, stimulus: Stimulus, figures: list[dict[
 
 
 def placement_warnings(designs: Mapping[str, DesignInputs]) -> list[str]:
-    """Warn of the factors on the levels if placements are equalised in a band."""
+    """Return a warning with the factors on the levels if placements are equalised in a band."""
     band = next(iter(designs.values())).section.equalise_band_Hz
     if band is None:
         return []
@@ -73,7 +73,7 @@ def placement_warnings(designs: Mapping[str, DesignInputs]) -> list[str]:
 
 
 def contact_warnings(findings: Findings) -> list[str]:
-    """Warn if a contact is wider than a zone, which is probably a typing error."""
+    """Return a warning if a contact is wider than a zone, which is probably a typing error."""
     placed = {} if findings.placements is None else findings.placements.all()
     widest = max((finger.width * 1e3 for laid in placed.values() for finger in laid), default=0.0)
     narrowest = min(zone.width_mm for zone in findings.experiment().apparatus.zones.values())
@@ -82,7 +82,7 @@ def contact_warnings(findings: Findings) -> list[str]:
 
 
 def stimulus_warnings(inputs: DesignInputs, stimulus: Stimulus, figures: list[dict[str, Any]]) -> list[str]:
-    """Warn of clock jitter, unmeasured gains, ill-conditioned modes and modal errors.
+    """Return warnings about clock jitter, unmeasured gains, ill-conditioned modes and modal errors.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ _UNPROMISED = {
 
 
 def generator_warnings(apparatus: Apparatus) -> list[str]:
-    """Warn if no driver knows the generator, and of the limits of a repetition other than ``single``."""
+    """Return warnings about a generator without a driver, and about a repetition other than ``single``."""
     section, instrument = apparatus.generator, instrument_of(apparatus)
     said = []
     if section.model not in instrument.models:
@@ -155,7 +155,7 @@ _PARTS = {
 
 
 def design_warnings(protocol: Protocol) -> list[str]:
-    """Warn of pairs without a finger on the focus, designs on which a test is impossible, and long sessions."""
+    """Return warnings about pairs without a finger on the focus, tests that are impossible, and long sessions."""
     conditions, said = protocol.conditions, []
     for name in protocol.stimulus_names:
         section = protocol.stimulus_of(name)
@@ -195,7 +195,7 @@ def design_warnings(protocol: Protocol) -> list[str]:
 
 
 def answer_warnings(protocol: Protocol) -> list[str]:
-    """Warn of catch trials without the answer none, answers that name no finger, and an unknown task."""
+    """Return warnings about catch trials without the answer none, answers that name no finger, and an unknown task."""
     n_catches, offered = protocol.schedule.catch_trials, protocol.answers.offered
     warnings = []
     if n_catches and not protocol.answers.has_none_answer:
@@ -215,7 +215,7 @@ def answer_warnings(protocol: Protocol) -> list[str]:
 
 
 def interval_warnings(protocol: Protocol) -> list[str]:
-    """Warn of interval trials without a right answer, and of answers that are never right."""
+    """Return warnings about interval trials without a right answer, and answers that are never right."""
     section, answers = protocol.intervals, protocol.answers
     if section is None or answers.scale is not None or protocol.adaptive is not None:
         return []
@@ -268,7 +268,7 @@ def _in_words(value: Any) -> str:
 
 
 def sound_warnings(protocol: Protocol, apparatus: Apparatus) -> list[str]:
-    """Warn of masking noise at an unknown or harmful level."""
+    """Return warnings about masking noise at an unknown or harmful level."""
     section, sound = protocol.masking, apparatus.sound
     if section is None:
         return []

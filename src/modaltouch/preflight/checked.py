@@ -159,7 +159,7 @@ class Preflight:
 
     @cached_property
     def designs(self) -> dict[str, Preflight]:
-        """Preflight of each design, by stimulus name and, for a design for fingers, placement; empty name if single."""
+        """Preflight of each design, by stimulus and, for fingers, placement; the name is empty for a single one."""
         return {" ".join(named.values()): each for named, each in self._named_designs()}
 
     def _named_designs(self) -> Iterator[tuple[dict[str, str], Preflight]]:
