@@ -19,7 +19,7 @@ _SIMULATE = "simulate sessions and analyse those, as `modaltouch prereg` does"
 
 
 def designs_for(preflight: Preflight, observer: Observer) -> dict[str, Design]:
-    """Return the design of each stimulus of a protocol for an observer, by name; empty name if single.
+    """Return the design of each stimulus of a protocol for an observer, by name; the name is empty for a single one.
 
     As in ``modaltouch analyse --stimulus``, each stimulus has its own families of tests, so each has its own design.
 
