@@ -129,7 +129,7 @@ class TrialExpectation:
 
 @lru_cache(maxsize=4)
 def restore(sources: Sources, occasion: tuple[str, str] = ("", "")) -> RestoredExperiment:
-    """Return the experiment restored from its texts, with a small cache.
+    """Restore an experiment from its texts; the latest few are cached.
 
     Raises
     ------
@@ -284,7 +284,7 @@ def check_intervals(event: Event, trial: Trial, begun: list[Event], given: Trial
 
 
 def check_instants(event: Event, trial: Trial) -> Iterator[str]:
-    """Yield inconsistencies among the instants of an answer and with its reaction time."""
+    """Yield inconsistencies between the instants of an answer, and with its reaction time."""
     instants, response, confirmed = event["instants"], event["response"], event["confirmed"]
     between = {name: (span["earliest_s"], span["latest_s"]) for name, span in instants.items() if span is not None}
     for name, (earliest, latest) in between.items():
@@ -315,7 +315,7 @@ def check_instants(event: Event, trial: Trial) -> Iterator[str]:
 
 
 def check_bursts(event: Event, trial: Trial, given: TrialExpectation) -> Iterator[str]:
-    """Yield inconsistencies among the burst counts of a finished stimulus and with protocol and instants."""
+    """Yield inconsistencies between the burst counts of a finished stimulus, its protocol and its instants."""
     bursts, confirmed = event["bursts"], event["confirmed"]
     asked, played, whole, dropped = counts = [bursts[name] for name in _COUNTS]
     first, around = bursts["first_s"], bursts["uncertainty_s"]
