@@ -152,7 +152,7 @@ def _manifest(about: dict[str, Any], hashes: dict[str, list[str]]) -> bytes:
 
 
 def _read_manifest(folder: Path) -> tuple[str, dict[str, list[str]]]:
-    """Return the maker of a folder and the hashes of its files; empty without a manifest of this program."""
+    """Return the command that made a folder and the hashes of its files; empty without a manifest of this program."""
     try:
         values = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
         maker, files = str(values["generated_by"]), values["files"].items()
