@@ -190,7 +190,7 @@ class DisplayLoop:
         self._unread.extend(events)
 
     def log_later(self, event: str, **facts: Any) -> None:
-        """Keep an event until `write_notes`, where nothing may raise."""
+        """Keep an event until `write_notes`, for use where nothing may raise."""
         self._unwritten.append((event, facts))
 
     def write_notes(self) -> None:

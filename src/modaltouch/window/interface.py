@@ -173,7 +173,7 @@ class AnswerWindow(AbstractContextManager["AnswerWindow"]):
         """Show for a time [s] that the beam is being measured and fingers must keep still; the screen then stays."""
 
     def announce(self, text: str) -> None:
-        """Show a text of the protocol, such as ``practice``, ``start`` or ``hands_off``, until a key to continue."""
+        """Show a text of the protocol, such as ``practice`` or ``hands_off``, until the participant continues."""
 
     @abstractmethod
     def feel(self, trial: Trial, progress: tuple[int, int], presentation: Presentation, until: float) -> None:

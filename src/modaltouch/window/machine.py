@@ -245,7 +245,7 @@ def time_window(
 
 
 def judge_window(figures: Mapping[str, Any]) -> str:
-    """Return the consequences of the figures of a window for an experiment, and what to do."""
+    """Return what the timing figures of a window mean for an experiment, with advice."""
     lines, delay = [f"On {figures['display']}:"], figures["key_delay_p95_ms"]
     if figures["n_lost"]:
         lines.append(

@@ -351,7 +351,7 @@ class ParticipantWindow(AnswerWindow):
         return "experimenter" if way == "experimenter" else "participant"
 
     def _go_on(self, draw: Callable[[], Picture], trial: Trial | None = None) -> None:
-        """Show a picture until a key to continue or a click."""
+        """Show a picture until a click or a key that continues."""
         shown = self._loop.show(draw(), Moment("go_on", trial))
         while True:
             for event in self._loop.poll():

@@ -386,7 +386,7 @@ class Illustrator:
         )
 
     def _types(self, trial: Trial) -> bool:
-        """Return whether the participant types the answer, not the experimenter."""
+        """Return whether the participant, rather than the experimenter, types the answer."""
         return self.answers.way(trial.condition.finger_condition) != "experimenter"
 
     def _draw_answers(self, chosen: str | None, *, confirmed: bool, with_keys: bool) -> tuple[Mark, ...]:

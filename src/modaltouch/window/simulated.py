@@ -242,7 +242,7 @@ class SimulatedParticipant(AnswerWindow):
             raise TrialInterrupted("experimenter")
 
     def wait(self, seconds: float) -> None:
-        """Wait for the pause."""
+        """Wait for the pause between two trials."""
         self._pass(seconds)
 
     show_measuring = wait
