@@ -281,10 +281,10 @@ def test_fixed_and_calibrated_levels_are_not_mixed(results: Path, tmp_path: Path
     shutil.copytree(results, tmp_path / "results")
     fixed = edit(
         "sensation_levels.yaml",
-        ("    thresholds_from: threshold        # name of the protocol whose sessions find the thresholds\n", ""),
+        ("    thresholds_from: threshold        # name of the protocol that measures the thresholds\n", ""),
         ("  sensation_levels:\n", ""),
         ("    multiples: [1, 1.5, 2, 3]\n", ""),
-        ("[2, 200]      # lowest and highest level that anyone may get", "[20, 30, 40, 60]"),
+        ("[2, 200]      # lowest and highest level for any participant", "[20, 30, 40, 60]"),
     )
     begin(wire_run(examine(fixed).require(), "p04", answers="simulated", results=tmp_path / "results"))
     with pytest.raises(InputError, match=r"several kinds of levels \(.*(fixed|calibrated), .*(fixed|calibrated)\)"):
