@@ -37,6 +37,8 @@ LEAST = 1e-17
 """Errors of nothing at all are shown here."""
 
 Points = list[dict[str, Any]]
+Label = tuple[int, tuple[float, float], str]
+"""Point beside which the label of a series stands, by increasing number of samples; offset [pt] and alignment."""
 
 
 def _dress(axis: Axes, title: str, errors: tuple[float, float], times: tuple[float, float]) -> None:
@@ -49,9 +51,9 @@ def _dress(axis: Axes, title: str, errors: tuple[float, float], times: tuple[flo
     axis.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
 
 
-def _draw_series(axis: Axes, points: Points, style: tuple[str, str, str], label_at: tuple[float, float, str]) -> None:
-    """Draw one series, its marks growing with the number of samples, its label beside them."""
-    label, colour, marker = style
+def _draw_series(axis: Axes, points: Points, style: tuple[str, str, str], label: Label) -> None:
+    """Draw one series, its marks growing with the number of samples, and its label beside one of them."""
+    text, colour, marker = style
     points = sorted(points, key=lambda each: each["n_samples"])
     axis.scatter(
         [each["time_ms"] for each in points],
@@ -63,8 +65,9 @@ def _draw_series(axis: Axes, points: Points, style: tuple[str, str, str], label_
         linewidths=0.5,
         zorder=3,
     )
-    x, y, side = label_at
-    axis.text(x, y, label, fontsize=8, ha=side, va="center", zorder=4)
+    nth, offset, side = label
+    at = (points[nth]["time_ms"], max(points[nth]["error"], LEAST))
+    axis.annotate(text, at, offset, textcoords="offset points", fontsize=8, ha=side, va="center", zorder=4)
 
 
 def draw(points: Points) -> None:
@@ -73,10 +76,10 @@ def draw(points: Points) -> None:
         figure = Figure(figsize=(11, 3.9), layout="none")
         axes = figure.subplots(1, 3, gridspec_kw={"wspace": 0.3, "width_ratios": (1, 1.25, 1)})
         figure.subplots_adjust(left=0.065, right=0.99, top=0.92, bottom=0.24)
-        _dress(axes[0], "Make nine modes' codes", (1e-9, 1.0), (0.7, 14.0))
-        _dress(axes[1], "Predict nine modes at $t_F$", (1e-18, 1.0), (0.04, 900.0))
+        _dress(axes[0], "Make nine modes' codes", (1e-9, 1.0), (0.5, 20.0))
+        _dress(axes[1], "Predict nine modes at $t_F$", (1e-18, 1.0), (0.012, 900.0))
         _dress(axes[2], "Whole commands", (1e-5, 1e-1), (100.0, 1500.0))
-        axes[0].set_xticks([1, 2, 5, 10])
+        axes[0].set_xticks([0.5, 1, 2, 5, 10, 20])
         axes[1].set_xticks([0.1, 1, 10, 100])
         axes[2].set_xticks([100, 200, 500, 1000])
         for key, style, at in zip(MAKING, MAKING.values(), _MAKING_LABELS, strict=True):
@@ -102,14 +105,13 @@ def draw(points: Points) -> None:
         figure.savefig(RESULTS / "time_against_error.png", dpi=130, metadata={"Software": None})
 
 
-_MAKING_LABELS = ((1.4, 0.3, "center"), (2.5, 1e-5, "left"), (5.2, 3e-8, "left"))
+_MAKING_LABELS = ((-1, (0, 13), "center"), (-1, (10, 0), "left"), (-1, (22, 0), "left"))
 _PREDICTING_LABELS = (
-    (0.045, 3e-15, "left"),
-    (0.4, 1e-17, "left"),
-    (28.0, 1e-16, "left"),
-    (1.4, 4e-11, "center"),
-    (60.0, 4e-11, "center"),
-    (60.0, 8e-2, "center"),
+    (-1, (8, 17), "right"),
+    (1, (0, -16), "left"),
+    (-1, (10, 0), "left"),
+    (-1, (0, 13), "center"),
+    (-1, (0, 15), "center"),
+    (1, (0, 17), "center"),
 )
-_COMMAND_LABELS = ((300.0, 1.3e-2, "left"), (270.0, 1.3e-2, "right"), (680.0, 1.6e-2, "center"))
-"""Place and alignment of the label of each series."""
+_COMMAND_LABELS = ((-1, (4, -16), "left"), (-1, (-4, -16), "right"), (-1, (0, -21), "center"))
