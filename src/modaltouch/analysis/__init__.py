@@ -1,9 +1,9 @@
-"""Analysis of the answers of sessions or of a CSV file: counts, exact statistics, figures and a report.
+"""Analysis of the answers in recorded sessions or a CSV file: counts, exact statistics, figures and a report.
 
-`read_responses` returns the answers as one tidy table, `Responses.count` their counts. `analyse` writes everything to a
-folder, including the thresholds of adaptive runs; `analyse_responses` writes nothing. The tests are exact, or Monte
-Carlo with a stated seed; planning runs those in `STATISTICS` on batches of simulated experiments. Neither instrument
-nor screen is needed.
+`read_responses` reads the answers into a tidy table, and `Responses.count` counts them. `analyse` writes all results to
+a folder, including the thresholds of adaptive runs; `analyse_responses` returns them without writing files. Tests are
+exact, or Monte Carlo with a fixed seed; planning runs those in `STATISTICS` on batches of simulated experiments. No
+instrument or screen is needed.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""How far participants agree with each other: Gwet's AC1, and the share of participants who show an effect.
+"""Agreement between participants (Gwet's AC1), and the population prevalence of an effect.
 
-Kappa is deliberately not used: it is negative at 95 % agreement in one category, and undefined at full agreement.
+Kappa is deliberately not used: it can be negative at 95 % agreement, and is undefined if all give the same answer.
 
 References
 ----------
@@ -25,20 +25,21 @@ FloatArray = NDArray[np.float64]
 _SEED, _DRAWS, _TAIL = 20080501, 1999, (1 - CONFIDENCE) / 2
 
 _AT_ONCE = 1_000_000
-"""Random weights held at once: limits the memory used [1]."""
+"""Maximum number of random weights held in memory at a time [1]."""
 
 
 def ac1_interval(answers: ArrayLike) -> Interval:
-    """Return AC1 between participants with its interval, which is -1 to 1 for fewer than three participants.
+    """Return AC1 between participants with a confidence interval, which is [-1, 1] for fewer than three participants.
 
-    As for a `BoundedMean`, one participant is added: for the lower bound, one who gives the rarest answer to each item,
-    for the upper bound the most frequent; tied answers share one. The bounds are quantiles over random weights of all
-    participants and do not depend on their order. The coverage is known from simulation only.
+    As in `BoundedMean`, one participant is added to the sample: for the lower bound, one who gives the rarest answer to
+    each item; for the upper bound, the most frequent one; ties are split evenly. The bounds are quantiles over random
+    weights of the participants (Bayesian bootstrap) and do not depend on their order. The coverage is known only from
+    simulation.
 
     Parameters
     ----------
     answers : (..., n_participants, n_items, n_categories) array
-        How often each participant gave each answer to each item.
+        Counts of answers.
 
     References
     ----------
@@ -49,7 +50,7 @@ def ac1_interval(answers: ArrayLike) -> Interval:
     _, estimate = agreement_between(table, np.ones((1, n)))
     if n < 3:
         return Interval(estimate[..., 0], *(np.full(table.shape[:-3], each)[()] for each in (-1.0, 1.0, n)))
-    order = np.lexsort(np.moveaxis(table.reshape(*table.shape[:-2], -1), -1, 0))  # so that names do not matter
+    order = np.lexsort(np.moveaxis(table.reshape(*table.shape[:-2], -1), -1, 0))  # independent of participant order
     table = np.take_along_axis(table, order[..., np.newaxis, np.newaxis], axis=-3)
     total, rng = table.sum(axis=-3, keepdims=True), np.random.default_rng(_SEED)
     extremes = total.min(axis=-1, keepdims=True), total.max(axis=-1, keepdims=True)
@@ -65,21 +66,21 @@ def ac1_interval(answers: ArrayLike) -> Interval:
 
 
 def agreement_between(answers: ArrayLike, weights: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    """Return the agreement between two different participants [1], and AC1 [1], for each weighting of participants.
+    """Return the pairwise agreement between participants [1] and AC1 [1], for each weighting of the participants.
 
-    Several answers of a participant to one item count as fractions of one answer.
+    Repeated answers of a participant to one item count as fractions of one answer.
 
     Parameters
     ----------
     answers : (..., n_participants, n_items, n_categories) array
-        How often each participant gave each answer to each item.
+        Counts of answers.
     weights : (n_weightings, n_participants) array
-        Weights.
+        Weights of the participants.
 
     Returns
     -------
     agreement, ac1 : (..., n_weightings) array
-        NaN if no item was answered by two participants.
+        NaN if no item was answered by at least two participants.
     """
     table, weight = np.asarray(answers, dtype=float), np.asarray(weights, dtype=float)
     n_given = table.sum(axis=-1, keepdims=True)
@@ -98,18 +99,18 @@ def agreement_between(answers: ArrayLike, weights: ArrayLike) -> tuple[FloatArra
 
 
 def prevalence(n_positive: int, n_participants: int) -> float:
-    """Return the most likely share of the population whose own data would show an effect.
+    """Return the maximum likelihood estimate of the population prevalence of an effect.
 
     Parameters
     ----------
     n_positive : int
-        Participants whose own test was significant.
+        Participants with a significant test of their individual data.
     n_participants : int
-        All participants.
+        Number of participants tested.
 
     Returns
     -------
     float
-        Ince et al. (2021): (k/n - alpha) / (1 - alpha), not below zero [1].
+        (k/n - alpha) / (1 - alpha), clipped at zero [1]; Ince et al. (2021).
     """
     return max((n_positive / n_participants - ALPHA) / (1 - ALPHA), 0.0)

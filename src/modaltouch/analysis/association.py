@@ -1,4 +1,4 @@
-"""Differences between conditions, by shuffling each participant's conditions: ranks, or several answers together.
+"""Permutation tests of differences between conditions, within participants, for ranks or unordered answers.
 
 References
 ----------
@@ -24,7 +24,7 @@ _SHUFFLES = 9_999
 
 
 def joint_findings(answers: AnswerCounts) -> Iterator[Finding]:
-    """Yield tests of unordered answers together, over levels, finger conditions and pairs of zones."""
+    """Yield joint tests of all unordered answers over levels, finger conditions and pairs of zones."""
     counts, pairs = answers.counts, [pair.label for pair in answers.pairs]
     over_levels = counts.sum(axis=3)
     for question, scopes, own in (
@@ -47,15 +47,15 @@ def joint_findings(answers: AnswerCounts) -> Iterator[Finding]:
 
 
 def association_test(counts: NDArray[np.int64]) -> ExactTest:
-    """Return the test that no participant's answers depend on the condition, whichever the answer.
+    """Test the null hypothesis that no participant's answers depend on the condition.
 
-    The statistic sums the squared deviations of the counts, over all participants, from those that each participant's
-    own totals give, divided by the total of the answer, as Pearson's does.
+    As in Pearson's statistic, the deviations of the counts from those expected from each participant's totals are
+    squared and divided by the total of the answer; the deviations are first summed over participants.
 
     Parameters
     ----------
     counts : (..., n_participants, n_conditions, n_answers) array of int
-        How often each answer was given.
+        Counts of answers.
     """
     given, asked = counts.sum(axis=-2, keepdims=True), counts.sum(axis=-1, keepdims=True)
     expected = asked * given / np.maximum(asked.sum(axis=-2, keepdims=True), 1)
@@ -63,33 +63,34 @@ def association_test(counts: NDArray[np.int64]) -> ExactTest:
 
 
 def shuffle_conditions(values: NDArray[Any]) -> ExactTest:
-    """Return the test that each participant's conditions could have been exchanged, from 9,999 shuffles, fixed seed.
+    """Test the exchangeability of conditions within participants, by 9,999 permutations with a fixed seed.
 
     Parameters
     ----------
     values : (..., n_participants, n_conditions, n_values) array
-        The statistic is the sum of squares of their sums over participants.
+        Values to permute. The statistic is the sum of squares of their sums over participants.
     """
     shape, (n, k, n_values) = values.shape[:-3], values.shape[-3:]
     rows = values.reshape(-1, n, k, n_values)
-    order = np.lexsort(np.moveaxis(rows.reshape(-1, n, k * n_values), -1, 0))  # so that names do not matter
+    order = np.lexsort(np.moveaxis(rows.reshape(-1, n, k * n_values), -1, 0))  # independent of participant order
     rows = np.take_along_axis(rows, order[..., np.newaxis, np.newaxis], axis=1)
     observed = (rows.sum(axis=1, dtype=float) ** 2).sum(axis=(-2, -1))
     flat, reached = np.moveaxis(rows, -1, 1).reshape(-1, n * k), np.zeros(len(rows))
     for shuffles in _shuffles(n, k, 1_000_000 // (k * max(len(flat), n * k))):
         sums = (flat @ shuffles).astype(float).reshape(len(rows), n_values, -1, k)
-        least = observed - 1e-9 * np.maximum(observed, 1.0)  # allows for rounding
+        least = observed - 1e-9 * np.maximum(observed, 1.0)  # tolerance for rounding
         reached += ((sums**2).sum(axis=(1, 3)) >= least[:, np.newaxis]).sum(axis=-1)
-    # The most extreme arrangement is one of at least as many as the freest participant has: the conditions renamed.
+    # Relabelling the conditions for all participants leaves the statistic unchanged, so the most extreme arrangement is
+    # reached in at least as many ways as the participant with the most distinct arrangements has.
     alike = (rows[:, :, :, np.newaxis] == rows[:, :, np.newaxis]).all(axis=-1)
-    ways = math.lgamma(k + 1) - np.log(np.tril(alike).sum(axis=-1)).sum(axis=-1)  # logarithms
+    ways = math.lgamma(k + 1) - np.log(np.tril(alike).sum(axis=-1)).sum(axis=-1)  # log of the number
     p_min = np.maximum(1 / (_SHUFFLES + 1), np.exp(ways.max(axis=-1) - ways.sum(axis=-1)))
     p = np.maximum((reached + 1) / (_SHUFFLES + 1), p_min)
     return ExactTest(*(each.reshape(shape)[()] for each in (observed, p, p_min, (ways > 1e-9).sum(axis=-1))))
 
 
 def _shuffles(n: int, k: int, at_once: int) -> Iterator[NDArray[np.float32]]:
-    """Yield shuffles within n participants, in batches, as matrices that turn values into their sums by condition."""
+    """Yield batches of permutations within n participants, as matrices that map values to their sums by condition."""
     rng = np.random.default_rng(1)
     for start in range(0, _SHUFFLES, max(at_once, 1)):
         size = min(max(at_once, 1), _SHUFFLES - start)

@@ -1,4 +1,4 @@
-"""Whether every participant answered every cell of the design equally often."""
+"""Checks of a table's balance: duplicate rows, missing cells, and surplus answers."""
 
 from __future__ import annotations
 
@@ -15,29 +15,29 @@ from modaltouch.analysis.scale import VELOCITY, scale_of
 from modaltouch.protocol import Problem
 
 _MOST_MISSING = 0.25
-"""Share of missing answers from which a participant presumably did another design, or gave up [1]."""
+"""Share of missing answers above which a participant presumably had another design, or gave up [1]."""
 
 
 _FEWEST_TIMES = 4
-"""Fewest different reaction times that cannot all be repeated by coincidence."""
+"""Minimum number of distinct reaction times for which a full match cannot be coincidence."""
 
 
 def check_balance(table: Table, frame: pd.DataFrame, *, is_crossed: bool = True) -> tuple[list[Problem], int]:
-    """Return duplicate rows, missing cells and surplus answers, and how many answers most cells have.
+    """Find duplicate rows, missing cells and surplus answers, and return the usual number of answers per cell.
 
     Single answers may be missing, but not a cell of all participants, nor a quarter of one participant's answers.
 
-    The design crosses every finger condition with every zone pair and every level that occurs. Several rows of one
-    participant and cell are repetitions if a column ``repetition`` numbers them, or if all cells have equally many.
+    The design crosses all finger conditions, zone pairs and levels in the table. Multiple rows of one participant and
+    cell are repetitions if numbered by a column ``repetition``, or if all cells have the same number of rows.
 
     Parameters
     ----------
     table : Table
-        The file, for the positions of the faults.
+        The file, for the locations of the problems.
     frame : DataFrame
-        Its rows, indexed by their lines.
+        Rows of the file, indexed by line.
     is_crossed : bool
-        Whether the design is crossed like this; if not, every trial has a row, and only duplicate rows are reported.
+        Whether the design is crossed. If not, every trial has a row, and only duplicate rows are reported.
     """
     if frame["n"].sum() == 0:
         return [Problem(table.file, 1, 1, "", "no answers", "at least one answer that is not practice", "")], 0
@@ -90,14 +90,14 @@ def _measured_levels(table: Table, frame: pd.DataFrame, column: str) -> Problem:
 
 
 def doubling_notes(table: Table) -> list[str]:
-    """Return a note if every row of a table occurs several times, which repetitions alone seldom cause."""
+    """Return a note if every row of a table is duplicated, which is rarely due to repetitions."""
     times = math.gcd(*pd.util.hash_pandas_object(table.fields, index=False).value_counts().tolist())
     said = f"every row occurs {times} times, taken as repetitions: if the table was pasted together, remove the copies"
     return [said] * (times > 1)
 
 
 def check_unit(table: Table, frame: pd.DataFrame, design: Mapping[str, Any]) -> list[Problem]:
-    """Return a problem if all levels are below 1 mm/s, as if given in m/s, unless the protocol has such levels."""
+    """Report levels below 1 mm/s throughout, presumably given in m/s, unless the protocol has such levels."""
     planned = (design.get("conditions") or {}).get("peak_velocities_mm_s") or (1.0,)
     highest = frame[VELOCITY.column].max() if VELOCITY.column in frame else math.inf
     if not highest < 1 <= max(planned):
@@ -108,7 +108,7 @@ def check_unit(table: Table, frame: pd.DataFrame, design: Mapping[str, Any]) -> 
 
 
 def _doubled(table: Table, frame: pd.DataFrame) -> list[Problem]:
-    """Return duplicate rows: one repetition, or one count, given twice."""
+    """Report duplicate rows of a repetition or a count."""
     told = [name for name, column in (("repetition", "repetition"), ("response", "n")) if column in table.fields]
     keys = [*keys_of(frame.columns), *told, *({"session"} & set(frame.columns) if told else ())]
     again = frame[frame.duplicated(keys, keep=False)] if told else frame[:0]
@@ -124,7 +124,7 @@ def _doubled(table: Table, frame: pd.DataFrame) -> list[Problem]:
 
 
 def _copied(table: Table, frame: pd.DataFrame) -> list[Problem]:
-    """Return participants all of whose trials occur twice, or equal another's in answer and reaction time."""
+    """Report participants whose trials all occur twice, or match another participant's answers and reaction times."""
     timed = frame.dropna(subset=["response_time"]) if "response_time" in frame else frame[:0]
     seen: dict[tuple[Any, ...], Any] = {}
     problems = []
@@ -133,7 +133,7 @@ def _copied(table: Table, frame: pd.DataFrame) -> list[Problem]:
         if rows["response_time"].nunique() < _FEWEST_TIMES:
             continue
         other = seen.setdefault(tuple(sorted(map(str, rows.itertuples(index=False)))), participant)
-        # Coarse times coincide by chance, but not every row equally often, as in a table that was pasted several times.
+        # Coarse times may coincide by chance, but only in a table pasted repeatedly does every row recur equally often.
         twice = math.gcd(*rows.value_counts().tolist()) > 1
         if twice or other != participant:
             given = (

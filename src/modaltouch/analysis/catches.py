@@ -1,6 +1,7 @@
-"""Catch trials, in which nothing was driven, and the answer none: false alarms and misses.
+"""False alarms in catch trials, and misses.
 
-A false alarm is a catch trial in which something was felt; a miss is a trial with a stimulus in which nothing was felt.
+A false alarm is a catch trial (without a stimulus) in which something was felt; a miss is a trial with a stimulus in
+which nothing was felt.
 """
 
 from __future__ import annotations
@@ -16,25 +17,25 @@ from modaltouch.analysis.means import BoundedMean
 from modaltouch.analysis.responses import Responses
 
 _ABSENT = "none"
-"""Stands for the answer that nothing was felt if no answer says so."""
+"""Name of the answer "nothing felt" if the protocol does not offer one."""
 
 
 @dataclass(frozen=True)
 class CatchRow:
-    """One participant's answers to catch trials, and misses in trials with a stimulus.
+    """Answers to catch trials and misses of one participant.
 
     Attributes
     ----------
     participant : str
-        Name; ``all`` for the sum.
+        Participant id; ``all`` for the sum.
     n_catch : int
-        Catch trials.
+        Number of catch trials.
     answers : dict of str to int
-        Answers to them, by word.
+        Counts of the answers to catch trials, by name.
     n_driven, n_missed : int
-        Answers to trials with a stimulus, and how many of them were that nothing was felt.
+        Number of answers to trials with a stimulus, and of misses among them.
     nothing : str
-        Name of the answer that nothing was felt.
+        Name of the answer "nothing felt".
     """
 
     participant: str
@@ -46,12 +47,12 @@ class CatchRow:
 
     @property
     def n_false_alarms(self) -> int:
-        """Catch trials in which something was felt."""
+        """Number of catch trials in which something was felt."""
         return self.n_catch - self.answers[self.nothing]
 
     @property
     def false_alarms(self) -> str:
-        """Number of false alarms out of all catch trials, in words."""
+        """False alarms out of all catch trials, in words."""
         return f"{self.n_false_alarms} of {self.n_catch}" if self.n_catch else "–"
 
     def as_dict(self) -> dict[str, Any]:
@@ -62,7 +63,7 @@ class CatchRow:
 
 
 def catch_rows(responses: Responses) -> tuple[CatchRow, ...]:
-    """Return a row for each participant and one for all; empty if there are neither catch trials nor an answer none."""
+    """Return a row per participant and one for all; empty without catch trials and without an answer "nothing felt"."""
     nothing = responses.answers.naming()
     if not responses.catches and nothing is None:
         return ()
@@ -79,7 +80,7 @@ def catch_rows(responses: Responses) -> tuple[CatchRow, ...]:
 
 
 def catch_findings(responses: Responses) -> Iterator[Finding]:
-    """Yield the rates of false alarms and misses: estimates over participants, without p."""
+    """Yield the false-alarm and miss rates, estimated over participants without a test."""
     if responses.answers.naming() is None:
         return
     *own, total = catch_rows(responses)

@@ -1,4 +1,4 @@
-"""Error rates of tests and intervals in simulated populations, counted by ``make certify``, and why some exceed 5 %."""
+"""Simulated error rates of tests and intervals, counted by ``make certify``, with the reasons for rates above 5 %."""
 
 from __future__ import annotations
 
@@ -23,27 +23,27 @@ _OF_NAMES = {
     "threshold over": ("mean threshold, as estimated", "mean threshold"),
     "PSE over": ("mean PSE",), "JND over": ("mean JND, as estimated", "mean JND"), "exponent of": ("mean exponent",),
 }  # fmt: skip
-"""Certificates of findings outside all families, by a part of their name; the first match counts.
+"""Certificates of findings outside families, by a substring of their name; the first match applies.
 
-Empty where no errors were counted, as for sign flips of criteria or of ratings.
+Empty for findings without simulated error rates, such as sign flips of criteria or ratings.
 """
 
 
 @lru_cache(maxsize=1)
 def certificates() -> dict[str, tuple[float, float, str]]:
-    """Return the mean and the worst error rate by name, and the reason if one is certainly above 5 %."""
+    """Return the mean and maximum error rate by name, with the reason if one is significantly above 5 %."""
     held: dict[str, Any] = json.loads(files(__package__).joinpath("certificates.json").read_text(encoding="utf-8"))
     return {name: (mean, worst, why) for name, (mean, worst, why) in held.items()}
 
 
 def certificates_of(finding: Finding) -> tuple[str, ...]:
-    """Return the names of the certificates of a test and its interval; empty if there are none."""
+    """Return the names of the certificates that apply to a test and its interval, if any."""
     known = (names for part, names in _OF_NAMES.items() if part in finding.name)
     return (finding.family,) if finding.family in STATISTICS else next(known, ())
 
 
 def certificates_in_words(names: Iterable[str]) -> str:
-    """Return the error rates that were counted, in words."""
+    """Describe the simulated error rates in words."""
     known = ((name, *certificates()[name]) for name in names if name in certificates())
     return "; ".join(
         f"{name} {100 * mean:.3g} %, at worst {100 * worst:.3g} %{f', so not a 95 % interval: {why}' if why else ''}"

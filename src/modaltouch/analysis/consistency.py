@@ -1,4 +1,4 @@
-"""Question e, how far participants agree, and question f, the effects with their intervals."""
+"""Question e, the agreement between participants, and question f, effect sizes with their intervals."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ PAIRED = "paired difference in a cell, interval of a bounded mean over participa
 
 
 def consistency_findings(answers: AnswerCounts) -> Iterator[Finding]:
-    """Yield question e: agreement between participants, and how many of them show the effect by themselves."""
+    """Yield the findings of question e: agreement between participants, and prevalence of the effect."""
     n = answers.n_participants
     for f, q, scope in answers.pair_cells:
         pair, own = answers.pairs[q], answers.counts[:, f, q]
@@ -40,7 +40,7 @@ def consistency_findings(answers: AnswerCounts) -> Iterator[Finding]:
 
 
 def effect_findings(answers: AnswerCounts) -> Iterator[Finding]:
-    """Yield question f: every share over levels and, of an effect, every paired difference, cell by cell."""
+    """Yield the findings of question f: shares over levels and, for effects, paired differences in each cell."""
     for f, q, scope in answers.pair_cells:
         labelled = answers.labelled(answers.pairs[q])
         own = answers.counts[:, f, q]
@@ -58,7 +58,7 @@ def effect_findings(answers: AnswerCounts) -> Iterator[Finding]:
 
 
 def _missing_notes(shares: Shares) -> list[str]:
-    """Return for each share how far missing answers could change it at worst; empty if none are missing."""
+    """Return the worst-case bounds of each share due to missing answers; empty if none are missing."""
     n_missing = shares.asked * shares.given[0].size - int(shares.answered[0].sum())
     if not n_missing:
         return []
@@ -93,14 +93,14 @@ def _paired_cells(answers: AnswerCounts) -> Iterator[Finding]:
 
 
 def shows_dominance(first: IntArray, second: IntArray) -> NDArray[np.bool_]:
-    """Return which participants name the first zone significantly more often, by a sign test of their own answers."""
+    """Return which participants choose the first zone significantly more often, by a sign test of their answers."""
     pairs, which = np.unique(np.stack([first, second], axis=-1).reshape(-1, 2), axis=0, return_inverse=True)
     own = [a > b and bool(sign_flip_test([1] * a + [-1] * b).p <= ALPHA) for a, b in pairs.tolist()]
     return np.array(own)[which].reshape(first.shape)
 
 
 def _prevalence(answers: AnswerCounts, first: IntArray, second: IntArray, scope: str, zone: str) -> Finding:
-    """Return the share of participants whose own answers show dominance, and its prevalence in the population."""
+    """Return the share of participants who individually show dominance, and its prevalence in the population."""
     n, least = answers.n_participants, 2.0 ** (1 - answers.n_answers)
     share = Interval.point(math.nan, 0)
     note = f"no information: {answers.n_answers} answers of one participant cannot give p below {least:.2g}"

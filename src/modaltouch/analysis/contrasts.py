@@ -1,4 +1,4 @@
-"""Tests between shares of answers: whether any participant's differ, whether they differ on average, or are alike."""
+"""Contrasts of shares of answers: tests of exchangeability, of the mean difference, and of equivalence."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ IntArray = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class FamilyResult:
-    """Results of a family of tests, corrected together by Holm's method, for an experiment or a batch of them.
+    """Results of a family of tests, corrected together by Holm's method, for one experiment or a batch.
 
     Attributes
     ----------
     scopes : sequence of str
-        What each test is about.
+        Scope of each test.
     quantities : sequence of str
-        What each test estimates.
+        Quantity estimated with each test.
     test : ExactTest
         The tests, arrays of shape (..., n_tests).
     interval : Interval
-        The estimates, of the same shape.
+        Estimates and intervals, of the same shape.
     n : array of int, optional
-        Participants that each test rests on, of the same shape; by default all.
+        Number of participants in each test, of the same shape; by default all.
     notes : callable
-        The notes on a test of a single experiment, from the test's index.
+        Maps the index of a test in a single experiment to its notes.
     """
 
     scopes: Sequence[str]
@@ -48,13 +48,13 @@ class FamilyResult:
 
     @property
     def quick_p_holm(self) -> FloatArray:
-        """Holm's p from the `quick_p` of the tests, (..., n_tests) array [1]."""
+        """Holm-adjusted `quick_p` of the tests, (..., n_tests) array [1]."""
         return holm(self.test.quick_p)
 
 
 @dataclass(frozen=True, eq=False)
 class MeanScores:
-    """A bounded score of each participant in each of some tests, to be averaged over participants.
+    """Bounded scores of participants, to be averaged in each test of a family.
 
     Attributes
     ----------
@@ -63,11 +63,11 @@ class MeanScores:
     scores : (..., n_tests, n_participants) array
         Scores from -scale to scale; NaN for participants without one.
     scale : float
-        Largest score.
+        Largest possible score.
     shares : Shares
-        The answers that the scores rest on.
+        Shares of answers from which the scores were computed.
     lowest, highest : array
-        The scores if all missing answers had gone one way, and the other.
+        Bounds of the scores over all possible values of the missing answers.
     notes : callable
         As in `FamilyResult`.
     """
@@ -87,7 +87,7 @@ class MeanScores:
         return BoundedMean(self.scores, -self.scale, self.scale)
 
     def say(self, place: int) -> list[str]:
-        """Return the notes on a test, with the number of missing answers and what they could change at worst."""
+        """Return the notes on a test, with the number of missing answers and their worst-case effect."""
         answered = self.shares.answered[place]
         n_asked = answered.size * self.shares.asked
         n_missing = n_asked - int(answered.sum())
@@ -95,7 +95,7 @@ class MeanScores:
             return [*self.notes(place)]
         means = [BoundedMean(each[place], -self.scale, self.scale) for each in (self.lowest, self.highest)]
         low, high = (mean.interval() for mean in means)
-        # If the means of the two extremes have opposite signs, missing answers could give a mean of zero.
+        # If the extreme means differ in sign, missing answers could make the mean zero.
         p = 1.0 if low.estimate <= 0 <= high.estimate else max(float(mean.test().p) for mean in means)
         return [
             *self.notes(place),
@@ -106,7 +106,7 @@ class MeanScores:
 
 @dataclass(frozen=True, eq=False)
 class Contrast:
-    """Two shares of each participant, to be tested against each other, in each of some tests.
+    """Two shares of each participant, to be compared in each test of a family.
 
     Attributes
     ----------
@@ -124,7 +124,7 @@ class Contrast:
 
     @property
     def scores(self) -> MeanScores:
-        """Difference of the two shares, averaged over the levels with answers to both [1]."""
+        """Difference of the two shares, averaged over levels with answers in both [1]."""
         first, second = self.first, self.second
         return MeanScores(
             self.scopes,
@@ -139,10 +139,10 @@ class Contrast:
 
 
 def signs_of(contrast: Contrast) -> FamilyResult:
-    """Return exact tests of the null hypothesis that each participant's two shares are exchangeable.
+    """Return exact sign-flip tests of the null hypothesis that each participant's two shares are exchangeable.
 
-    A participant's answers to one condition may hang together, so conditions are flipped as a whole. That is exact with
-    as many answers to each level in both; where one has more, as many as the other has are drawn from them.
+    Answers within a condition may be dependent, so the conditions of a participant are exchanged as a whole. This is
+    exact with equally many answers at each level in both; otherwise, surplus answers are dropped at random.
     """
     first, second = contrast.first, contrast.second
     n_kept = np.minimum(first.answered, second.answered)
@@ -165,9 +165,9 @@ def signs_of(contrast: Contrast) -> FamilyResult:
 
 
 def _drawn_differences(contrast: Contrast, at: int | tuple[int, ...], n_draws: int) -> IntArray:
-    """Return differences of two counts of answers, out of equally many drawn at each level, draw by draw; for one test.
+    """Draw equally many answers at each level for one test, and return the differences of the two counts by draw.
 
-    The draws follow from the counts, not from the order of the participants, so that the same answers have the same p.
+    The seed depends on the counts but not on the order of participants, so that the same answers have the same p.
     """
     counts = ((each.given[at], each.answered[at]) for each in (contrast.first, contrast.second))
     table = np.stack([np.stack([given, answered - given], axis=-1) for given, answered in counts], axis=1)
@@ -180,14 +180,14 @@ def _drawn_differences(contrast: Contrast, at: int | tuple[int, ...], n_draws: i
 
 
 def means_of(compared: Contrast | MeanScores) -> FamilyResult:
-    """Return tests of the null hypothesis of no difference on average, with the intervals that invert them."""
+    """Return tests of the null hypothesis of no mean difference, with the intervals that invert them."""
     scores = compared.scores if isinstance(compared, Contrast) else compared
     mean = scores.mean
     return FamilyResult(scores.scopes, scores.quantities, mean.test(), mean.interval(), mean.n, scores.say)
 
 
 def equivalence_of(scores: MeanScores, margin: float | None) -> FamilyResult | None:
-    """Return equivalence tests: participants differ by less than a margin on average; None without a margin."""
+    """Return equivalence tests of a mean difference within a margin; None without a margin."""
     if margin is None:
         return None
     mean = scores.mean

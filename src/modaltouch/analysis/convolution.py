@@ -1,8 +1,8 @@
 """Tail probabilities of sums of independent integers, by convolution.
 
-Small problems are solved by adding shifted copies: all terms are positive, so relative accuracy holds to the last
-digit. Large ones are solved by multiplying transforms, after the distribution has been tilted so that its centre lies
-at the tail; this keeps the *relative* error of even the smallest p near 1e-10 (transforms alone lose all below 1e-16).
+Small problems are convolved directly: all terms are positive, so p is accurate to machine precision. Large problems use
+the FFT of the exponentially tilted distribution, centred on the tail; this keeps the *relative* error of even the
+smallest p near 1e-10 (without tilting, the FFT loses all p below 1e-16).
 
 References
 ----------
@@ -22,20 +22,20 @@ IntArray = NDArray[np.int64]
 FloatArray = NDArray[np.float64]
 
 DIRECT_COST = 100_000_000
-"""Most additions for which shifted copies are added; about 0.15 s."""
+"""Maximum number of additions for direct convolution; about 0.15 s."""
 
 _STEEPEST = 50.0
-"""Tilt at which a sum of integers stays at the end of its range [1]."""
+"""Tilt that concentrates a sum of integers at the end of its range [1]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Kernel:
-    """The distribution of one participant's score, and how many participants share it.
+    """The distribution of a score, and the number of participants with this distribution.
 
     Attributes
     ----------
     distribution : (steps, weights)
-        Values of the score, increasing, and their probabilities [1].
+        Values of the score in increasing order, and their probabilities [1].
     count : int
         Number of participants.
     """
@@ -50,12 +50,12 @@ class Kernel:
 
 
 def tail_probability(kernels: Sequence[Kernel], lower: int, upper: int) -> float:
-    """Return the probability that the sum is at most `lower` or at least `upper` [1].
+    """Return the two-sided tail probability P(sum <= lower) + P(sum >= upper) [1].
 
     Parameters
     ----------
     kernels : sequence of Kernel
-        Independent parts of the sum.
+        Distributions of the independent terms of the sum.
     lower, upper : int
         Bounds of the two tails, lower < upper.
     """
@@ -97,7 +97,7 @@ def _tilted_tail(kernels: Sequence[Kernel], bound: int, side: int) -> float:
     tilt = _tilt_towards(parts, target)
     mean, deviation = _moments(parts, tilt)
     span = max(int(steps.max() - steps.min()) for steps, _, _ in parts)
-    # Under the tilt almost no probability lies this far from the mean, so a window can replace the whole range.
+    # The tilted probability this far from the mean is negligible, so a window replaces the full range.
     margin = 14 * deviation + 40 * span
     last = min(top, math.ceil(mean + margin))
     size = 1 << max(last - min(target, math.floor(mean - margin)), span + 1).bit_length()
@@ -118,7 +118,7 @@ def _tilted_tail(kernels: Sequence[Kernel], bound: int, side: int) -> float:
 
 
 def _tilt_towards(parts: Sequence[tuple[IntArray, FloatArray, int]], target: int) -> float:
-    """Return the exponential tilt, at least zero, under which the mean of the sum is the target."""
+    """Find the non-negative exponential tilt for which the mean of the sum equals the target."""
     from scipy.optimize import brentq
 
     def short(tilt: float) -> float:

@@ -1,4 +1,4 @@
-"""Tidy answers as one array: how often each participant gave each answer in each cell."""
+"""Counts of answers by participant and cell, as one array."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ class Pair:
     left, right : str
         Zones under the left and the right finger; the right one is empty for one finger.
     dominant : str
-        Zone whose choice counts as the effect: the focus if it is touched, else the left one.
+        Zone whose choice is the effect: the focus if it is touched, else the left zone.
     focused : bool
         Whether the focus is one of the zones.
     between : str
-        Zone under the finger between these two; empty for fewer than three fingers.
+        Zone under the middle finger; empty for fewer than three fingers.
     """
 
     left: str
@@ -46,7 +46,7 @@ class Pair:
 
     @classmethod
     def of(cls, left: str, right: str, focus: str, between: str = "") -> Pair:
-        """Return the zones under the left and the right finger, and one between them; the focus may be empty."""
+        """Return the pair of zones under the left, the right and any middle finger; the focus may be empty."""
         focused = focus in (left, right, between) and focus != ""
         return cls(left, right, focus if focused else left, focused, between)
 
@@ -82,7 +82,7 @@ class Pair:
 
     @property
     def both(self) -> str:
-        """Both zones as the paper writes them, the focus first."""
+        """Left and right zone in the paper's notation, with the focus first."""
         return (
             f"{self.right} & {self.left}"
             if self.focused and self.dominant == self.right
@@ -92,7 +92,7 @@ class Pair:
 
 @dataclass(frozen=True, eq=False)
 class AnswerCounts:
-    """How often each participant gave each answer in each cell.
+    """Counts of answers by participant and cell.
 
     Attributes
     ----------
@@ -103,21 +103,21 @@ class AnswerCounts:
     levels : tuple of float
         Levels along the fourth axis, on `scale`: peak velocities [mm/s] or multiples of each participant's threshold.
     counts : (..., n_participants, n_finger_conditions, n_pairs, n_levels, n_answers) array of int
-        Counts of the `answers`; the axes of a batch of experiments come before these.
+        Counts of the `answers`; leading axes are those of a batch of experiments.
     n_repetitions : int
-        Answers asked of each participant in each cell; if `counts` has fewer, the rest are missing.
+        Scheduled answers per participant and cell; if `counts` has fewer, the rest are missing.
     focus : str
         Zone of the focus; empty if unknown.
     scale : LevelScale
         Scale of the levels.
     mirrored : frozenset of str
-        Participants who sat at the beam turned end to end: what is left here was on their right.
+        Participants with the beam turned end to end, so that left and right are exchanged.
     answers : AnswerList
-        The answers that could be given.
+        The answers offered.
     margin : float or None
-        Difference of shares within which finger conditions count as alike [1], fixed in the protocol.
+        Equivalence margin of the shares in finger conditions, specified by the protocol [1].
     guesses_evenly : bool
-        Whether a participant who guesses gives all answers equally often.
+        Whether a guessing participant gives all answers with equal probability.
     """
 
     participants: tuple[str, ...]
@@ -135,28 +135,28 @@ class AnswerCounts:
 
     @property
     def has_none_answer(self) -> bool:
-        """Whether one of the answers was that nothing was felt."""
+        """Whether "nothing felt" was among the answers."""
         return self.answers.naming() is not None
 
     @property
     def compares(self) -> bool:
-        """Whether each finger could be named alone, so that a pair has a dominant zone."""
+        """Whether each finger has an answer naming it alone, so that a pair has a dominant zone."""
         return self.answers.compares
 
     @property
     def is_nominal(self) -> bool:
-        """Whether there are three answers or more, none of which is the effect by itself."""
+        """Whether there are three or more answers, none of which defines the effect."""
         return not self.compares and len(self.answers) > 2
 
     @property
     def is_paper_design(self) -> bool:
-        """Whether pairs and levels are those of the paper's experiment."""
+        """Whether the pairs and levels are those of the paper's experiment."""
         pairs = {pair.label for pair in self.pairs}
         return pairs == {"A-C", "B-D", "C-E"} and (self.levels, self.scale) == ((80.0, 100.0, 150.0, 200.0), VELOCITY)
 
     @property
     def felt(self) -> list[int]:
-        """Indices of all answers but that nothing was felt."""
+        """Indices of all answers except "nothing felt"."""
         return [place for place, answer in enumerate(self.answers) if not answer.means_nothing_felt]
 
     @property
@@ -165,7 +165,7 @@ class AnswerCounts:
         return self._place("left", "right")
 
     def labelled(self, pair: Pair) -> tuple[tuple[str, int], ...]:
-        """Return the labels of all answers to a pair and their indices in the counts, in the order of the paper.
+        """Return the label and index of each answer to a pair, in the paper's order.
 
         Parameters
         ----------
@@ -189,9 +189,9 @@ class AnswerCounts:
         return (*own, *rest)
 
     def effects(self, pair: Pair) -> tuple[tuple[str, int], ...]:
-        """Return the answers whose share is the effect, with their indices: the dominant zone, then "both" if offered.
+        """Return the label and index of each answer whose share is an effect: the dominant zone, and "both" if offered.
 
-        If no zone is dominant, all answers; of two, the first, whose share tells that of the second.
+        Without a dominant zone, return all answers, or the first of two, whose share determines the other.
 
         Parameters
         ----------
@@ -206,11 +206,11 @@ class AnswerCounts:
         return ((pair.dominant, self.dominant_place(pair)), *both)
 
     def dominant_place(self, pair: Pair) -> int:
-        """Return the index of the answer that names the dominant zone of a pair."""
+        """Return the index of the answer naming the dominant zone of a pair."""
         return self._found(pair.dominant_side)
 
     def other_place(self, pair: Pair) -> int:
-        """Return the index of the answer that names the other zone of a pair."""
+        """Return the index of the answer naming the other zone of a pair."""
         return self._found(pair.other_side)
 
     def _found(self, side: Literal["left", "right"]) -> int:
@@ -227,7 +227,7 @@ class AnswerCounts:
 
     @property
     def pair_cells(self) -> list[tuple[int, int, str]]:
-        """Indices of finger condition and pair, and their names, for all combinations in the order of the tests."""
+        """Indices and scope of all combinations of finger condition and pair, in the order of the tests."""
         named = product(enumerate(self.finger_conditions), enumerate(self.pairs))
         return [(f, q, f"{condition} {pair.label}") for (f, condition), (q, pair) in named]
 
@@ -238,12 +238,12 @@ class AnswerCounts:
 
     @property
     def facing(self) -> NDArray[np.int64]:
-        """For each participant 1, or -1 if the beam was turned end to end."""
+        """Placement of each participant: 1, or -1 with the beam turned end to end."""
         return np.array([-1 if name in self.mirrored else 1 for name in self.participants], dtype=np.int64)
 
     @property
     def n_answers(self) -> int:
-        """Answers asked of each participant for one pair under one finger condition."""
+        """Scheduled answers per participant, finger condition and pair."""
         return self.n_repetitions * len(self.levels)
 
     @cached_property
@@ -263,7 +263,7 @@ class AnswerCounts:
         return self._picked([self.other_place(pair) for pair in self.pairs])
 
     def _picked(self, places: Sequence[int]) -> NDArray[np.int64]:
-        """Return the counts of one answer to each pair, with the participants' axis after that of the pairs."""
+        """Return the counts of one answer per pair, with the participants' axis after the pairs' axis."""
         own = [np.moveaxis(self.counts[..., q, :, place], -3, -2) for q, place in enumerate(places)]
         return np.stack(own, axis=-3)
 
@@ -273,7 +273,7 @@ class AnswerCounts:
         return np.moveaxis(self.counts.sum(axis=-1), -4, -2)
 
     def shares(self, given: NDArray[np.int64]) -> Shares:
-        """Return the shares of counts that are shaped like each of `of_effects`."""
+        """Return counts, shaped like each of `of_effects`, as shares of all answers."""
         return Shares(given, self.answered, self.n_repetitions)
 
     @cached_property
@@ -290,7 +290,7 @@ class AnswerCounts:
         ]
 
     def sided(self) -> NDArray[np.int64]:
-        """Return the counts of left and right alone, along the last axis."""
+        """Return the counts of left and right along the last axis."""
         return self.counts[..., [self._found("left"), self._found("right")]]
 
     def compared(self) -> NDArray[np.int64]:
@@ -299,7 +299,7 @@ class AnswerCounts:
         Raises
         ------
         ValueError
-            If one of these three was not offered.
+            If one of these answers was not offered.
         """
         if self.both_place is None:
             raise ValueError(f"no answer names both fingers: the answers are {', '.join(self.answers.names)}")
@@ -307,12 +307,12 @@ class AnswerCounts:
 
     @cached_property
     def n_modal(self) -> NDArray[np.int64]:
-        """Participants by their most frequent answer, `counts` without the participants' axis; ties are left out."""
+        """Number of participants by most frequent answer, excluding ties; `counts` without the participants' axis."""
         most = self.counts == self.counts.max(axis=-1, keepdims=True)
         return np.asarray((most & (most.sum(axis=-1, keepdims=True) == 1)).sum(axis=-5))
 
     def modal(self) -> NDArray[np.int64]:
-        """Return each participant's most frequent answer per cell; -1 where two answers tie."""
+        """Return the index of each participant's most frequent answer per cell; -1 for ties."""
         top = self.counts.max(axis=-1, keepdims=True)
         tied = (self.counts == top).sum(axis=-1) > 1
         return np.where(tied, -1, self.counts.argmax(axis=-1))
@@ -325,20 +325,20 @@ def count_answers(
     margin: float | None = None,
     asked: int | None = None,
 ) -> AnswerCounts:
-    """Return the answers of a tidy table as one array.
+    """Count the answers of a tidy table.
 
     Parameters
     ----------
     frame : DataFrame
-        Tidy answers; a column ``n`` counts equal ones.
+        Tidy answers; a column ``n`` counts identical answers.
     focus : str
         Zone of the focus; guessed by `find_focus` if empty.
     offered : AnswerList, optional
-        The answers that could be given; by default the paper's, with ``none`` if it occurs in the table.
+        The answers offered; by default the paper's, with ``none`` if it occurs in the table.
     margin : float, optional
         As in `AnswerCounts`.
     asked : int, optional
-        Answers asked of each participant in each cell; by default the most that any cell holds.
+        Scheduled answers per participant and cell; by default the maximum over cells.
 
     Raises
     ------
@@ -381,7 +381,7 @@ def count_answers(
 
 
 def _offered(responses: pd.Series, offered: AnswerList | None) -> AnswerList:
-    """Return the answers that could be given; refuse a response that is not one of them."""
+    """Return the answers offered; refuse any other response."""
     if offered is None:
         words = responses.astype("category").cat.categories
         offered = AnswerList.of_words(("none",) if "none" in words else ())
@@ -391,7 +391,7 @@ def _offered(responses: pd.Series, offered: AnswerList | None) -> AnswerList:
 
 
 def find_focus(zones: Sequence[tuple[str, ...]]) -> str:
-    """Return the zone that most pairs share; if several do, C if it is touched, else an empty name.
+    """Return the zone shared by most pairs; for ties, C if it is touched, else an empty string.
 
     Examples
     --------
@@ -410,13 +410,13 @@ def _ordered_conditions(names: Iterable[str]) -> list[str]:
 
 
 def _natural(name: str) -> tuple[tuple[int, int, str], ...]:
-    """Return a key that sorts p2 before p10."""
+    """Return a natural sort key, so that p2 precedes p10."""
     parts = filter(None, re.split(r"(\d+)", name))
     return tuple((0, int(part), "") if part.isdecimal() else (1, 0, part) for part in parts)
 
 
 def _codes(column: pd.Series, words: Sequence[str]) -> NDArray[np.int64]:
-    """Return the index of each row's word in a list of words."""
+    """Return the index of each row's value in a list of words."""
     return np.asarray(pd.Categorical(column, categories=list(words)).codes, dtype=np.int64)
 
 

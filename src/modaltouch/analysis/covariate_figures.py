@@ -1,4 +1,4 @@
-"""Figures of covariates of the answers: trial order, reaction time, and the speeds under the two fingers."""
+"""Figures of the answers against covariates: trial order, reaction time, and the ratio of speeds under the fingers."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from modaltouch.protocol import AnswerList
 from modaltouch.report import FAINT, INK, house_style, quiet_grid
 
 MOST_TRIALS = 40
-"""With more trials than this, they are averaged in groups, so that the points stay apart."""
+"""Maximum number of points; more trials than this are averaged in groups."""
 
 
 def draw_order(answers: AnswerCounts, frame: pd.DataFrame) -> Figure | None:
-    """Draw the share of the dominant zone over the session.
+    """Plot the share of the dominant zone over the session.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ def draw_order(answers: AnswerCounts, frame: pd.DataFrame) -> Figure | None:
     Returns
     -------
     Figure or None
-        None if the table does not give the order of trials.
+        None if the table has no trial order.
     """
     if not has_values(frame, "trial"):
         return None
@@ -62,7 +62,7 @@ def draw_order(answers: AnswerCounts, frame: pd.DataFrame) -> Figure | None:
 
 
 def draw_times(answers: AnswerCounts, frame: pd.DataFrame) -> Figure | None:
-    """Draw reaction times by pair and answer; None if the table has none."""
+    """Draw box plots of reaction time by pair and answer; return None without reaction times."""
     if "response_time" not in frame or not has_values(frame.dropna(subset=["response_time"]), "response_time"):
         return None
     kept = frame[frame["response_time"] >= ANTICIPATION]
@@ -89,11 +89,11 @@ def draw_times(answers: AnswerCounts, frame: pd.DataFrame) -> Figure | None:
 
 
 def draw_speeds(answers: AnswerCounts, frame: pd.DataFrame) -> Figure | None:
-    """Draw the shares of the answers against the predicted ratio of speeds; None without speeds under two fingers."""
+    """Plot the shares of answers against the predicted ratio of speeds; return None without speeds for two fingers."""
     sides = ("speed_left_mm_s", "speed_right_mm_s")
     if "zone_between" in frame.columns or not all(has_values(frame, side) for side in sides):
         return None
-    # A pair takes the median over its placements; pairs whose ratios agree to a tenth of an octave share a point.
+    # Use the median over the placements of a pair; pool pairs with the same ratio to a tenth of an octave.
     octaves = (frame["speed_right_mm_s"] / frame["speed_left_mm_s"]).astype(float).transform(np.log2)
     cells = [frame[name].astype(str) for name in ("finger_condition", "zone_left", "zone_right")]
     ratio = 2 ** octaves.groupby(cells).transform("median").to_numpy(dtype=float).round(1)

@@ -1,4 +1,4 @@
-"""Further questions: side bias, order and fatigue, reaction time, and answers against the ratio of speeds."""
+"""Secondary analyses: side bias, order and fatigue, reaction time, and the effect of the ratio of speeds."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ IntArray = NDArray[np.int64]
 FloatArray = NDArray[np.float64]
 
 ANTICIPATION = 0.15
-"""Answers earlier than this cannot be responses to the stimulus [s]; they are left out of reaction times."""
+"""Shortest plausible reaction time [s]; faster (anticipatory) answers are excluded from reaction times."""
 
 
 def secondary_findings(answers: AnswerCounts, frame: pd.DataFrame) -> Iterator[Finding]:
-    """Yield the further findings for which the table has data.
+    """Yield the secondary findings for which the table has data.
 
     Parameters
     ----------
@@ -49,13 +49,13 @@ def secondary_findings(answers: AnswerCounts, frame: pd.DataFrame) -> Iterator[F
 
 
 def has_values(frame: pd.DataFrame, column: str) -> bool:
-    """Return whether a table of single answers has a numeric column without gaps."""
+    """Return whether a table of single answers has a numeric column without missing values."""
     single = bool((frame["n"] == 1).all()) if "n" in frame.columns else True
     return column in frame.columns and single and bool(frame[column].notna().all())
 
 
 def side_findings(answers: AnswerCounts) -> Iterator[Finding]:
-    """Yield whether the focus is chosen more often when it lies on the right than on the left."""
+    """Test whether the focus is chosen more often on the right than on the left."""
     yield from _aliased_side_findings(answers)
     left, right = (
         [q for q, pair in enumerate(answers.pairs) if pair.focused and pair.dominant_side == side]
@@ -76,13 +76,13 @@ def side_findings(answers: AnswerCounts) -> Iterator[Finding]:
 def _mean_finding(
     question: str, what: str, scope: str, scores: ArrayLike, quantity: str, notes: Sequence[str] = ()
 ) -> Finding:
-    """Return the mean over participants of scores from -1 to 1, with its test and interval."""
+    """Return the mean of participants' scores in [-1, 1], with its test and interval."""
     mean, name = BoundedMean(scores), f"{what}, test and interval of a bounded mean"
     return finding_of(question, name, scope, mean.test(), quantity, mean.interval(), int(mean.n), notes=notes)
 
 
 def _aliased_side_findings(answers: AnswerCounts) -> Iterator[Finding]:
-    """Yield the side preference in pairs without the focus, which only mirrored placement can show."""
+    """Test the side bias in pairs without the focus, which only mirrored placement can separate from the zones."""
     if not answers.mirrored or len(answers.mirrored) == answers.n_participants:
         return
     for f, q, scope in answers.pair_cells:
@@ -100,7 +100,7 @@ def _aliased_side_findings(answers: AnswerCounts) -> Iterator[Finding]:
 
 
 def order_findings(answers: AnswerCounts, frame: pd.DataFrame) -> Iterator[Finding]:
-    """Yield whether answers drift over the session, and differ between the first and second finger condition."""
+    """Test for a drift of the answers over the session, and an effect of the order of the finger conditions."""
     ranked = ranked_answers(answers, frame)
     scores = ranked.groupby("participant", observed=True)["drift"].sum().to_numpy()
     largest = float(ranked.groupby("participant", observed=True)["reach"].sum().max())
@@ -114,7 +114,7 @@ def order_findings(answers: AnswerCounts, frame: pd.DataFrame) -> Iterator[Findi
     starts, shares = (getattr(parts[name], how)().unstack() for name, how in (("trial", "min"), ("dominant", "mean")))
     if len(starts.columns) < 2:
         return
-    lead = np.sign(starts.iloc[:, 1] - starts.iloc[:, 0])  # 0 if both begin with the same trial: order unknown
+    lead = np.sign(starts.iloc[:, 1] - starts.iloc[:, 0])  # 0 if both begin with the same trial (unknown order)
     led = [int((lead == sign).sum()) for sign in (1, -1)]
     if not any(led):
         return
@@ -127,12 +127,12 @@ def order_findings(answers: AnswerCounts, frame: pd.DataFrame) -> Iterator[Findi
 
 
 def time_findings(answers: AnswerCounts, frame: pd.DataFrame, n_untimed: int = 0) -> Iterator[Finding]:
-    """Yield whether reaction times differ between pairs: sign flips over the medians of the participants."""
+    """Test differences of reaction time between pairs, by sign flips of the participants' medians."""
     kept = frame[frame["response_time"] >= ANTICIPATION]
     dropped, unsure = len(frame) - len(kept), "response_uncertainty"
     known = float(frame[unsure].quantile(0.95)) if has_values(frame, unsure) else 0.0
     for condition in answers.finger_conditions:
-        # If every answer to a pair came too early, there is no median to compare.
+        # Without any valid reaction time for a pair, there is no median to compare.
         pairs = [pair.label for pair in answers.pairs]
         medians, all_medians = (_medians(table, condition).reindex(columns=pairs) for table in (kept, frame))
         for first, second in combinations(answers.pairs, 2):
@@ -151,7 +151,7 @@ def time_findings(answers: AnswerCounts, frame: pd.DataFrame, n_untimed: int = 0
 
 
 def centre_interval(seconds: FloatArray) -> Interval:
-    """Return the mean, and the centres about which the sign-flip test does not reject symmetry, to a millisecond.
+    """Return the mean with the interval of centres not rejected by the sign-flip test, to a millisecond.
 
     Parameters
     ----------
@@ -175,7 +175,7 @@ def centre_interval(seconds: FloatArray) -> Interval:
 
 
 def _rounded(interval: Interval, known: float) -> Interval:
-    """Return an interval rounded to the digits that are known."""
+    """Return an interval rounded to the decimal place of the resolution `known`."""
     if not known > 0:
         return interval
     digits = max(0, -math.ceil(math.log10(known)))
@@ -183,10 +183,10 @@ def _rounded(interval: Interval, known: float) -> Interval:
 
 
 def speed_findings(answers: AnswerCounts, frame: pd.DataFrame) -> Iterator[Finding]:
-    """Yield whether answers name the finger with the higher predicted speed, as one share per participant.
+    """Test whether answers favour the finger with the higher predicted speed, with one score per participant.
 
-    An answer counts 1 if it names the faster finger, -1 the slower and 0 both, weighted by the octaves between the
-    speeds; answers that name no finger are left out.
+    An answer scores 1 for the faster finger, -1 for the slower and 0 for both, weighted by the ratio of speeds in
+    octaves; answers that name no finger are excluded.
     """
     ratio = (frame["speed_right_mm_s"] / frame["speed_left_mm_s"]).astype(float)
     octaves = ratio.where((ratio > 0) & np.isfinite(ratio)).transform(np.log2)
@@ -208,7 +208,7 @@ def _medians(frame: pd.DataFrame, condition: str) -> pd.DataFrame:
 
 
 def ranked_answers(answers: AnswerCounts, frame: pd.DataFrame) -> pd.DataFrame:
-    """Return each answer with its order within session, finger condition and pair, centred on zero.
+    """Return the answers with their rank within session, finger condition and pair, centred on zero.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
-"""Tables in text files, read as columns of words with the line of each row.
+"""Delimited text files, read as columns of strings indexed by line.
 
 Fields are separated by commas, semicolons or tabs; a byte-order mark, any line endings and blank lines are accepted.
-Every column is a pandas categorical, so a field takes only a few bytes of memory.
+Columns are pandas categoricals, to save memory.
 """
 
 from __future__ import annotations
@@ -21,25 +21,25 @@ from modaltouch.protocol import InputError, Problem, suggest
 
 SEPARATORS = (",", ";", "\t")
 MOST_LISTED = 20
-"""Faults of one kind that are listed one by one; the rest are only counted."""
+"""Maximum number of problems of one kind to list; the rest are only counted."""
 
 Fault = TypeVar("Fault")
 
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """A text table.
+    """A table read from a text file.
 
     Attributes
     ----------
     file : str
-        Path as it was given.
+        Path of the file, as given by the user.
     fields : DataFrame
-        Fields without surrounding space, as categorical columns in the file's order; the index is each row's line.
+        Stripped fields as categorical columns in the order of the file, indexed by line.
     separator : str
-        Character between fields.
+        Field separator.
     sha256 : str
-        Hash of the file's bytes.
+        Hash of the file.
     text : str
         Contents of the file, with newlines as line endings.
     """
@@ -51,25 +51,25 @@ class Table:
     text: str
 
     def problem(self, line: int, column: str, given: str, allowed: str, remedy: str = "") -> Problem:
-        """Return a problem at the position of one field."""
+        """Return a problem located at a field."""
         character = self._character(line, self.fields.columns.tolist().index(column))
         return Problem(self.file, line, character, column, given, allowed, remedy)
 
     def check_words(
         self, column: pd.Series, is_sound: Callable[[str], bool], allowed: str, say: Callable[[str], tuple[str, str]]
     ) -> list[Problem]:
-        """Return a problem for each unsound word of a column, at its first line.
+        """Return a problem for each invalid word of a column, at its first occurrence.
 
         Parameters
         ----------
         column : Series
-            A column of `fields`, or some of its rows.
+            A column of `fields`, or a subset of its rows.
         is_sound : callable
-            Whether a word is allowed.
+            Whether a word is valid.
         allowed : str
-            What is allowed.
+            Description of the valid words.
         say : callable
-            For a word, what was given and what to do.
+            Maps an invalid word to a description of the word and a remedy.
         """
         counts = column.value_counts(sort=False)
         faulty = [(str(word), n) for word, n in counts[counts > 0].items() if not is_sound(str(word))]
@@ -98,7 +98,7 @@ class Table:
 def list_faults(
     file: str, faults: Sequence[Fault], what: str, problem: Callable[[Fault], Problem], allowed: str = "none of them"
 ) -> list[Problem]:
-    """Return a problem for each of the first faults, and one that counts the rest."""
+    """Return a problem for each of the first faults, and one with the number of the others."""
     beyond = len(faults) - MOST_LISTED
     rest = [Problem(file, 1, 1, "", f"{beyond} more {what}", allowed)] if beyond > 0 else []
     return [*map(problem, faults[:MOST_LISTED]), *rest]
@@ -112,12 +112,12 @@ def read_table(path: Path, required: Sequence[str]) -> Table:
     path : Path
         A text file in UTF-8 with a header line.
     required : sequence of str
-        Columns that must be there.
+        Required columns.
 
     Raises
     ------
     InputError
-        If the file cannot be read as text, is empty, lacks columns, or has rows that are not as long as the header.
+        If the file cannot be read as text, is empty, lacks columns, or has rows of a different length than the header.
     """
     data, text = _read_text(path)
     file = str(path)
@@ -203,7 +203,7 @@ def _check_header(file: str, line: int, header: list[str], required: Sequence[st
 def _read_fields(
     file: str, header: list[str], rows: Iterable[tuple[int, list[str]]], separator: str
 ) -> tuple[pd.DataFrame, list[Problem]]:
-    """Return the fields of all rows that are as long as the header, and a problem for every other row."""
+    """Return the fields of rows that match the header in length, and a problem for each other row."""
     columns: list[list[str]] = [[] for _ in header]
     lines: list[int] = []
     wrong: list[tuple[int, int]] = []
@@ -223,5 +223,5 @@ def _read_fields(
         return Problem(file, line, 1, "", f"{found} fields", f"{len(header)} fields, as in the header", remedy)
 
     problems = list_faults(file, wrong, "rows of a wrong length", problem, f"{len(header)} fields in every row")
-    coded = {name: pd.Categorical(columns.pop(0)) for name in header}  # pop: each list of words is freed in turn
+    coded = {name: pd.Categorical(columns.pop(0)) for name in header}  # pop frees each list in turn
     return pd.DataFrame(coded, index=lines), problems

@@ -1,4 +1,4 @@
-"""Measures of each participant besides counts: sensitivity, psychometric functions, ratings; comparison of groups."""
+"""Individual measures (sensitivity, psychometric functions, ratings), and their comparison between groups."""
 
 from __future__ import annotations
 
@@ -35,24 +35,24 @@ _CERTIFICATES = {
     "d'": "d' of one", "threshold": "threshold of one", "PSE": "PSE of one", "JND": "JND of one",
     "exponent": "exponent of one",
 }  # fmt: skip
-"""Certificates of one participant's intervals, by a part of the model's or measure's name; the first match counts.
+"""Certificates of individual intervals, by a substring of the model's or measure's name; the first match applies.
 
-Empty where no errors were counted.
+Empty without simulated error rates.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class DesignAnalysis:
-    """What the answers show about each participant.
+    """Results of individual participants.
 
     Attributes
     ----------
     values : tuple of IndividualValue
-        The values of each participant.
+        Measures of each participant.
     fits : tuple of FittedCell
-        The psychometric functions of each participant.
+        Psychometric functions of each participant.
     findings : tuple of Finding
-        Findings over participants and between groups, not yet corrected.
+        Findings over participants and between groups, before Holm's correction.
     catches : tuple of CatchRow
         Answers to catch trials.
     scale : LevelScale
@@ -60,9 +60,9 @@ class DesignAnalysis:
     groups : dict of str to str
         Group of each participant; empty if there is only one.
     limits : tuple of str
-        What the design cannot show, in words.
+        Limitations of the design, in words.
     shared : tuple of IndividualValue
-        Values from the cells that all groups met.
+        Values from the cells common to all groups.
     """
 
     values: tuple[IndividualValue, ...]
@@ -76,12 +76,12 @@ class DesignAnalysis:
 
     @cached_property
     def rows(self) -> list[dict[str, Any]]:
-        """The values as rows of ``measures.csv``."""
+        """Rows of ``measures.csv``."""
         return [each.as_dict(self.scale, self.groups) for each in self.values]
 
     @property
     def certified(self) -> str:
-        """Error rates of those intervals of single participants that are reported, in words."""
+        """Simulated error rates of the reported individual intervals, in words."""
         bounded = (each for each in self.values if not math.isnan(each.interval.low))
         told = dict.fromkeys(f"{each.note} {each.measure.name}" for each in bounded)
         names = (next((name for part, name in _CERTIFICATES.items() if part in each), "") for each in told)
@@ -89,12 +89,12 @@ class DesignAnalysis:
 
 
 def analyse_design(responses: Responses) -> DesignAnalysis:
-    """Return what a design measures in each participant besides counts.
+    """Compute the individual measures of a design, and compare groups.
 
     Parameters
     ----------
     responses : Responses
-        The answers, as they were given.
+        The answers as given.
     """
     task, scale, groups = responses.task, scale_of(responses.frame.columns), responses.groups
     fits, names = fit_cells(responses, task), tuple(dict.fromkeys(groups.values()))
@@ -124,7 +124,7 @@ def _measures(responses: Responses, fits: tuple[FittedCell, ...]) -> Iterator[In
 def _shared(
     responses: Responses, groups: Sequence[str], values: tuple[IndividualValue, ...]
 ) -> tuple[IndividualValue, ...]:
-    """Return the values from the cells that each of some groups met; `values`, of all answers, if these are all."""
+    """Return the values from the cells common to some groups; `values` if all cells are common."""
     met = responses.of_groups(groups)
     if len(met.frame) == responses.frame["group"].isin(groups).sum():
         return values
@@ -132,7 +132,7 @@ def _shared(
 
 
 def _limits(responses: Responses, task: TrialTask, fits: Sequence[FittedCell]) -> Iterator[str]:
-    """Yield what is not tested or estimated here, and where the answers are for other analyses."""
+    """Yield notes on what is not tested or estimated here, and on the files for other analyses."""
     if task.n_intervals > 1 and not (task.named or task.different):
         yield (
             "No answer says which interval it names, or same or different (answers.intervals), so neither d' nor a "
@@ -151,7 +151,7 @@ def _limits(responses: Responses, task: TrialTask, fits: Sequence[FittedCell]) -
 
 
 def _shares(responses: Responses) -> Iterator[IndividualValue]:
-    """Yield each participant's share of each effect in each cell."""
+    """Yield the share of each effect by participant and cell."""
     chosen = responses.by_choice()
     counts = chosen.count()
     for cell, part in cells(chosen.frame, counts.scale, by_level=True):

@@ -1,4 +1,4 @@
-"""d' and criterion of each participant, from answers that say felt or not, in which interval, or same or different."""
+"""d' and criterion of each participant in yes/no, forced-choice and same-different designs."""
 
 from __future__ import annotations
 
@@ -29,25 +29,25 @@ CRITERION = Measure("criterion", "criterion c", "sensitivity")
 DIFFERENCE = Measure("differencing criterion", "least difference called different", "sensitivity")
 
 FEWEST = 4
-"""Fewest answers of each participant in each cell for which every level has its own d'."""
+"""Minimum number of answers per participant and cell to compute d' at each level rather than over all levels."""
 
 
 def sensitivities(responses: Responses, task: TrialTask) -> Iterator[IndividualValue]:
     """Yield d' and criterion of each participant, if the design determines them.
 
-    With one interval they follow from the answer that nothing was felt, together with catch trials, or from which of
-    two fingers is named as on the focus; with several, from the interval named, or from the answers same and different.
+    With one interval, they follow from the answer "nothing felt" and catch trials, or from a choice between two fingers
+    of which one touches the focus; with several intervals, from the interval chosen, or from "same" and "different".
 
     Parameters
     ----------
     responses : Responses
         The answers.
     task : TrialTask
-        What the answers mean.
+        Task of the participant.
     """
     left, right = (responses.answers.naming(side) for side in ("left", "right"))
     if left and right and len(responses.answers) == 2 and responses.focus:
-        # Two alternatives in space: the finger on the focus takes the place of the interval.
+        # Two alternatives in space: treat the finger on the focus as the interval of the signal.
         focus = responses.frame.get("focus", responses.focus)
         place = sum(k * (responses.frame[f"zone_{side}"] == focus) for k, side in ((1, "left"), (2, "right")))
         frame = responses.frame.assign(interval=place, zone_left="", zone_right="")
@@ -61,7 +61,7 @@ def sensitivities(responses: Responses, task: TrialTask) -> Iterator[IndividualV
         yield from _of_differences(frame, task)
     elif task.named:
         for cell, part in cells(frame, scale, by_level=by_level or not task.detects):
-            # An equally strong standard of another field leaves no answer right; the PSE tells the two apart.
+            # If the standard is an equally strong stimulus with another field, no answer is correct; use the PSE.
             is_right = task.detects or task.tells(cell[-1])
             if is_right and not task.is_same(part, scale.column).all():
                 why = task.no_d_prime_reason
@@ -70,10 +70,10 @@ def sensitivities(responses: Responses, task: TrialTask) -> Iterator[IndividualV
                 )
     elif responses.answers.naming() is not None:
         nothing = [each.name for each in responses.answers if each.means_nothing_felt]
-        if responses.answers.compares:  # the question is which finger, so felt or not is pooled over all cells
+        if responses.answers.compares:  # fingers are compared: pool felt or not over cells
             frame, by_level = frame.assign(finger_condition="all", zone_left="", zone_right=""), False
         for cell, part in cells(frame, scale, by_level=by_level):
-            # False alarms with other fingers, or before a training, say nothing about the criterion here.
+            # The criterion may differ with other fingers or before training, so use only false alarms from this cell.
             caught = responses.caught(cell[0], cell[1], kind_of(part))
             alarms = caught.total() - sum(caught[word] for word in nothing), caught.total()
             if caught:
@@ -83,7 +83,7 @@ def sensitivities(responses: Responses, task: TrialTask) -> Iterator[IndividualV
 
 
 def _of_intervals(part: pd.DataFrame, task: TrialTask, level: float) -> SignalDetection:
-    """Return the sensitivity with which the answers of a cell name the right interval."""
+    """Return the sensitivity in a cell of a forced-choice design."""
     place, named = part["interval"].astype(int), part["response"].map(task.named).astype(int)
     if task.turns(level):
         place = 3 - place
@@ -96,11 +96,11 @@ def _of_intervals(part: pd.DataFrame, task: TrialTask, level: float) -> SignalDe
 
 
 def _of_differences(frame: pd.DataFrame, task: TrialTask) -> Iterator[IndividualValue]:
-    """Yield d' from the answers same and different, by level; trials whose comparison is the standard are the same."""
+    """Yield d' of a same-different design by level; trials whose comparison equals the standard are "same" trials."""
     scale = scale_of(frame.columns)
     is_same = task.is_same(frame, scale.column)
     alike = frame[is_same]
-    # Compared at the same fingers and zones, and at the same level or stimulus if the standard takes it over.
+    # Match "same" trials by fingers and zones, and by level or stimulus if the standard has that of the comparison.
     keys = ["participant", "finger_condition", *zones_of(frame.columns), "session_kind"]
     keys += [scale.column] * math.isnan(task.standard) + ["stimulus"] * (not task.stimulus)
     keys = [name for name in keys if name in frame.columns]

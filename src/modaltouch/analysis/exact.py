@@ -1,7 +1,7 @@
-"""Exact tests for few participants: the multinomial test and sign flips, one test or a batch of them.
+"""Exact tests for small samples: multinomial, sign-flip and sign tests, singly or in batches.
 
-The cost grows with the range of the score, never with 2^N. Scores are integers, so ties are exact. Every test also
-reports the smallest p that its data could give.
+The cost grows with the range of the scores, not with 2^N. Scores are integers, so ties are exact. Every test also
+reports the smallest attainable p.
 
 References
 ----------
@@ -27,22 +27,22 @@ IntArray = NDArray[np.int64]
 FloatArray = NDArray[np.float64]
 
 _EXACT_UP_TO = 40
-"""Up to this many participants, the steps of p are coarse enough to round to."""
+"""Maximum number of participants for which p is rounded to its exact steps."""
 
 
 class ExactTest:
-    """A two-sided exact test, or a batch of them, with arrays as attributes.
+    """A two-sided exact test, or a batch of tests with arrays as attributes.
 
     Parameters
     ----------
     statistic : float or array
         Value of the test statistic.
     p, p_min : float or array, or callable
-        As the attributes, or functions that return them, called at first use.
+        The attributes, or functions to compute them on first access.
     n_informative : int or array
-        Participants (or answers, in the multinomial test) that could move the statistic.
+        Number of participants (in the multinomial test, answers) that can affect the statistic.
     quick_p : callable, optional
-        As the attribute.
+        Function to compute the attribute on first access.
     """
 
     def __init__(
@@ -53,17 +53,17 @@ class ExactTest:
 
     @cached_property
     def p(self) -> Any:
-        """Probability of a statistic at least as extreme under the null hypothesis [1]."""
+        """Probability of a statistic at least as extreme, under the null hypothesis [1]."""
         return _bounded(self._p)
 
     @cached_property
     def p_min(self) -> Any:
-        """Smallest p these data could have given, however the answers had fallen [1]."""
+        """Smallest attainable p, over all possible outcomes [1]."""
         return _bounded(self._p_min)
 
     @cached_property
     def quick_p(self) -> Any:
-        """`p` to within 1e-13, fast enough to count significant tests by the thousand [1]."""
+        """Fast approximation of `p` to within 1e-13, for thousands of tests [1]."""
         return self.p if self._quick_p is None else _bounded(self._quick_p)
 
     def __getitem__(self, place: int) -> ExactTest:
@@ -73,19 +73,19 @@ class ExactTest:
 
 
 def _bounded(value: Any) -> Any:
-    # No outcome is impossible: a p too small for a float is given as the smallest normal float.
+    # p is never zero: values that underflow become the smallest normal float.
     return np.clip(value() if callable(value) else value, sys.float_info.min, 1.0)
 
 
 def sum_test(sums: Sums, observed: ArrayLike) -> ExactTest:
-    """Return tests whose statistic is a sum over participants, less its mean under the null hypothesis.
+    """Return tests whose statistic is a sum over participants minus its expectation under the null hypothesis.
 
     Parameters
     ----------
     sums : Sums
         Null distributions, test by test.
     observed : (...) array of int
-        The sums.
+        Observed sums.
     """
     values = np.asarray(observed)
     centred = values.reshape(-1) * sums.scale - sums.mean
@@ -100,7 +100,7 @@ def sum_test(sums: Sums, observed: ArrayLike) -> ExactTest:
 
 
 def count_each(values: IntArray, kinds: ArrayLike) -> IntArray:
-    """Return how many participants of each test have each of some values.
+    """Count the participants with each of some values, test by test.
 
     Parameters
     ----------
@@ -119,9 +119,9 @@ def count_each(values: IntArray, kinds: ArrayLike) -> IntArray:
 
 
 def sign_flip_test(scores: ArrayLike) -> ExactTest:
-    """Return the exact test that scores are symmetric about zero; the statistic is their sum.
+    """Exact sign-flip test of symmetry about zero; the statistic is the sum of the scores.
 
-    Under the null hypothesis, every participant's score could just as well have had the other sign.
+    Under the null hypothesis, both signs of each participant's score are equally likely.
 
     Parameters
     ----------
@@ -145,7 +145,7 @@ def sign_flip_test(scores: ArrayLike) -> ExactTest:
 
 
 def _stepped(test: ExactTest) -> FloatArray:
-    """Return the quick p of sign flips, for few participants rounded to a whole number of steps of 2^-n."""
+    """Return `quick_p` of sign flips, for few participants rounded to a multiple of 2^-n."""
     n = np.asarray(test.n_informative)
     steps = 2.0 ** np.minimum(n, _EXACT_UP_TO)
     p = np.where(n <= _EXACT_UP_TO, np.rint(test.quick_p * steps) / steps, test.quick_p)
@@ -153,7 +153,7 @@ def _stepped(test: ExactTest) -> FloatArray:
 
 
 def sign_test(scores: ArrayLike) -> ExactTest:
-    """Return the exact sign test; the statistic is the number of positive scores, zeros are left out.
+    """Exact sign test; the statistic is the number of positive scores, excluding zeros.
 
     Parameters
     ----------
@@ -167,10 +167,10 @@ def sign_test(scores: ArrayLike) -> ExactTest:
 
 
 def multinomial_test(counts: ArrayLike) -> ExactTest:
-    """Return the exact test that all categories are equally likely.
+    """Exact multinomial test of equal probabilities of all categories.
 
-    The statistic is twice the logarithm of the likelihood ratio; outcomes with a larger ratio are more extreme. All
-    possible outcomes are enumerated, those that are equivalent under the null hypothesis only once.
+    The statistic is twice the log likelihood ratio. All possible outcomes are enumerated, those equivalent under the
+    null hypothesis only once.
 
     Parameters
     ----------
@@ -180,11 +180,11 @@ def multinomial_test(counts: ArrayLike) -> ExactTest:
     Raises
     ------
     ValueError
-        If the counts are negative, or of fewer than two categories.
+        If counts are negative, or there are fewer than two categories.
 
     Examples
     --------
-    >>> float(multinomial_test([10, 0, 0]).p.round(8))  # three such outcomes, each of probability (1/3)^10
+    >>> float(multinomial_test([10, 0, 0]).p.round(8))  # three such outcomes, each with probability (1/3)^10
     5.081e-05
     """
     observed = whole_numbers(counts, "counts")
@@ -199,9 +199,9 @@ def multinomial_test(counts: ArrayLike) -> ExactTest:
     for n in np.unique(totals[totals > 0]).tolist():
         here, shares = totals == n, _shares(n, k)
         statistic[here] = shares[rows[here]].sum(axis=1)
-        # The ratio is convex in the counts, so the most extreme outcome has all answers in one category.
+        # The statistic is convex in the counts, so the most extreme outcome has all answers in one category.
         extremes = np.append(statistic[here], shares[n])
-        least = extremes - 1e-9 * np.maximum(1.0, np.abs(extremes))  # allows for rounding
+        least = extremes - 1e-9 * np.maximum(1.0, np.abs(extremes))  # tolerance for rounding
         if math.comb(n + k - 1, n) <= _KEPT:
             values, tails = _ranked_outcomes(n, k)
             chances = tails[np.searchsorted(values, least)]
@@ -214,12 +214,12 @@ def multinomial_test(counts: ArrayLike) -> ExactTest:
 
 
 _KEPT = 10_000
-"""Most outcomes that are cached for the next simulated experiment; 2,000 answers of three kinds have 2e6."""
+"""Maximum number of outcomes to cache for further simulated experiments; 2,000 answers in three categories have 2e6."""
 
 
 @lru_cache(maxsize=1024)
 def _ranked_outcomes(n: int, k: int) -> tuple[FloatArray, FloatArray]:
-    """Return the statistic of every outcome, increasing, and the probability of a statistic at least as large."""
+    """Return the statistics of all outcomes in increasing order, and the probability of at least as large a value."""
     value, mass = (np.concatenate(each) for each in zip(*_weighed_outcomes(n, k), strict=True))
     order = np.argsort(value)
     return value[order], np.cumsum(mass[order][::-1])[::-1]
@@ -228,7 +228,7 @@ def _ranked_outcomes(n: int, k: int) -> tuple[FloatArray, FloatArray]:
 def _weighed_outcomes(n: int, k: int) -> Iterator[tuple[FloatArray, FloatArray]]:
     """Yield the statistics and probabilities of outcomes, grouped by the counts of all but the last two categories.
 
-    Of groups whose counts differ only in order, one is yielded, with the probability of all.
+    Groups that differ only in the order of these counts are merged.
     """
     log_factorial = np.concatenate([[0.0], np.cumsum(np.log(np.arange(1, n + 1)))])
     shares, whole = _shares(n, k), log_factorial[n] - n * math.log(k)
@@ -240,13 +240,13 @@ def _weighed_outcomes(n: int, k: int) -> Iterator[tuple[FloatArray, FloatArray]]
 
 
 def _shares(n: int, k: int) -> FloatArray:
-    """Return what each count of a category, from 0 to n, adds to the statistic."""
+    """Return the contribution to the statistic of a category's count, for counts from 0 to n."""
     x = np.arange(n + 1)
     return np.asarray(2 * x * np.log(np.maximum(x, 1) * k / n), dtype=float)
 
 
 def _heads(n: int, length: int, most: int) -> Iterator[tuple[int, ...]]:
-    """Yield non-increasing counts that add up to n at most, the first no larger than `most`."""
+    """Yield non-increasing counts with a sum of at most n and a first count of at most `most`."""
     if length == 0:
         yield ()
         return
@@ -256,19 +256,19 @@ def _heads(n: int, length: int, most: int) -> Iterator[tuple[int, ...]]:
 
 
 def whole_numbers(values: ArrayLike, name: str) -> IntArray:
-    """Return an array of integers.
+    """Convert whole numbers to an integer array.
 
     Parameters
     ----------
     values : array
-        Whole numbers of any type.
+        Whole numbers of any dtype.
     name : str
-        What they are, for the message.
+        Name of the values for the error message.
 
     Raises
     ------
     ValueError
-        If any is a fraction.
+        If any value is not a whole number.
     """
     array = np.asarray(values)
     if array.dtype.kind not in "iub" and not np.array_equal(array, np.rint(array)):

@@ -1,4 +1,4 @@
-"""The target and the predicted velocity field, and the speeds at the zones, as the record keeps them."""
+"""Figure of the recorded target and predicted velocity fields, and the peak speeds at the zones."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from modaltouch.report import CONDITION_COLOURS, FAINT, INK, house_style, quiet_
 
 
 def draw_fields(start: dict[str, Any], stimulus: str = "") -> Figure | None:
-    """Draw the target and the predicted field at the highest level, and the peak speeds at the zones.
+    """Plot the target and the predicted field at the highest level, and the peak speeds at the zones.
 
     Parameters
     ----------
@@ -24,7 +24,7 @@ def draw_fields(start: dict[str, Any], stimulus: str = "") -> Figure | None:
     Returns
     -------
     Figure or None
-        None without a record, or if the record keeps no field and this version cannot read its protocol.
+        None without a record, or if the record contains no field and its protocol cannot be read by this version.
     """
     if not start.get("sources"):
         return None
@@ -46,7 +46,7 @@ def _of(stimulus: str, recorded: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def _predict_again(start: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return the fields of a record that keeps none, designed again from its texts; empty if they cannot be read."""
+    """Recompute the fields of a record without any from its protocol; empty if the protocol cannot be read."""
     from modaltouch.preflight import examine_findings
     from modaltouch.protocol import Findings, InputError
 

@@ -1,4 +1,4 @@
-"""Figures of the answers: bars as in Fig. 10 and Fig. 11."""
+"""Bar charts of the answers, as in Fig. 10 and Fig. 11 of the paper."""
 
 from __future__ import annotations
 
@@ -23,22 +23,22 @@ ANSWER_COLOURS = {"dominant": "#0b3c8c", "other": "#d1603d"}
 
 
 def pair_colours(labels: Sequence[str]) -> dict[str, str]:
-    """Return a colour for each zone pair, in order."""
+    """Assign a colour to each zone pair, in order."""
     return {label: PAIR_COLOURS[i % len(PAIR_COLOURS)] for i, label in enumerate(labels)}
 
 
 FINGERS = {"one_hand": "index and middle finger of one hand", "two_hands": "index fingers of both hands"}
 PAIRS_PER_ROW = 3
 LEVEL_SIZE, ANSWER_SIZE, LONG_ANSWER_SIZE = 6.2, 9.5, 7.5
-"""Type sizes below the bars: levels, answers, and answers that are too long for one line [points]."""
+"""Font sizes below the bars [points]: levels, answers, and answers too long for one line."""
 MOST_LINES = 3
-"""Most lines of an answer's name below its bars; a longer one gets more room by fewer pairs in a row."""
+"""Maximum number of lines of an answer's name; for longer names, a row has fewer pairs."""
 BAR_WIDTH, ANSWER_GAP, PAIR_GAP = 1.0, 1.1, 2.2
-"""Width of a bar, and gaps between the bars of two answers and of two pairs, on the horizontal axis [1]."""
+"""Bar width, and gaps between answers and between pairs, in units of the horizontal axis [1]."""
 ROW_WIDTH = 6.9
 """Width of a row of bars [inch]."""
 LETTER = 0.6 / 72
-"""Mean width of a letter relative to its type size [inch/point]."""
+"""Mean width of a letter relative to its font size [inch/point]."""
 
 
 def draw_counts(
@@ -49,19 +49,19 @@ def draw_counts(
     Parameters
     ----------
     table : DataFrame
-        As `zone_table` returns it: index (pair, answer), one column for each level.
+        As returned by `zone_table`: index (pair, answer), one column per level.
     finger_condition : str
-        Named in the title.
+        Finger condition, for the title.
     n_participants : int, optional
-        If each participant gave several answers in a cell: intervals as if each had given one, the most cautious
-        reading. By default, every answer counts as that of a different participant.
+        Number of participants, if each gave several answers in a cell. Intervals are then conservative, as for one
+        answer per participant. By default, every answer is taken to be from a different participant.
     part : str, optional
-        Stimulus, group or kind of session of the answers, named first in the title.
+        Stimulus, group or kind of session of the answers, for the title.
 
     Returns
     -------
     Figure
-        Bars with exact 95 % intervals (Clopper-Pearson); labels give pair, answer and level, so nothing depends on
+        Bars with exact 95 % intervals (Clopper-Pearson), labelled by pair, answer and level, so that nothing depends on
         colour alone.
     """
     pairs = list(dict.fromkeys(table.index.get_level_values("pair")))
@@ -126,18 +126,18 @@ def _draw_row(
 
 @dataclass(frozen=True)
 class _Names:
-    """How the names of the answers are written below the bars.
+    """Layout of the answers' names below the bars.
 
     Attributes
     ----------
     n_pairs : int
-        Zone pairs in a row.
+        Zone pairs per row.
     n_letters : int
-        Letters in a line.
+        Letters per line.
     size : float
-        Size of type [points].
+        Font size [points].
     n_lines : int
-        Lines of the longest name.
+        Number of lines of the longest name.
     """
 
     n_pairs: int
@@ -146,7 +146,7 @@ class _Names:
     n_lines: int = 1
 
     def written(self, name: str) -> str:
-        """Return a name in lines, broken after an underscore or hyphen if it has one."""
+        """Wrap a name, preferably after an underscore or hyphen."""
         if len(name) <= self.n_letters:
             return name
         lines = textwrap.wrap(name.replace("_", "_ "), self.n_letters)
@@ -154,7 +154,7 @@ class _Names:
 
 
 def _lay_out_names(table: pd.DataFrame) -> _Names:
-    """Return names on one line if they fit, else on several, with as many pairs in a row as leave room for them."""
+    """Choose the layout: names on one line if they fit, else wrapped, with as many pairs per row as fit."""
     labels = [str(answer) for _, answer in table.index]
     n_all, n_levels = len({pair for pair, _ in table.index}), len(table.columns)
     n_answers = len(labels) // n_all
@@ -176,8 +176,8 @@ def _draw_bars(
     axes: Axes, places: NDArray[Any], counts: NDArray[Any], totals: NDArray[Any], colours: list[str], n: int | None
 ) -> None:
     axes.bar(places, counts, width=0.82, color=colours, edgecolor=INK, linewidth=0.5)
-    trials = np.minimum(totals, n) if n else totals  # where answers are missing, there may be fewer than participants
+    trials = np.minimum(totals, n) if n else totals  # with missing answers, totals may be below n
     interval = clopper_pearson(counts * trials / np.maximum(totals, 1), trials)
-    # A white line under the dark one keeps the interval visible within a dark bar.
+    # A white outline keeps the interval visible on a dark bar.
     for colour, width in (("white", 2.6), (INK, 1.1)):
         axes.vlines(places, totals * interval.low, totals * interval.high, colors=colour, linewidth=width)

@@ -1,4 +1,4 @@
-"""One row of the statistics: a test, an estimate, or both; and Holm's correction within families."""
+"""Findings, the rows of the table of statistics (a test, an estimate, or both), and Holm's correction in families."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from modaltouch.analysis.exact import ExactTest
 from modaltouch.analysis.intervals import Interval
 
 ALPHA = 0.05
-"""Significance level that `note` refers to."""
+"""Significance level of all tests [1]."""
 
 OUT_OF_REACH = "cannot pass Holm's correction"
-"""Beginning of the note on a test whose smallest p is too large for the number of tests in its family."""
+"""Start of the note on a test that cannot reach significance after correction, given the size of its family."""
 
 COLUMNS = (
     "question",
@@ -46,25 +46,25 @@ class Finding:
     Attributes
     ----------
     question : str
-        Letter of the question (statistics plan, a to f), or a word for further ones.
+        Letter of the question in the statistics plan (a to f), or a word for secondary questions.
     name : str
-        The test or estimate.
+        Name of the test or estimate.
     scope : str
-        Finger condition, pair and level that it is about.
+        Finger condition, pair and level of the answers.
     quantity : str
-        What `estimate`, `low` and `high` are.
+        Quantity of `estimate`, `low` and `high`.
     estimate, low, high : float
         Estimate with its 95 % interval; NaN if there is none.
     n : int
-        Participants (or answers, if `name` says so) that it rests on.
+        Number of participants (or answers, if stated in `name`).
     statistic, p, p_min : float
-        Test statistic, its p, and the smallest p these data could have given; NaN without a test.
+        Test statistic, p value and smallest attainable p value; NaN without a test.
     family : str
-        Tests corrected together by Holm's method; empty outside families.
+        Family of tests for Holm's correction; empty outside families.
     note : str
-        What a reader must know.
+        Remarks for the reader.
     p_holm : float
-        Holm's p within the family; NaN outside families.
+        Holm-adjusted p value; NaN outside families.
     """
 
     question: str
@@ -84,7 +84,7 @@ class Finding:
 
     @property
     def role(self) -> str:
-        """Confirmatory for tests of a family, which may support a claim; exploratory for others; else an estimate."""
+        """Confirmatory for tests in a family, exploratory for other tests, else an estimate."""
         return "confirmatory" if self.family else "estimate" if math.isnan(self.p) else "exploratory"
 
 
@@ -100,13 +100,13 @@ def finding_of(
     family: str = "",
     notes: Sequence[str] = (),
 ) -> Finding:
-    """Return a finding from an interval and perhaps a test; its note says if the data contain no information."""
+    """Return a finding from an interval and an optional test; its note says if the data are uninformative."""
     words = [note for note in notes if note]
     if test is not None and test.p_min > ALPHA:
         whose = f"only {int(test.n_informative)} could move the statistic" if test.n_informative else "nothing varies"
         words.insert(0, f"no information: {whose}, and in either direction p could not fall below {test.p_min:.2g}")
     values = (interval.estimate, interval.low, interval.high)
-    # Rounding errors about zero become zero.
+    # Round numerical noise to zero.
     estimate, low, high = (0.0 if abs(each) < 1e-12 else float(each) for each in values)
     row = Finding(question, name, scope, quantity, estimate, low, high, n, family=family, note="; ".join(words))
     if test is None:
@@ -115,9 +115,9 @@ def finding_of(
 
 
 def correct(findings: Iterable[Finding]) -> list[Finding]:
-    """Return the findings with Holm's p within each family.
+    """Apply Holm's correction within each family.
 
-    All tests of a family count, even those that could not have become significant; their note says so.
+    All tests of a family count, even those that cannot become significant, which are noted as such.
     """
     rows = list(findings)
     for family in dict.fromkeys(row.family for row in rows if row.family):
@@ -133,12 +133,12 @@ def correct(findings: Iterable[Finding]) -> list[Finding]:
 
 
 def holm(p_values: ArrayLike) -> NDArray[np.float64]:
-    """Return Holm's step-down adjusted p values of families along the last axis.
+    """Adjust p values by Holm's step-down method, with families along the last axis.
 
     Parameters
     ----------
     p_values : (..., n_tests) array
-        p values [1].
+        Unadjusted p values [1].
 
     References
     ----------
@@ -159,15 +159,15 @@ def holm(p_values: ArrayLike) -> NDArray[np.float64]:
 
 
 def to_frame(findings: Iterable[Finding]) -> pd.DataFrame:
-    """Return findings as a tidy table, one row each, in the columns of `COLUMNS`."""
+    """Convert findings to a tidy table with one row each and the columns `COLUMNS`."""
     rows = [{column: getattr(finding, column) for column in COLUMNS} for finding in findings]
     return pd.DataFrame(rows, columns=list(COLUMNS))
 
 
 def plain_row(row: dict[Any, Any]) -> dict[str, Any]:
-    """Return a row of a table as plain values for JSON.
+    """Convert a row of a table to plain values for JSON.
 
-    Infinity becomes a word; NaN becomes ``undefined`` where something was to be estimated, else null.
+    Infinity becomes a word; NaN becomes ``undefined`` for an estimate that does not exist, else null.
     """
     values: dict[str, Any] = {}
     for key, value in row.items():
