@@ -1,4 +1,4 @@
-"""Every figure of an analysis with its file name, caption and description."""
+"""Figures of an analysis with their file names, captions and descriptions."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ FIGURES = {
         "further",
     ),
 }
-"""Caption and section of the report of each figure that is drawn only on request."""
+"""Captions and report sections of the optional figures."""
 
 INTERVALS = "Error bars: exact 95 % intervals (Clopper-Pearson) over participants."
 OF_SEVERAL = "Error bars: Clopper and Pearson's 95 % intervals, as if each participant had given one answer."
 
 
 def draw_all(answers: AnswerCounts, responses: Responses, asked: Collection[str] = ()) -> tuple[ReportFigure, ...]:
-    """Draw Fig. 10 and Fig. 11, and those of the requested figures that the answers allow.
+    """Draw Fig. 10 and Fig. 11, and the requested optional figures as far as the answers allow.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ def draw_all(answers: AnswerCounts, responses: Responses, asked: Collection[str]
     responses : Responses
         The answers.
     asked : collection of str
-        Names of `FIGURES`.
+        Requested figures, keys of `FIGURES`.
     """
     drawn = {name: _draw(name, answers, responses) for name in FIGURES if name in asked}
     known = (ReportFigure(name, figure, *FIGURES[name]) for name, figure in drawn.items() if figure is not None)

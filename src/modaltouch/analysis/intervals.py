@@ -1,4 +1,4 @@
-"""Intervals for proportions, and for means of values without bounds; those of bounded scores are in `means`.
+"""Confidence intervals of proportions and of unbounded means; for means of bounded scores, see `means`.
 
 References
 ----------
@@ -19,10 +19,10 @@ from numpy.typing import ArrayLike, NDArray
 FloatArray = NDArray[np.float64]
 
 CONFIDENCE = 0.95
-"""Confidence of every interval in the analysis."""
+"""Default confidence level [1]."""
 
 DROP, REGION = 1.920729, 2.995732
-"""Half the 95 % points of chi-squared with one and two degrees of freedom."""
+"""Half the 95 % quantiles of the chi-squared distribution with one and two degrees of freedom."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +51,7 @@ class Interval:
         return Interval(*(np.asarray(value)[place] for value in vars(self).values()))
 
     def changed(self, change: Callable[[Any], Any]) -> Interval:
-        """Return the interval with an increasing function applied to its estimate and bounds."""
+        """Apply an increasing function to the estimate and the bounds."""
         return Interval(change(self.estimate), change(self.low), change(self.high), self.n_effective)
 
     @classmethod
@@ -62,19 +62,19 @@ class Interval:
 
 
 def clopper_pearson(successes: ArrayLike, n: ArrayLike, confidence: ArrayLike = CONFIDENCE) -> Interval:
-    """Return the exact interval of a proportion; 0 to 1 with NaN as the estimate where n is zero.
+    """Return the exact interval of a proportion; where n is zero, [0, 1] with NaN as the estimate.
 
     Parameters
     ----------
     successes, n : float or arrays
-        Successes out of n; not always whole, as a design effect may have scaled both.
+        Number of successes and trials; not necessarily whole, since both may be scaled by a design effect.
     confidence : float or array
-        Confidence of the interval [1].
+        Confidence level [1].
 
     Raises
     ------
     ValueError
-        If successes are negative or more than n.
+        If successes are negative or exceed n.
 
     Examples
     --------
@@ -100,7 +100,7 @@ def wilson(successes: float, n: float) -> Interval:
     Parameters
     ----------
     successes, n : float
-        Successes out of n, n above zero.
+        Number of successes and trials, n > 0.
     """
     z2 = NormalDist().inv_cdf(1 - (1 - CONFIDENCE) / 2) ** 2
     p = successes / n
@@ -110,7 +110,7 @@ def wilson(successes: float, n: float) -> Interval:
 
 
 def student_interval(values: FloatArray) -> Interval:
-    """Return the t interval of a mean; without bounds if the values do not vary.
+    """Return Student's t interval of a mean; unbounded if the values do not vary.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ def student_interval(values: FloatArray) -> Interval:
 
 
 def student_quantile(degrees: int) -> float:
-    """Return how many standard errors the bounds of a t interval are from the estimate.
+    """Return the half-width of a t interval in standard errors.
 
     Parameters
     ----------
@@ -138,17 +138,17 @@ def student_quantile(degrees: int) -> float:
 
 
 def matched_odds_ratio(only_first: int, only_second: int) -> Interval:
-    """Return the conditional odds ratio of pairs, by transforming the exact interval of b / (b + c).
+    """Return the conditional odds ratio of matched pairs, with the interval derived from the exact one of b / (b + c).
 
     Parameters
     ----------
     only_first, only_second : int
-        Pairs that succeeded only the first way, and only the second way.
+        Numbers b and c of discordant pairs, with a success only in the first or only in the second condition.
 
     Returns
     -------
     Interval
-        0 to infinity, with NaN as the estimate, if no pair is discordant.
+        [0, inf] with NaN as the estimate, if no pair is discordant.
     """
     share = clopper_pearson(only_first, only_first + only_second)
     return share.changed(lambda p: math.inf if p == 1 else p / (1 - p))

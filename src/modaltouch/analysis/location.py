@@ -1,7 +1,6 @@
-"""Location of one number per participant: tests, and the intervals of the locations that they do not reject.
+"""Location tests for one value per participant, with the intervals that invert them.
 
-Over participants, symmetry about a centre is tested by sign flips, for ratings by signed ranks; between groups, the
-labels of the participants are shuffled.
+One-sample tests of symmetry use sign flips, or signed ranks for ratings. Two-sample tests permute the group labels.
 
 References
 ----------
@@ -29,7 +28,7 @@ Located = tuple[ExactTest, Interval]
 
 
 def flip_test(values: FloatArray) -> ExactTest:
-    """Return the exact test that values are symmetric about zero, by sign flips of their four leading digits.
+    """Exact sign-flip test of symmetry about zero, with values rounded to four significant digits of the largest.
 
     Parameters
     ----------
@@ -45,13 +44,13 @@ def _unit(values: FloatArray) -> float:
 
 
 def by_flips(values: FloatArray) -> Located:
-    """Return the sign-flip test of values, as in `flip_test`, and the centres that it does not reject."""
+    """Return the sign-flip test of `flip_test`, and the mean with the interval of centres that it does not reject."""
     unit = _unit(values)
     return flip_test(values), centre_interval(values / unit).changed(lambda scaled: scaled * unit)
 
 
 def rank_test(values: FloatArray) -> ExactTest:
-    """Return Wilcoxon's exact signed-rank test; zeros are left out, ties share their mean rank.
+    """Wilcoxon's exact signed-rank test, excluding zeros and with midranks for ties.
 
     Parameters
     ----------
@@ -69,14 +68,14 @@ def rank_test(values: FloatArray) -> ExactTest:
 
 
 def by_ranks(values: FloatArray) -> Located:
-    """Return the signed-rank test, and the Hodges-Lehmann estimate (median of pairwise averages) with its interval.
+    """Return the signed-rank test, and the Hodges-Lehmann estimate (median of the Walsh averages) with its interval.
 
     Parameters
     ----------
     values : (..., n) array
         One value per participant.
     """
-    # Equal means may differ in their last bit, which would give them different ranks.
+    # Round off numerical noise, which would break ties.
     values, n = values.round(9), values.shape[-1]
     first, second = np.triu_indices(n)
     averages = np.sort((values[..., first] + values[..., second]) / 2)
@@ -91,25 +90,25 @@ def by_ranks(values: FloatArray) -> Located:
 
 
 _MOST_ORDERS = 20_000
-"""Up to this many ways to divide the participants, all are counted; of more, this many are drawn."""
+"""Maximum number of permutations for full enumeration; with more, this many are sampled."""
 
 _AT_ONCE = 4_000_000
-"""Entries of the largest temporary array."""
+"""Maximum size of temporary arrays."""
 
 
 def group_test(first: FloatArray, second: FloatArray) -> Located:
-    """Return the permutation test that two groups have the same distribution, and the shifts that it does not reject.
+    """Return the permutation test of equal distributions in two groups, and the interval of shifts not rejected by it.
 
     Parameters
     ----------
     first, second : (n,) arrays
-        One value per participant; the statistic is the difference of the means, first less second.
+        One value per participant; the statistic is the difference of the means, first minus second.
     """
-    first, second = np.sort(first), np.sort(second)  # so that the orders drawn do not depend on names
+    first, second = np.sort(first), np.sort(second)  # makes the sample independent of the participants' order
     test, values = shuffle_test(first, second), np.concatenate([first, second])
     observed, far = float(test.statistic), 2 * float(np.ptp(values)) + 1e-9
     weights, _ = _weights(first.size, values.size)
-    # A shift of the first group changes the difference of every order in proportion.
+    # The difference of means in a permutation is linear in the shift of the first group.
     differences, moved = weights @ values, weights[:, : first.size].sum(axis=-1)
 
     def p(shift: float) -> float:
@@ -120,7 +119,7 @@ def group_test(first: FloatArray, second: FloatArray) -> Located:
 
 
 def shuffle_test(first: FloatArray, second: FloatArray) -> ExactTest:
-    """Return the permutation test that two groups have the same distribution.
+    """Permutation test of equal distributions in two groups.
 
     Parameters
     ----------
@@ -141,7 +140,7 @@ def shuffle_test(first: FloatArray, second: FloatArray) -> ExactTest:
 
 @lru_cache(maxsize=4)
 def _weights(n: int, size: int) -> tuple[FloatArray, bool]:
-    """Return weights that give differences of means, one order per row, the given one first; and whether all are."""
+    """Return the weights of the difference of means by permutation, identity first, and whether all are enumerated."""
     is_first = np.arange(size) < n
     is_exact = math.comb(size, n) <= _MOST_ORDERS
     if is_exact:
@@ -155,7 +154,7 @@ def _weights(n: int, size: int) -> tuple[FloatArray, bool]:
 
 
 def _last_kept(p: Callable[[float], float], kept: float, rejected: float) -> float:
-    """Return the farthest shift that is not rejected; infinite if none is rejected."""
+    """Find the farthest shift that is not rejected, by bisection; infinite if `rejected` is not rejected either."""
     if p(rejected) > 1 - CONFIDENCE:
         return math.copysign(math.inf, rejected - kept)
     for _ in range(40):

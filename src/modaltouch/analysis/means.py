@@ -1,17 +1,17 @@
-"""The mean of a bounded score over participants: its interval, and the tests that the interval inverts.
+"""Mean of a bounded score over participants: confidence interval, and the tests that it inverts.
 
-One more participant, at an end of the scale, is added to the sample; weights drawn uniformly from all that add up to
-one then give the distribution of the mean that the sample supports (Gaffke 2005). That participant is at the low end
-for a lower bound, at the high end for an upper bound. Only the ends of the scale are assumed, neither symmetry nor
-shape, so the bounds hold even if few participants differ. If all scores are at the two ends, they are the bounds of
-Clopper and Pearson.
+One participant at an end of the scale is added to the sample: at the low end for a lower bound, at the high end for an
+upper bound. The distribution of the weighted mean, with weights uniform on the simplex, gives p and the bound (Gaffke
+2005). The method assumes only that scores are bounded, not a symmetric or other shape of their distribution, so the
+bounds hold even if few participants show an effect. If all scores are at the two ends of the scale, the bounds are
+those of Clopper and Pearson.
 
 References
 ----------
 Gaffke, "Three test statistics for a nonparametric one-sided hypothesis on the mean of a nonnegative variable",
 Math. Methods Stat. 14 (2005) 451-467.
 Learned-Miller and Thomas, "A new confidence interval for the mean of a bounded random variable", arXiv:1905.06208
-(2019). Coverage is conjectured for all distributions, and proven for scores at the two ends.
+(2019). Coverage is conjectured for all distributions, and proven for scores at the two ends of the scale.
 """
 
 from __future__ import annotations
@@ -27,19 +27,19 @@ from modaltouch.analysis.intervals import CONFIDENCE, Interval
 FloatArray = NDArray[np.float64]
 
 MOST_DROPPED = 250
-"""Most participants for which scores are dropped one by one, at a cost that grows with their number squared."""
+"""Maximum number of participants for the B-spline recursion, with a cost quadratic in their number."""
 
 _MOST_STEPS = 60
-"""Most steps to a bound; about eight are needed."""
+"""Maximum number of iterations for a bound; about eight are needed."""
 
 
 class BoundedMean:
-    """The mean over participants of a bounded score, for one experiment or a batch.
+    """Mean of a bounded score over participants, for one experiment or a batch.
 
     Parameters
     ----------
     scores : (..., n_participants) array
-        Scores between `low` and `high`; NaN are left out.
+        Scores between `low` and `high`; NaN are ignored.
     low, high : float
         Ends of the scale.
 
@@ -53,7 +53,7 @@ class BoundedMean:
     def __init__(self, scores: ArrayLike, low: float = -1.0, high: float = 1.0) -> None:
         values = np.clip(np.asarray(scores, dtype=float), low, high)
         self.low, self.high, self.shape = low, high, values.shape[:-1]
-        # NaN are sorted to the end.
+        # NaN sort to the end.
         self._rows = np.sort(values.reshape(math.prod(self.shape), values.shape[-1]), axis=-1)
         self._n = np.isfinite(self._rows).sum(axis=-1)
 
@@ -64,13 +64,13 @@ class BoundedMean:
 
     @property
     def estimate(self) -> FloatArray:
-        """Mean score; NaN without any."""
+        """Mean score; NaN without scores."""
         total = np.nansum(self._rows, axis=-1)
         mean = np.divide(total, self._n, out=np.full(total.shape, math.nan), where=self._n > 0)
         return np.asarray(np.clip(mean, self.low, self.high).reshape(self.shape)[()])
 
     def p_above(self, mean: ArrayLike) -> FloatArray:
-        """Return one-sided p of the null hypothesis that the mean is not above a value [1]."""
+        """Return the one-sided p of the null hypothesis that the mean is at most a value [1]."""
         values = np.broadcast_to(np.asarray(mean, dtype=float), self.shape).reshape(-1)
         p = np.ones(len(self._rows))
         for n in np.unique(self._n).tolist():
@@ -79,23 +79,23 @@ class BoundedMean:
         return np.asarray(p.reshape(self.shape)[()])
 
     def p_below(self, mean: ArrayLike) -> FloatArray:
-        """Return one-sided p of the null hypothesis that the mean is not below a value [1]."""
+        """Return the one-sided p of the null hypothesis that the mean is at least a value [1]."""
         return self.mirrored.p_above(-np.asarray(mean, dtype=float))
 
     @property
     def mirrored(self) -> BoundedMean:
-        """The same scores with the opposite sign."""
+        """Mean of the scores with the opposite sign."""
         return BoundedMean(-self._rows.reshape(*self.shape, -1), -self.high, -self.low)
 
     def test(self, mean: ArrayLike = 0.0) -> ExactTest:
-        """Return the two-sided test of a mean: twice the smaller of the two one-sided p."""
+        """Return the two-sided test of a mean, with twice the smaller one-sided p."""
         reach = (np.asarray(mean, dtype=float) - self.low) / (self.high - self.low)
         least = 2 * np.minimum(reach, 1 - reach) ** self.n
         both = np.minimum(1.0, 2 * np.minimum(self.p_above(mean), self.p_below(mean)))
         return ExactTest(self.estimate - np.asarray(mean), both, np.minimum(1.0, least), self.n)
 
     def equivalence(self, margin: float) -> ExactTest:
-        """Return the two one-sided tests that the mean lies within a margin of zero, with the larger p.
+        """Return the equivalence test of a mean within a margin of zero, by two one-sided tests with the larger p.
 
         References
         ----------
@@ -107,13 +107,13 @@ class BoundedMean:
         return ExactTest(self.estimate, p, np.minimum(least, p), self.n)
 
     def interval(self, confidence: float = CONFIDENCE) -> Interval:
-        """Return the means that the two-sided test does not reject at 1 - confidence."""
+        """Return the interval of means not rejected by the two-sided test at level 1 - confidence."""
         tail, other = (1 - confidence) / 2, self.mirrored
         return Interval(self.estimate, self._bound(tail), -other._bound(tail), self.n)
 
     def _bound(self, tail: float) -> FloatArray:
-        """Return the lowest means that the one-sided test does not reject."""
-        # The n-th root of p is nearly linear in the mean, so the Illinois false-position method converges fast.
+        """Return the lowest mean not rejected by the one-sided test, for each test."""
+        # The n-th root of p is nearly linear in the mean, so the Illinois method (regula falsi) converges fast.
         power = 1 / np.maximum(self.n, 1)
         low, high = np.full(self.shape, self.low), np.where(self.n > 0, self.estimate, self.low)
         below, above = -(tail**power), self.p_above(high) ** power - tail**power
@@ -123,7 +123,7 @@ class BoundedMean:
             found = self.p_above(bound) ** power - tail**power
             is_low = found < 0
             low, high = np.where(is_low, bound, low), np.where(is_low, high, bound)
-            # An end that stays twice in a row counts half, which draws it in.
+            # Illinois step: halve the value at an end retained twice in a row.
             half = 1.0 if was_low is None else np.where(is_low == was_low, 0.5, 1.0)
             below, above = np.where(is_low, found, half * below), np.where(is_low, half * above, found)
             was_low = is_low
@@ -133,15 +133,15 @@ class BoundedMean:
 
 
 def _weighted_tail(rows: FloatArray, low: float, values: FloatArray) -> FloatArray:
-    """Return the probability that a randomly weighted mean of sorted scores and of `low` is not above a value.
+    """Return the probability that a randomly weighted mean of the scores and `low` is at most a value.
 
-    The lowest or the highest score is dropped, one at a time, by the recursion of integrated B-splines (de Boor 1972),
-    whose terms are all positive; for many participants, the characteristic function is inverted instead.
+    Computed by the recursion of integrated B-splines (de Boor 1972), whose terms are all positive; for many
+    participants, by inversion of the characteristic function.
 
     Parameters
     ----------
     rows : (n_tests, n_participants) array
-        Scores, increasing.
+        Scores in increasing order.
     low : float
         Score of the added participant.
     values : (n_tests,) array
@@ -156,10 +156,11 @@ def _weighted_tail(rows: FloatArray, low: float, values: FloatArray) -> FloatArr
 
 
 def _inverted(rows: FloatArray, low: float, values: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Return the same from the characteristic function, and where that has not decayed enough for 1e-13.
+    """Compute `_weighted_tail` by inverting the characteristic function, and flag values not accurate to 1e-13.
 
-    The weighted mean is not above a value if the sum of the scores less that value, each times an exponential variate,
-    is not above zero. Equal scores are pooled, so that the cost hardly grows with the number of participants.
+    The weighted mean is at most a value if the sum of the scores minus that value, each times an independent
+    exponential variate, is at most zero. Equal scores are pooled, so the cost hardly grows with the number of
+    participants.
 
     References
     ----------
@@ -176,20 +177,20 @@ def _inverted(rows: FloatArray, low: float, values: FloatArray) -> tuple[FloatAr
     size = np.exp(-0.5 * np.einsum("tkj,tj->tk", np.log1p(scaled**2), counts))
     turn = np.einsum("tkj,tj->tk", np.arctan(scaled), counts)
     chance = 0.5 - (size * np.sin(turn) / angle).sum(axis=1) * 0.2 / math.pi
-    # Angles 0.2 apart resolve sums only within 2 pi / 0.2 = 31 times their spread.
+    # A step of 0.2 resolves sums only within 2 pi / 0.2 = 31 times their spread.
     drift = np.abs((counts * above).sum(axis=1))
     is_small = (size[:, -1] > 1e-14) | (chance < 1e-9) | (drift > 20 * spread[:, 0, 0])
     return np.asarray(np.clip(chance, 0.0, 1.0)), np.asarray(is_small)
 
 
 def _dropped(rows: FloatArray, low: float, values: FloatArray) -> FloatArray:
-    """Return the same by dropping one score at a time, by the recursion of integrated B-splines."""
+    """Compute `_weighted_tail` by the recursion of integrated B-splines, which drops one score at a time."""
     knots = np.concatenate([np.full((len(rows), 1), low), rows], axis=-1)
     at = values[:, np.newaxis]
     chance = (knots <= at).astype(float)
     for dropped in range(1, knots.shape[-1]):
         least, most = knots[:, :-dropped], knots[:, dropped:]
         share = np.divide(most - at, most - least, out=np.zeros(least.shape), where=most > least)
-        share = np.clip(share, 0.0, 1.0)  # beyond both ends the terms are equal, and rounding must not be amplified
+        share = np.clip(share, 0.0, 1.0)  # outside [0, 1] both terms are equal; avoid amplifying rounding errors
         chance = share * chance[:, 1:] + (1 - share) * chance[:, :-1]
     return np.asarray(chance[:, 0])

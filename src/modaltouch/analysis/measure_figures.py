@@ -1,4 +1,4 @@
-"""Figures of each participant's results: measures by level or condition, psychometric functions, and groups."""
+"""Figures of individual results: measures by level or condition, psychometric functions, and groups."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ from modaltouch.report import CONDITION_COLOURS, FAINT, ReportFigure, house_styl
 
 PANELS_PER_ROW = 3
 FEWEST_FLIPS = 6
-"""Fewest participants whose sign flips can exclude a value at 95 %: 2/2^6 is the first p below 0.05."""
+"""Minimum number of participants for a bounded 95 % interval by sign flips: 2/2^6 is the first p below 0.05."""
 
 _MARKERS = "os^D"
 _THIN = "Thin: each participant. Bold: mean over participants with its interval, whose coverage the statistics state"
 
 
 def draw_design(design: DesignAnalysis) -> Iterator[ReportFigure]:
-    """Yield the figures: one for each measure, one for the psychometric functions, one for the groups.
+    """Yield a figure of the psychometric functions, one of each measure, and one of the groups.
 
     Parameters
     ----------
     design : DesignAnalysis
-        Results of each participant.
+        Results of individual participants.
     """
     scale, groups = design.scale, design.groups
     if design.fits:
@@ -56,16 +56,16 @@ def draw_design(design: DesignAnalysis) -> Iterator[ReportFigure]:
 
 
 def _too_few(measures: Sequence[Measure], n: int) -> str:
-    """Return why means of n participants have no interval, if they have none."""
+    """Return a note if n participants are too few for intervals of the means."""
     if n >= FEWEST_FLIPS or all(measure.ends for measure in measures):
         return ""
     return f" With fewer than {FEWEST_FLIPS} participants, sign flips exclude no mean at 95 %, so there is no interval."
 
 
 def draw_measure(values: Sequence[IndividualValue], scale: LevelScale, groups: Mapping[str, str]) -> Figure:
-    """Draw a measure against the level, or the finger condition; a panel for each pair of zones.
+    """Plot a measure against the level or the finger condition, with a panel for each pair of zones.
 
-    Groups that met different cells have a line each.
+    Groups with different cells have separate lines.
 
     Parameters
     ----------
@@ -90,12 +90,12 @@ def draw_measure(values: Sequence[IndividualValue], scale: LevelScale, groups: M
 
 
 def draw_groups(values: Sequence[IndividualValue], groups: Mapping[str, str]) -> Figure:
-    """Draw each measure by group, each participant's mean over conditions and levels as a dot.
+    """Plot each measure by group, with a dot for each participant's mean over conditions and levels.
 
     Parameters
     ----------
     values : sequence of IndividualValue
-        The values.
+        Values of all measures.
     groups : mapping of str to str
         Group of each participant.
     """
@@ -109,7 +109,7 @@ def draw_groups(values: Sequence[IndividualValue], groups: Mapping[str, str]) ->
 def _draw(
     panels: Mapping[str, Mapping[str, list[IndividualValue]]], quantity: str = "", scale: LevelScale | None = None
 ) -> Figure:
-    """Draw panels of series of values, against the level if they have any, else side by side."""
+    """Plot series of values in panels, against the level if there is one, else side by side."""
     with _panels(max(len(panels), 1), sharey=bool(quantity)) as (figure, places):
         for axes, (title, series) in zip(places, panels.items(), strict=False):
             every = [each for own in series.values() for each in own]
@@ -136,7 +136,7 @@ def _draw(
 
 
 def _draw_people(axes: Axes, label: str, own: Sequence[IndividualValue], k: int) -> None:
-    """Draw each participant with a thin line, and the mean with its interval, at each level or side by side."""
+    """Plot each participant as a thin line and the mean with its interval, against the level or side by side."""
     colour, has_levels = CONDITION_COLOURS[k % 4], not math.isnan(own[0].level)
     places: dict[float, list[IndividualValue]] = {}
     for each in own:
@@ -162,12 +162,12 @@ def _draw_people(axes: Axes, label: str, own: Sequence[IndividualValue], k: int)
 
 
 def draw_functions(fits: Sequence[FittedCell], scale: LevelScale) -> Figure:
-    """Draw the psychometric functions of all participants, a panel for each finger condition and pair of zones.
+    """Plot the psychometric functions of all participants, with a panel for each finger condition and pair of zones.
 
     Parameters
     ----------
     fits : sequence of FittedCell
-        The functions.
+        Fitted functions.
     scale : LevelScale
         Scale of the levels.
     """
@@ -192,7 +192,7 @@ def draw_functions(fits: Sequence[FittedCell], scale: LevelScale) -> Figure:
 
 @contextmanager
 def _panels(number: int, *, sharey: bool = False) -> Iterator[tuple[Figure, list[Axes]]]:
-    """Yield a figure with panels in rows; unused ones are hidden."""
+    """Yield a figure with panels in rows; unused panels are hidden."""
     columns = min(number, PANELS_PER_ROW)
     rows = math.ceil(number / columns)
     width = max(2.5 * columns + 0.3, 4.6)

@@ -1,6 +1,6 @@
-"""One number per participant, such as a d', a threshold or a mean rating, and its tests over participants and groups.
+"""Individual measures, such as d', thresholds or mean ratings, and their tests over participants and groups.
 
-The participant is the unit of inference: tests take one number of each, never pooled trials.
+The participant is the unit of inference: tests use one value per participant, not pooled trials.
 """
 
 from __future__ import annotations
@@ -31,24 +31,24 @@ Cell = tuple[str, str, str, float]
 
 @dataclass(frozen=True)
 class Measure:
-    """What is measured in each participant.
+    """A quantity measured in each participant.
 
     Attributes
     ----------
     name : str
-        Its name.
+        Name of the measure.
     quantity : str
         Name with unit, for tables and axes.
     question : str
-        Question of the report that it belongs to.
+        Question of the report to which the measure belongs.
     null : float or None
-        Value that means no effect, against which the mean over participants is tested; None if it is not tested.
+        Value of the mean under the null hypothesis; None if it is not tested.
     is_ratio : bool
-        Whether its values are compared as ratios, so that means are geometric.
+        Whether values are compared as ratios, with geometric means.
     is_ranked : bool
-        Whether its values are compared by their ranks, as ratings are.
+        Whether values are compared by rank, as for ratings.
     ends : (float, float) or None
-        Lowest and highest possible value, for the interval of a `BoundedMean`; None if there are none.
+        Lowest and highest possible value, for the interval of a `BoundedMean`; None if unbounded.
     """
 
     name: str
@@ -62,24 +62,24 @@ class Measure:
 
 @dataclass(frozen=True, eq=False)
 class IndividualValue:
-    """A participant's own value of a measure.
+    """Value of a measure for one participant and cell.
 
     Attributes
     ----------
     measure : Measure
-        What is measured.
+        The measure.
     participant, finger_condition, pair : str
-        Whose value it is, and from which answers.
+        Participant and cell.
     level : float
-        Level of these answers; NaN for all levels together.
+        Level of the cell; NaN for all levels together.
     interval : Interval
-        The value with its 95 % interval, if it has one.
+        The value with its 95 % interval, if available.
     n : int
-        Answers that it rests on.
+        Number of answers.
     note : str
-        Why there is no value, or what a reader must know.
+        Reason for a missing value, or remarks for the reader.
     tested : float or None
-        Number that is tested in its place if, without an effect, the expectation of the value is not the null value.
+        Score to test instead of the value, if the expectation of the value without an effect is not the null value.
     """
 
     measure: Measure
@@ -93,7 +93,7 @@ class IndividualValue:
     tested: float | None = None
 
     def as_dict(self, scale: LevelScale, groups: Mapping[str, str]) -> dict[str, Any]:
-        """Return it as a row of ``measures.csv``."""
+        """Return the row of ``measures.csv``."""
         group = {"group": groups.get(self.participant, "")} if groups else {}
         return {
             "measure": self.measure.name,
@@ -115,14 +115,14 @@ _FLIPS, _RANKS = "sign flips", "signed ranks"
 
 
 def over_participants(measure: Measure, own: Sequence[IndividualValue]) -> Located:
-    """Return the test that a measure has no effect, and its mean over the participants who have one.
+    """Test the null hypothesis of a measure, and return its mean over the participants with a value.
 
     Parameters
     ----------
     measure : Measure
-        What is measured.
+        The measure.
     own : sequence of IndividualValue
-        The values of the participants.
+        Values of the participants.
     """
     null = 0.0 if measure.null is None else math.log(measure.null) if measure.is_ratio else measure.null
     values = np.array(list(_known(own).values()))
@@ -132,8 +132,8 @@ def over_participants(measure: Measure, own: Sequence[IndividualValue]) -> Locat
     interval = interval.changed(lambda shifted: shifted + null)
     if measure.ends:
         interval = BoundedMean(values, *measure.ends).interval()
-    # If no participant's value is bounded on a side, neither is the mean, however well they agree; then it is open on
-    # the other side too, if some are open there.
+    # If all individual intervals are unbounded on one side, so is that of the mean, and also on the other side if any
+    # of them is unbounded there.
     open_low, open_high = (
         [end == side * math.inf for end in ends]
         for side, ends in ((-1, [each.interval.low for each in own]), (1, [each.interval.high for each in own]))
@@ -145,13 +145,13 @@ def over_participants(measure: Measure, own: Sequence[IndividualValue]) -> Locat
     in_place = np.array([each.tested for each in own if each.tested is not None], dtype=float)
     if in_place.size:
         test = flip_test(in_place[np.isfinite(in_place)])
-        if test.p > ALPHA:  # the interval holds what the test does not reject
+        if test.p > ALPHA:  # the interval contains the null value unless rejected
             interval = replace(interval, low=min(interval.low, null), high=max(interval.high, null))
     return test, as_told(measure, interval)
 
 
 def mean_findings(values: Sequence[IndividualValue], scale: LevelScale, groups: Mapping[str, str]) -> Iterator[Finding]:
-    """Yield the mean of each measure over participants, tested if the measure has a value that means no effect."""
+    """Yield the mean of each measure over participants, with a test if the measure has a null value."""
     names = dict.fromkeys(groups.values())
     for measure, scope, own in _by_scope(values, scale):
         test, interval = over_participants(measure, own)
@@ -183,9 +183,9 @@ def mean_findings(values: Sequence[IndividualValue], scale: LevelScale, groups: 
 
 
 def contrast_findings(values: Sequence[IndividualValue]) -> Iterator[Finding]:
-    """Yield each measure in one finger condition, pair of zones, stimulus or kind of session against another.
+    """Compare each measure between two finger conditions, pairs of zones, stimuli or kinds of session.
 
-    A participant's difference is the mean over the levels at which both have a value.
+    A participant's difference is the mean over the levels with values in both.
     """
     for measure, own in by_measure(values):
         tables: dict[tuple[str, str], dict[tuple[str, str], float]] = {}
@@ -196,9 +196,9 @@ def contrast_findings(values: Sequence[IndividualValue]) -> Iterator[Finding]:
             if sum(differ) != 1 or (measure.question == "shares" and any(differ[:2])):
                 continue
             if first.keys().isdisjoint(second):
-                continue  # different participants, as in groups
+                continue  # different participants, e.g. in groups
             gaps: dict[str, list[float]] = {}
-            for who, level in sorted(first.keys() & second.keys()):  # sums may depend on the order
+            for who, level in sorted(first.keys() & second.keys()):  # fixed order, for reproducible sums
                 gap = first[who, level] - second[who, level]
                 if math.isfinite(gap):
                     gaps.setdefault(who, []).append(gap)
@@ -208,7 +208,7 @@ def contrast_findings(values: Sequence[IndividualValue]) -> Iterator[Finding]:
 
 
 def _compared(measure: Measure, name: str, scope: str, numbers: FloatArray) -> Finding:
-    """Return the test of participants' differences between two conditions; none if nobody has a value in both."""
+    """Test the participants' differences between two conditions; without any difference, there is no test."""
     quantity = f"{_difference(measure)} of {measure.quantity}"
     if not numbers.size:
         notes = ["described, not tested: nobody has a value in both"]
@@ -223,7 +223,7 @@ def _compared(measure: Measure, name: str, scope: str, numbers: FloatArray) -> F
 
 
 def _factors(finger_condition: str, place: str) -> tuple[str, ...]:
-    """Return the factors in which values are compared, one at a time: fingers, zones, others from `label_places`."""
+    """Return the factors to compare one at a time: finger condition, zones, and others from `label_places`."""
     return finger_condition, *place.split(" ")
 
 
@@ -233,12 +233,12 @@ def group_findings(
     groups: Mapping[str, str],
     names: tuple[str, str],
 ) -> Iterator[Finding]:
-    """Yield each measure in one group of participants against another; a participant counts once, by the mean.
+    """Compare each measure between two groups, with one mean value per participant.
 
     Parameters
     ----------
     values, shared : sequence of IndividualValue
-        All values; and those from cells that both groups met, which alone are compared.
+        All values, and those from cells common to both groups; only the latter are compared.
     groups : mapping of str to str
         Group of each participant.
     names : (str, str)
@@ -269,7 +269,7 @@ def group_findings(
 
 
 def label_places(frame: pd.DataFrame) -> pd.Series:
-    """Return pair and, if there are several, stimulus, kind of session and focus of each row in words, ordered."""
+    """Label each row by pair and, if they vary, by stimulus, kind of session and focus, as an ordered categorical."""
     zones = label = label_zones(frame)
     named = [name for name in ("stimulus", "session_kind") if name in frame.columns and frame[name].nunique() > 1]
     for name in named:
@@ -282,12 +282,12 @@ def label_places(frame: pd.DataFrame) -> pd.Series:
 
 
 def kind_of(part: pd.DataFrame) -> str:
-    """Return the kind of session of a cell's answers; empty if the table has no kinds."""
+    """Return the kind of session of a cell's answers; empty if there are no kinds."""
     return str(part["session_kind"].iloc[0]) if "session_kind" in part.columns else ""
 
 
 def cells(frame: pd.DataFrame, scale: LevelScale, *, by_level: bool) -> Iterator[tuple[Cell, pd.DataFrame]]:
-    """Yield participant, finger condition, pair of zones and level of each cell, with its answers.
+    """Yield each cell (participant, finger condition, pair of zones and level) with its answers.
 
     Parameters
     ----------
@@ -296,7 +296,7 @@ def cells(frame: pd.DataFrame, scale: LevelScale, *, by_level: bool) -> Iterator
     scale : LevelScale
         Scale of the levels.
     by_level : bool
-        Whether each level is a cell of its own; if not, all are pooled, and the level is NaN.
+        Whether to separate levels; if not, all levels are pooled, and the level is NaN.
     """
     keys = [frame["participant"].astype(str), frame["finger_condition"].astype(str), label_places(frame)]
     levels = [frame[scale.column]] if by_level else []
@@ -313,17 +313,17 @@ _CLAIMS = {
     "PSE": "the PSE is not the standard",
     "": "{family} is not zero",
 }
-"""Claims of the families of tests of measures, by the end of the family's name."""
+"""Claims of the families of tests of measures, by suffix of the family's name."""
 
 
 def claim_of(family: str, claim: str) -> str:
-    """Return what a family of tests of measures claims; `claim` is that of its question."""
+    """Return the claim of a family of tests of measures, given the claim of its question."""
     end = next(end for end in _CLAIMS if family.endswith(end))
     return _CLAIMS[end].format(claim=claim, family=family)
 
 
 def by_measure(values: Iterable[IndividualValue]) -> Iterator[tuple[Measure, list[IndividualValue]]]:
-    """Yield each measure with its values."""
+    """Group values by measure."""
     kinds: dict[Measure, list[IndividualValue]] = {}
     for each in values:
         kinds.setdefault(each.measure, []).append(each)
@@ -343,7 +343,7 @@ def _by_scope(
 
 
 def _known(own: Iterable[IndividualValue]) -> dict[str, float]:
-    """Return the mean of each participant's values, as `linear` gives them, for participants who have any."""
+    """Return the mean of each participant's values on the scale of `linear`, excluding participants without values."""
     known: dict[str, list[float]] = {}
     for each in own:
         value = linear(each)
@@ -353,13 +353,13 @@ def _known(own: Iterable[IndividualValue]) -> dict[str, float]:
 
 
 def of_participants(own: Sequence[IndividualValue]) -> list[IndividualValue]:
-    """Return the mean of each participant's values of a measure as one value, for participants who have any."""
+    """Average the values of a measure within each participant, excluding participants without values."""
     whole = [(who, as_told(own[0].measure, Interval.point(mean, 1))) for who, mean in _known(own).items()]
     return [IndividualValue(own[0].measure, who, "", "", math.nan, interval, 1) for who, interval in whole]
 
 
 def linear(own: IndividualValue) -> float:
-    """Return a value as it is compared: the logarithm if the measure is a ratio."""
+    """Return a value on the scale of comparison: its logarithm for ratios."""
     value = float(own.interval.estimate)
     if own.measure.is_ratio:
         return math.log(value) if value > 0 else math.nan
@@ -367,7 +367,7 @@ def linear(own: IndividualValue) -> float:
 
 
 def as_told(measure: Measure, interval: Interval) -> Interval:
-    """Return an interval of compared values as it is reported: for ratios, not as logarithms."""
+    """Convert an interval from the scale of comparison back to that of the measure."""
     return interval.changed(np.exp) if measure.is_ratio else interval
 
 

@@ -1,4 +1,4 @@
-"""The mixed logistic model of choosing the dominant zone, by statsmodels; not fitted if the answers are separated."""
+"""Mixed logistic regression of choosing the dominant zone with statsmodels, with a check for separation."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from modaltouch.analysis.intervals import CONFIDENCE, Interval
 from modaltouch.analysis.models import model_table, terms_of_model
 
 PRIOR_EFFECT, PRIOR_SPREAD = 5.0, 0.5
-"""Standard deviations of the normal priors of a coefficient, and of the log of the participants' spread [logit]."""
+"""Standard deviations of the normal priors of the coefficients and the log of the random intercepts' SD [logit]."""
 
 _NAME = "mixed logistic model, Laplace approximation"
 
 
 def model_findings(answers: AnswerCounts, frame: pd.DataFrame) -> Iterator[Finding]:
-    """Yield the coefficients of the mixed logistic model of choosing the dominant zone, without p.
+    """Yield the coefficients of the mixed logistic model of choosing the dominant zone, without p values.
 
-    If the predictors separate the answers, there is no finite estimate, and none is given.
+    If the predictors separate the answers, there is no finite estimate, and the model is not fitted.
 
     References
     ----------
@@ -61,7 +61,7 @@ def model_findings(answers: AnswerCounts, frame: pd.DataFrame) -> Iterator[Findi
 
 
 def _separation(predictors: NDArray[np.float64], chosen: NDArray[np.int64], names: list[str]) -> str:
-    """Return which predictors separate the answers; empty if none do."""
+    """Return the predictors that separate the answers; empty if none do."""
     from scipy.optimize import linprog
 
     if np.ptp(chosen) == 0:
@@ -77,7 +77,7 @@ def _separation(predictors: NDArray[np.float64], chosen: NDArray[np.int64], name
 def _fit(
     predictors: NDArray[np.float64], chosen: NDArray[np.int64], participants: NDArray[Any]
 ) -> tuple[list[float], list[float], float] | None:
-    """Return coefficients, their standard deviations and the participants' spread [logit]; None without convergence."""
+    """Return coefficients, posterior SDs and the SD of random intercepts [logit]; None without convergence."""
     from statsmodels.genmod.bayes_mixed_glm import BinomialBayesMixedGLM
 
     known, who = np.unique(participants, return_inverse=True)

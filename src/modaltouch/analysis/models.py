@@ -1,6 +1,6 @@
-"""Mixed models, as reviewers ask for them: a tidy table, the formula, and a script that fits them in R.
+"""Files for mixed models, as often requested by reviewers: a tidy table, and an R script that fits the models.
 
-Models of zones need answers that name each finger alone; tidy models take any answers, and ratings.
+Models of zones require answers that name each finger alone; tidy models accept any answers, and ratings.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ if TYPE_CHECKING:
 
 
 def model_table(answers: AnswerCounts, frame: pd.DataFrame, asked: Sequence[Question] = ()) -> pd.DataFrame:
-    """Return one row for each answer: participant, condition, level, the zone that it names, if any, and ratings.
+    """Return one row per answer with participant, condition, level, the zone named, if any, and ratings.
 
     Parameters
     ----------
     answers : AnswerCounts
-        Counts of the answers, which can name each finger alone.
+        Counts of the answers, with answers that name each finger alone.
     frame : DataFrame
         Tidy answers.
     asked : sequence of Question
-        What was rated.
+        Rating questions.
     """
     rows = frame.loc[frame.index.repeat(frame["n"])]
     pair = rows["zone_left"].astype(str) + "-" + rows["zone_right"].astype(str)
@@ -60,7 +60,7 @@ def model_table(answers: AnswerCounts, frame: pd.DataFrame, asked: Sequence[Ques
 
 
 def terms_of_model(answers: AnswerCounts) -> list[str]:
-    """Return the columns of the table that vary, as the terms of a formula."""
+    """Return the varying columns of the table, as terms of a model formula."""
     several = {"pair": answers.pairs, "finger_condition": answers.finger_conditions, "level": answers.levels}
     return [name for name, values in several.items() if len(values) > 1]
 
@@ -82,13 +82,13 @@ def model_files(answers: AnswerCounts, responses: Responses) -> dict[str, Any]:
 def zone_files(
     table: pd.DataFrame, terms: Sequence[str], answers: AnswerCounts, asked: Sequence[Question]
 ) -> dict[str, Any]:
-    """Return a table of chosen zones and the R script of its models, by file name."""
+    """Return a table of the chosen zones and the R script of its models, by file name."""
     zones = [zone for zone in ("other", "both", "dominant") if zone != "both" or answers.both_place is not None]
     return script_files(table, "models.R.j2", terms, zones=zones, asked=asked, scale=answers.scale)
 
 
 def script_files(table: pd.DataFrame, template: str, terms: Sequence[str], **given: Any) -> dict[str, Any]:
-    """Return a tidy table and the R script that fits models of these terms to it, by file name."""
+    """Return a tidy table and an R script to fit models with these terms, by file name."""
     script = render_page("modaltouch.analysis", template, terms=" + ".join(terms) or "1", **given)
     return {"answers.csv": table.to_csv(index=False, lineterminator="\n"), "models.R": script}
 
@@ -102,7 +102,7 @@ def tidy_files(responses: Responses) -> dict[str, Any]:
     Parameters
     ----------
     responses : Responses
-        The answers, as they were given.
+        The answers as given.
     """
     from modaltouch.analysis.ratings import questions_of
 

@@ -1,4 +1,4 @@
-"""The results of an analysis, as one value."""
+"""Results of an analysis of a crossed design at fixed levels."""
 
 from __future__ import annotations
 
@@ -22,22 +22,22 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Analysis(RegisteredAnalysis):
-    """The results of an analysis, and where they were written.
+    """Results of an analysis, and the files written.
 
     Attributes
     ----------
     responses : Responses
         The answers.
     answers : AnswerCounts
-        Their counts.
+        Counts of the answers.
     findings : tuple of Finding
         The statistics.
     files : dict of str to Path
         Files written, by name.
     design : DesignAnalysis, optional
-        Results of each participant, besides counts.
+        Results of individual participants.
     registration : Registration
-        The preregistration that it was checked against.
+        The preregistration checked against the analysis.
     """
 
     responses: Responses
@@ -49,19 +49,19 @@ class Analysis(RegisteredAnalysis):
 
     @classmethod
     def of(cls, responses: Responses, *, model: bool = False) -> Self:
-        """Return the results of answers to a crossed design at fixed levels.
+        """Analyse the answers of a crossed design at fixed levels.
 
         Parameters
         ----------
         responses : Responses
             The answers.
         model : bool
-            Whether to fit the mixed logistic model as well.
+            Whether to fit the mixed logistic model, too.
 
         Raises
         ------
         InputError
-            If the model has no answers to fit.
+            If the answers do not suit the model.
         """
         from modaltouch.analysis.statistics import find
 
@@ -84,18 +84,18 @@ class Analysis(RegisteredAnalysis):
 
     @property
     def confirmatory(self) -> list[tuple[str, AnswerCounts, Finding]]:
-        """The tests that are corrected in families, as in `RegisteredAnalysis`."""
+        """Tests corrected in families, as in `RegisteredAnalysis`."""
         return [("", self.answers, row) for row in self.findings if row.family]
 
     def terms(self, tests: Mapping[str, int]) -> dict[str, Any]:
-        """Return the terms that a preregistration fixes, by name."""
+        """Return the terms fixed by a preregistration, by name."""
         from modaltouch.analysis.preregistration import terms_of
 
         return terms_of(self.answers, tests)
 
     @property
     def counts(self) -> pd.DataFrame:
-        """Counts of every cell, one row each."""
+        """Counts by cell, one row each."""
         return tabulate(self.answers)
 
     @property
@@ -104,7 +104,7 @@ class Analysis(RegisteredAnalysis):
         return to_frame(self.findings)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return everything as plain values for ``--json``, rows as `plain_row` gives them."""
+        """Return all results as plain values for ``--json``, with rows as in `plain_row`."""
         return {
             "counts": [plain_row(row) for row in self.counts.to_dict("records")],
             "tests": [plain_row(row) for row in self.tests.to_dict("records")],

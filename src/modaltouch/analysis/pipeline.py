@@ -1,4 +1,4 @@
-"""The whole analysis: answers in, tables, figures, statistics and report out."""
+"""Analysis pipeline: read the answers, compute the statistics, and write tables, figures and the report."""
 
 from __future__ import annotations
 
@@ -46,36 +46,35 @@ def analyse(
     path : Path or str
         A tidy CSV, or a tree of recorded sessions.
     out : Path or str, optional
-        Folder for the results; by default ``analysis`` in the tree, or ``<name>_analysis`` beside the CSV.
+        Output folder; by default ``analysis`` in the tree, or ``<name>_analysis`` beside the CSV.
     labs : sequence of Path or str
-        Trees of other labs that ran the same protocol, compared like groups; `out` is then required.
+        Trees of other labs with the same protocol, compared like groups; `out` is then required.
     mode : {"real", "pilot", "simulated"}, optional
-        Which sessions of a tree to take.
+        Which sessions of a tree to use.
     stimulus : str, optional
-        Stimulus whose trials to take, if sessions at fixed levels have several; by default all.
+        Stimulus to analyse, if sessions at fixed levels have several; by default all.
     table_format : TableFormat, optional
-        The answers that could be given, how they are written and the margin of equivalence, for a CSV; recorded
-        sessions contain them.
+        The answers offered, their spelling and the equivalence margin, for a CSV; recorded sessions contain them.
     figures : collection of str
-        Besides Fig. 10 and Fig. 11: ``fields``, ``order``, ``reaction_times``, ``speed_ratio``, or ``all``.
+        Figures besides Fig. 10 and Fig. 11: ``fields``, ``order``, ``reaction_times``, ``speed_ratio``, or ``all``.
     prereg : Path or str, optional
-        The preregistration, as ``modaltouch prereg`` wrote it; by default the one beside the protocol, if any.
+        The preregistration written by ``modaltouch prereg``; by default the one beside the protocol, if any.
     model : bool
-        Whether to fit the mixed logistic model as well, for which statsmodels is loaded.
+        Whether to fit the mixed logistic model, too (imports statsmodels).
     speed : {"nominal", "predicted", "delivered"}
-        What defines levels: the speed asked for at the focus, or that predicted or delivered under the faster finger.
+        Definition of the levels: nominal speed at the focus, or predicted or delivered speed under the faster finger.
 
     Returns
     -------
     Analysis, ThresholdAnalysis or PartsAnalysis
-        The second for adaptive sessions, the last for designs that are not crossed.
+        `ThresholdAnalysis` for adaptive sessions, `PartsAnalysis` for designs that are not crossed.
 
     Raises
     ------
     InputError
-        If the answers cannot be used, listing every fault.
+        If the answers cannot be used, with all problems found.
     RecordError
-        If a file would be overwritten that this command did not write, or cannot be written.
+        If a file cannot be written, or would overwrite a file not written by this command.
     """
     asked: dict[str, Any] = {"--figures": _figures(figures), "--prereg": prereg, "--model": model}
     if labs and out is None:
@@ -95,7 +94,7 @@ def _about(source: AnswerSource) -> dict[str, str]:
 def _results(
     responses: Responses, path: Path | str, asked: dict[str, Any]
 ) -> tuple[Analysis | ThresholdAnalysis | PartsAnalysis, dict[str, Any]]:
-    """Return the results of a design's answers, and the contents of its files; refuse options that do not apply."""
+    """Analyse the answers and render the files; refuse options that do not apply to the design."""
     prereg = asked.pop("--prereg")
     options = [option for option, value in asked.items() if value]
     if responses.is_adaptive:
@@ -125,7 +124,7 @@ def _results(
 
 
 def analyse_responses(responses: Responses) -> Analysis | ThresholdAnalysis | PartsAnalysis:
-    """Return the results of answers, as `analyse` does, without writing a file."""
+    """Analyse answers like `analyse`, but without writing files."""
     from modaltouch.analysis.outcome import Analysis
     from modaltouch.analysis.parts import analyse_parts
     from modaltouch.analysis.thresholds import analyse_runs
@@ -136,7 +135,7 @@ def analyse_responses(responses: Responses) -> Analysis | ThresholdAnalysis | Pa
 
 
 def _hold_against(prereg: Path | str | None, analysis: Held) -> Held:
-    """Return an analysis with its departures from the preregistration, given or found beside the protocol."""
+    """Compare an analysis with the preregistration that is given or found beside the protocol."""
     if prereg is None:
         protocol = analysis.responses.start.get("sources", {}).get("protocol", {}).get("path", "")
         beside = Path(protocol or "none").with_suffix(".prereg.md")
@@ -152,7 +151,7 @@ def _hold_against(prereg: Path | str | None, analysis: Held) -> Held:
 
 
 def default_folder(path: Path, stimulus: str = "") -> Path:
-    """Return the default folder of an analysis; inside a BIDS dataset it is in ``derivatives``."""
+    """Return the default output folder of an analysis; inside a BIDS dataset, it is in ``derivatives``."""
     if path.suffix != ".jsonl" and not path.is_dir():
         return path.parent / f"{path.stem}_analysis"
     folder = (path if path.is_dir() else path.parent).resolve()
@@ -172,7 +171,7 @@ def _figures(asked: Collection[str]) -> Collection[str]:
 
 
 def render_files(analysis: Analysis, figures: Collection[str] = ()) -> dict[str, Any]:
-    """Return the contents of every file of an analysis, by name, as `write_files` takes them."""
+    """Render all files of an analysis, by name, for `write_files`."""
     from modaltouch.analysis.findings import plain_row
     from modaltouch.analysis.models import model_files, tidy_files
     from modaltouch.analysis.report import report_files

@@ -1,4 +1,4 @@
-"""The terms of a preregistration, and how an analysis departs from them."""
+"""Terms of a preregistration, and departures of an analysis from them."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ if TYPE_CHECKING:
     from modaltouch.analysis.responses import Responses
 
 ALL_PARTS = "all parts"
-"""Scope of a test of all parts together, for a design that is not crossed."""
+"""Scope of a test over all parts of a design that is not crossed."""
 
 _UNKNOWN = ("protocol (SHA-256)", "equivalence margin")
-"""Terms that a table of answers does not contain."""
+"""Terms that are unknown for a table of answers."""
 
 
 def terms_of(answers: AnswerCounts, tests: Mapping[str, int]) -> dict[str, Any]:
-    """Return the terms that a preregistration of a crossed design fixes, by name, as plain values.
+    """Return the terms fixed by a preregistration of a crossed design, by name, as plain values.
 
     Parameters
     ----------
     answers : AnswerCounts
-        Counts of the answers, planned or given.
+        Counts of planned or actual answers.
     tests : mapping of str to int
         Number of tests in each family.
     """
@@ -47,12 +47,12 @@ def terms_of(answers: AnswerCounts, tests: Mapping[str, int]) -> dict[str, Any]:
 
 
 def terms_of_tests(tests: Mapping[str, int]) -> dict[str, Any]:
-    """Return the terms of every analysis with tests."""
+    """Return the terms common to all analyses with tests."""
     return {"tests by family": dict(tests), "level of significance": ALPHA, "shortest reaction time [s]": ANTICIPATION}
 
 
 def describe_families(confirmatory: Iterable[tuple[str, AnswerCounts, Finding]]) -> list[dict[str, Any]]:
-    """Return the families of confirmatory tests of an analysis, as `RegisteredAnalysis.describe_families` does."""
+    """Describe the families of confirmatory tests, as in `RegisteredAnalysis.describe_families`."""
     from modaltouch.analysis.measures import claim_of
     from modaltouch.analysis.words import headings, scope_in_words
 
@@ -66,7 +66,7 @@ def describe_families(confirmatory: Iterable[tuple[str, AnswerCounts, Finding]])
         scopes = []
         for part, own, row in rows:
             said = scope_in_words(row.scope, own.finger_conditions, own.pairs)
-            # Only the data can tell which answer will be the most frequent.
+            # The most frequent answer depends on the data.
             quantity = "P(most frequent answer)" if name == "a1" else row.quantity
             scopes.append((part, row.scope.replace("_", " ") if part == ALL_PARTS else said, quantity))
         described.append(
@@ -82,12 +82,12 @@ def describe_families(confirmatory: Iterable[tuple[str, AnswerCounts, Finding]])
 
 
 def read_preregistration(path: Path) -> dict[str, Any]:
-    """Return the terms in the JSON block of a preregistration.
+    """Read the terms from the JSON block of a preregistration.
 
     Raises
     ------
     InputError
-        If there is no such file, or no such block in it.
+        If the file cannot be read, or has no JSON block with terms.
     """
     remedy = "write one with `modaltouch prereg PROTOCOL`"
     try:
@@ -110,14 +110,14 @@ def find_departures(
     confirmatory: Iterable[tuple[str, AnswerCounts, Finding]],
     responses: Responses,
 ) -> tuple[str, ...]:
-    """Return the departures of an analysis from a preregistration, in words.
+    """Describe the departures of an analysis from a preregistration, in words.
 
     Parameters
     ----------
     terms : mapping
-        As `read_preregistration` returns them.
+        Terms returned by `read_preregistration`.
     found, confirmatory, responses
-        The terms of the analysis, its tests and its answers, as `RegisteredAnalysis` has them.
+        The terms of the analysis, its tests and its answers, as in `RegisteredAnalysis`.
     """
     start = responses.start
     known = {}

@@ -1,4 +1,4 @@
-"""Designs that are not crossed: the tests of each crossed part, corrected together, tables, figures and report.
+"""Analysis of designs that are not crossed, by crossed parts with a common correction of their tests.
 
 ``analysis``  analyse_parts, render_parts
 """

@@ -1,4 +1,4 @@
-"""The whole analysis of a design that is not crossed: its crossed parts, one by one."""
+"""Analysis of a design that is not crossed, by its crossed parts."""
 
 from __future__ import annotations
 
@@ -27,24 +27,24 @@ if TYPE_CHECKING:
     from modaltouch.analysis.designs import DesignAnalysis
 
 FACTORS = ("group", "session_kind", "stimulus")
-"""What distinguishes parts, besides finger conditions, pairs and levels."""
+"""Factors that distinguish parts, besides finger conditions, pairs and levels."""
 
 MOST_FIGURES = 40
-"""Most figures of a report; the tables have all parts."""
+"""Maximum number of figures in a report; the tables include all parts."""
 
 
 @dataclass(frozen=True, eq=False)
 class CrossedPart:
-    """A crossed part of a design: each of its pairs at each of its levels, equally often for every participant in it.
+    """A crossed part of a design: all of its pairs at all of its levels, equally often for each of its participants.
 
     Attributes
     ----------
     factors : dict of str to str
         Group, kind of session and stimulus, if there are any.
     counts : AnswerCounts
-        Counts of its participants' answers.
+        Counts of the answers.
     frame : DataFrame
-        The same answers as a tidy table.
+        The answers as a tidy table.
     """
 
     factors: dict[str, str]
@@ -53,7 +53,7 @@ class CrossedPart:
 
     @property
     def name(self) -> str:
-        """Its factors, finger conditions, pairs and levels in words."""
+        """Factors, finger conditions, pairs and levels in words."""
         levels = ", ".join(format(level, "g") for level in self.counts.levels)
         pairs = ", ".join(pair.label for pair in self.counts.pairs)
         words = [*filter(None, self.factors.values()), " and ".join(self.counts.finger_conditions), pairs]
@@ -62,7 +62,7 @@ class CrossedPart:
 
 @dataclass(frozen=True, eq=False)
 class PartsAnalysis(RegisteredAnalysis):
-    """The results of a design that is not crossed, and where they were written.
+    """Results of a design that is not crossed, and the files written.
 
     Attributes
     ----------
@@ -71,13 +71,13 @@ class PartsAnalysis(RegisteredAnalysis):
     parts : tuple of CrossedPart
         The crossed parts of the design.
     findings : tuple of (CrossedPart, Finding)
-        The statistics of each; Holm's correction is over all of them.
+        The statistics of each part, with Holm's correction over all parts.
     files : dict of str to Path
         Files written, by name.
     design : DesignAnalysis, optional
-        Results of each participant, besides counts, and of groups.
+        Results of individual participants and groups.
     registration : Registration
-        The preregistration that it was checked against.
+        The preregistration checked against the analysis.
     """
 
     responses: Responses
@@ -89,14 +89,14 @@ class PartsAnalysis(RegisteredAnalysis):
 
     @property
     def confirmatory(self) -> list[tuple[str, AnswerCounts, Finding]]:
-        """The tests that are corrected in families, as in `RegisteredAnalysis`."""
+        """Tests corrected in families, as in `RegisteredAnalysis`."""
         found = [(ALL_PARTS, self.parts[0].counts, row) for row in self.whole]
         numbers = {part.name: f"part {number}" for number, part in enumerate(self.parts, start=1)}
         found += [(numbers[part.name], part.counts, row) for part, row in self.findings]
         return [each for each in found if each[2].family]
 
     def terms(self, tests: Mapping[str, int]) -> dict[str, Any]:
-        """Return the terms that a preregistration fixes, by name."""
+        """Return the terms fixed by a preregistration, by name."""
         return {
             "participants": int(self.responses.frame["participant"].nunique()),
             "crossed parts, with repetitions": {part.name: part.counts.n_repetitions for part in self.parts},
@@ -105,7 +105,7 @@ class PartsAnalysis(RegisteredAnalysis):
         }
 
     def design_in_words(self) -> list[tuple[str, str]]:
-        """Return the parts and how often each cell of a part is presented, in words, by number."""
+        """Describe each part and its number of presentations per cell, by number of the part."""
         repeated = [(part.name, part.counts.n_repetitions) for part in self.parts]
         return [
             (f"part {number}", f"{name}, {'once' if n == 1 else f'{n} times'}")
@@ -114,12 +114,12 @@ class PartsAnalysis(RegisteredAnalysis):
 
     @cached_property
     def whole(self) -> list[Finding]:
-        """Findings over all parts, each family corrected."""
+        """Findings over all parts, corrected in families."""
         return correct(self.design.findings) if self.design else []
 
     @property
     def counts(self) -> pd.DataFrame:
-        """Counts of every cell, one row each: answers, their sum n, and how many were asked for."""
+        """Counts by cell, one row each: answers, their sum n, and the number scheduled."""
         tables = [
             tabulate(part.counts).assign(**part.factors, asked=part.counts.n_participants * part.counts.n_repetitions)
             for part in self.parts
@@ -130,13 +130,13 @@ class PartsAnalysis(RegisteredAnalysis):
 
     @property
     def tests(self) -> pd.DataFrame:
-        """The statistics, one row each, with the part that each belongs to."""
+        """The statistics, one row each, with the part of the design."""
         table = to_frame([*self.whole, *(finding for _, finding in self.findings)])
         table.insert(0, "part", ["all"] * len(self.whole) + [part.name for part, _ in self.findings])
         return table
 
     def as_dict(self) -> dict[str, Any]:
-        """Return everything as plain values for ``--json``."""
+        """Return all results as plain values for ``--json``."""
         missing = [
             {"participant": who, "cell": " ".join([*filter(None, part.factors.values()), cell]), "n": n}
             for part in self.parts
@@ -160,7 +160,7 @@ class PartsAnalysis(RegisteredAnalysis):
 
 
 def analyse_parts(responses: Responses) -> PartsAnalysis:
-    """Analyse the answers to a design that is not crossed, and return the results.
+    """Analyse the answers of a design that is not crossed.
 
     Parameters
     ----------
@@ -170,12 +170,12 @@ def analyse_parts(responses: Responses) -> PartsAnalysis:
     Raises
     ------
     InputError
-        If participants of one group met a cell unequally often.
+        If participants of one group have unequal numbers of trials in a cell.
     """
     given, responses = responses, responses.by_choice()
     parts, found = tuple(_find_parts(responses)), list[tuple[CrossedPart, Finding]]()
     for part in parts:
-        if not part.frame.empty:  # a part without answers has no findings; its missing answers are counted
+        if not part.frame.empty:  # without answers, a part has no findings, but its missing answers are counted
             found += [(part, finding) for finding in uncorrected(part.counts, part.frame)]
     corrected = correct(finding for _, finding in found)
     design = None
@@ -188,7 +188,7 @@ def analyse_parts(responses: Responses) -> PartsAnalysis:
 
 
 def _find_parts(responses: Responses) -> Iterator[CrossedPart]:
-    """Yield the crossed parts of a design: pairs and finger conditions with the same levels and repetitions."""
+    """Split a design into crossed parts: pairs and finger conditions with the same levels and repetitions."""
     scheduled = responses.scheduled
     if scheduled is None:
         return
@@ -211,7 +211,7 @@ def _find_parts(responses: Responses) -> Iterator[CrossedPart]:
 
 
 def _asked(responses: Responses, own: pd.DataFrame, cell: list[str]) -> list[tuple[Any, int]]:
-    """Return the cells and how often each participant was asked in them; refuse cells where that differs."""
+    """Return the cells with their number of trials per participant; refuse numbers that vary between participants."""
     wide = own.groupby(["participant", *cell], observed=True).size().unstack(cell, fill_value=0)
     if odd := [name for name in wide.columns if wide[name].nunique() > 1]:
         shown = ", ".join(f"{who} {n}" for who, n in wide[odd[0]].drop_duplicates().items())
@@ -231,7 +231,7 @@ def _part(
     factors: dict[str, str],
     n_repetitions: int,
 ) -> CrossedPart:
-    """Return a part with its answers; a participant who gave none in it has rows with a count of 0."""
+    """Return a part with its answers; missing answers have a count of 0, to keep participants without any."""
     scheduled = own[[key in cells for key in own[cell].itertuples(index=False, name=None)]]
     answered = scheduled[scheduled["response"].isin(responses.answers.names)]
     silent = scheduled.drop(answered.index).assign(n=0, response=responses.answers.names[0])
@@ -241,7 +241,7 @@ def _part(
 
 
 def render_parts(analysis: PartsAnalysis) -> dict[str, Any]:
-    """Return the contents of every file of the analysis, by name, as `write_files` takes them."""
+    """Render all files of the analysis, by name, for `write_files`."""
     from modaltouch.analysis.figures import draw_counts
     from modaltouch.analysis.provenance import describe_record
     from modaltouch.analysis.report import list_questions
@@ -303,14 +303,14 @@ def render_parts(analysis: PartsAnalysis) -> dict[str, Any]:
 
 
 def _everywhere(parts: Sequence[CrossedPart]) -> AnswerCounts:
-    """Return the counts of the first part with the finger conditions and pairs of all, to word what is about all."""
+    """Return the counts of the first part with the finger conditions and pairs of all parts, for wording."""
     conditions = dict.fromkeys(name for part in parts for name in part.counts.finger_conditions)
     pairs = {pair.label: pair for part in parts for pair in part.counts.pairs}
     return replace(parts[0].counts, finger_conditions=tuple(conditions), pairs=tuple(pairs.values()))
 
 
 def _models(analysis: PartsAnalysis) -> dict[str, Any]:
-    """Return the tidy table and the R script of mixed models, over all parts if each finger can be named alone."""
+    """Return the table and the R script of mixed models, for zones over all parts if answers name each finger alone."""
     first = analysis.parts[0].counts
     if not first.compares:
         return tidy_files(analysis.responses)
