@@ -1,4 +1,4 @@
-"""What the session logs say besides the answers: what was presented, what went wrong, and how to repeat it."""
+"""Facts from the session logs besides the answers: presented stimuli, faults, settings, and participants."""
 
 from __future__ import annotations
 
@@ -31,28 +31,28 @@ FAULTS = {
 RIG_TROUBLES = frozenset(
     {"connection_lost", "reconnect_failed", "instrument_errors", "upload_repeated", "unknown_model", "close_failed"}
 )
-"""Names, in the rig's journal, of the events that a reader of the report should know of."""
+"""Names of the rig events that are reported as faults."""
 
 
 @dataclass(frozen=True)
 class RecordFacts:
-    """What the report says about the sessions.
+    """Facts about all sessions, for the report.
 
     Attributes
     ----------
     sessions : tuple of SessionFacts
-        Facts of each session.
+        Facts about each session.
     presented : tuple of dict
-        Planned against confirmed, level by level: finger condition, level, numbers of trials and of those confirmed,
+        Planned and confirmed stimuli by level: finger condition, level, numbers of trials and of confirmed trials,
         amplitudes sent and read back in words.
     faults : tuple of (str, int, str)
-        Kind, number, and in which sessions.
+        Kind, number, and affected sessions.
     settings : dict of str to str
-        Instrument, seed, hashes and versions, the same for all sessions or listed.
+        Instrument, seed, hashes and versions; listed if they differ between sessions.
     people : tuple of str
-        What participants said about themselves, one line for each number and choice that the protocol asks for.
+        Information on participants, one line for each number or choice that the protocol asks for.
     form : tuple of dict
-        What they answered in the form at the end, as `summarise_form` returns it.
+        Answers in the form at the end, as returned by `summarise_form`.
     """
 
     sessions: tuple[SessionFacts, ...]
@@ -65,32 +65,32 @@ class RecordFacts:
 
 @dataclass(frozen=True, eq=False)
 class SessionFacts:
-    """What is kept of a session's log besides its answers; small, so that a thousand fit in memory.
+    """Facts about one session besides its answers; small, so that a thousand fit in memory.
 
     Attributes
     ----------
     participant : str
         Participant id.
     number : int
-        Number of the session among the participant's.
+        Session number of this participant.
     day : str
-        Date on which it began.
+        Start date.
     n_answers, n_practice : int
-        Answers that count, and answers in practice.
+        Number of answers in trials, and in practice.
     presented : Counter
-        Trials that were presented alike: finger condition, level (peak velocity [mm/s], or multiple of the
+        Counts of identically presented trials: finger condition, level (peak velocity [mm/s], or multiple of the
         participant's threshold), amplitudes of all channels as sent and as read back [V peak to peak], whether
         confirmed.
     faults : Counter
-        Events that need a look, by kind.
+        Events that need attention, by kind.
     settings : dict
         Instrument, seed, hashes and versions.
     threshold_mm_s : float or None
-        The participant's own threshold, if levels are multiples of it [mm/s].
+        The participant's threshold, if levels are multiples of it [mm/s].
     people : dict
-        Numbers and choices that the participant gave, by the protocol's name with its unit.
+        Numbers and choices entered for the participant, by the protocol's name with its unit.
     form : dict
-        Numbers and words that the participant gave in the form at the end, by question.
+        Numbers and words from the form at the end, by question.
     occasion : (str, str)
         Group and kind of session; empty if there are none.
     """
@@ -115,12 +115,12 @@ class SessionFacts:
 
     @property
     def n_events(self) -> int:
-        """Number of events that need a look."""
+        """Number of events that need attention."""
         return self.faults.total()
 
 
 def take_facts(session: Session) -> SessionFacts:
-    """Return what a session's log says besides the answers."""
+    """Extract the facts besides the answers from a session."""
     start, trials = session.start, session.trials
     counted = [event for event in trials if not event["trial"]["practice"]]
     return SessionFacts(
@@ -147,7 +147,7 @@ def _people(start: dict[str, Any]) -> Iterator[tuple[str, float | str]]:
 
 
 def describe_record(sessions: Sequence[SessionFacts]) -> RecordFacts | None:
-    """Return what the logs of the analysed sessions say; None for a CSV, which has none."""
+    """Summarise the facts about the analysed sessions; None for a CSV, which has no sessions."""
     if not sessions:
         return None
     return RecordFacts(
@@ -161,7 +161,7 @@ def describe_record(sessions: Sequence[SessionFacts]) -> RecordFacts | None:
 
 
 def _describe_people(sessions: Sequence[SessionFacts]) -> Iterator[str]:
-    """Yield mean and range of each number, and how often each choice was made, over participants."""
+    """Yield the mean and range of each number, and the count of each choice, over participants."""
     for name in dict.fromkeys(name for session in sessions for name in session.people):
         values = list({each.participant: each.people[name] for each in sessions if name in each.people}.values())
         counted = ", ".join(f"{n} {value}" for value, n in Counter(values).most_common())
@@ -171,7 +171,7 @@ def _describe_people(sessions: Sequence[SessionFacts]) -> Iterator[str]:
 
 
 def form_files(sessions: Sequence[SessionFacts]) -> dict[str, list[dict[str, Any]]]:
-    """Return ``form.csv``, a row for each session, empty at a time-out; no file without a form."""
+    """Return the rows of ``form.csv``, one per session, with empty fields for time-outs; no file without a form."""
     names = dict.fromkeys(name for session in sessions for name in session.form)
     rows = [
         {"participant": each.participant, "session": each.number, "group": each.occasion[0],
@@ -183,10 +183,10 @@ def form_files(sessions: Sequence[SessionFacts]) -> dict[str, list[dict[str, Any
 
 
 def summarise_form(sessions: Sequence[SessionFacts]) -> Iterator[dict[str, Any]]:
-    """Yield median and quartiles of each number of the form over participants, or how often each word was chosen.
+    """Yield the median and quartiles over participants of each number of the form, and the count of each word.
 
-    Groups and kinds of session are kept apart. A participant with several sessions of a kind counts once, with the
-    mean of the numbers; words are counted session by session.
+    Groups and kinds of session are summarised separately. Numbers are averaged over a participant's sessions of a kind;
+    words are counted in every session.
     """
     told: dict[tuple[str, str, str], dict[str, list[float | str]]] = {}
     for session in sessions:
@@ -229,7 +229,7 @@ def _presented(sessions: Sequence[SessionFacts]) -> Iterator[dict[str, Any]]:
 
 
 def _in_words(amplitudes: Sequence[tuple[float, ...]]) -> str:
-    """Return the amplitude of each channel over trials, as in ``1.234, 0.987 to 0.988``."""
+    """Return the range of amplitudes of each channel over trials, as in ``1.234, 0.987 to 0.988``."""
     if len({len(each) for each in amplitudes}) > 1:
         return "not recorded"
     ranges = [(min(channel), max(channel)) for channel in zip(*amplitudes, strict=True)]
@@ -242,7 +242,7 @@ def _kinds_of_fault(event: dict[str, Any]) -> Iterator[str]:
     kind = event.get("event")
     if kind in RIG_TROUBLES or any(exchange.get("what") in RIG_TROUBLES for exchange in event.get("exchanges", ())):
         yield "rig"
-    # Every sitting ends with a stop; only one before the last trial is a deviation.
+    # A stop event ends every run of a session; only one before the last trial is a fault.
     told = ("trial_cut", "unconfirmed", "resume", "masking_lost")
     if kind in told or (kind == "stop" and not event.get("complete")):
         yield kind

@@ -1,4 +1,4 @@
-"""Ratings and further answers: means and shares, rank tests over levels, the power law of magnitude estimates."""
+"""Ratings and further questions: means and shares, rank tests over levels, and the power law of magnitude estimates."""
 
 from __future__ import annotations
 
@@ -25,22 +25,22 @@ from modaltouch.protocol import ScaleSection
 
 @dataclass(frozen=True)
 class Question:
-    """Something that was rated, or an answer of a list, which is counted.
+    """A question with a rating scale, or one answer to a question with a list of answers.
 
     Attributes
     ----------
     name : str
-        Its name.
+        Name of the question.
     column : str
         Column of the tidy answers.
     is_magnitude : bool
-        Whether numbers were typed, to be compared as ratios.
+        Whether answers are magnitude estimates, compared as ratios.
     answers : tuple of str
-        The list of answers; empty for a scale.
+        List of answers; empty for a scale.
     counted : str
-        The answer of the list whose share is taken.
+        Answer of the list whose share is computed.
     ends : (float, float) or None
-        Lowest and highest rating, if the scale has them.
+        Lowest and highest rating, if the scale is bounded.
     """
 
     name: str
@@ -52,9 +52,9 @@ class Question:
 
     @classmethod
     def of(cls, name: str, column: str, asked: Mapping[str, Any]) -> tuple[Question, ...]:
-        """Return a question of the protocol with a scale, or the answers of its list, which need have no order."""
+        """Return a question of the protocol with a scale, or one for each (unordered) answer of its list."""
         if answers := tuple(asked.get("keys") or ()):
-            # Of two answers, the share of the second tells both.
+            # Of two answers, the share of the second determines both.
             counted = answers[len(answers) == 2 :]
             return tuple(cls(f"P({name}: {each})", column, False, answers, each, (0.0, 1.0)) for each in counted)
         if not asked.get("scale"):
@@ -65,15 +65,15 @@ class Question:
 
     @property
     def measure(self) -> Measure:
-        """The measure that a participant's mean is a value of."""
+        """Measure of a participant's mean rating or share."""
         way = " (geometric mean)" if self.is_magnitude else ""
         ends = None if self.is_magnitude else self.ends
         return Measure(self.name, f"{self.name}{way}", "rating", None, self.is_magnitude, is_ranked=True, ends=ends)
 
     def numbers(self, frame: pd.DataFrame) -> pd.Series:
-        """Return the rating of each answer, or 1 if it is the counted one and 0 if not; NaN where there is none.
+        """Return the ratings, or 1 for the counted answer and 0 for others; NaN if missing.
 
-        A magnitude that is not above zero is none.
+        Magnitudes that are not positive are treated as missing.
         """
         if self.answers:
             given = frame[self.column].astype(str)
@@ -82,17 +82,17 @@ class Question:
         return values.where(values > 0) if self.is_magnitude else values
 
     def told(self, frame: pd.DataFrame) -> pd.Series:
-        """Return what was answered, as a table for models has it: a word of the list, or the rating."""
+        """Return the answers for a table of models: words of the list, or ratings."""
         return frame[self.column].astype(str) if self.answers else self.numbers(frame)
 
 
 def questions_of(design: Mapping[str, Any], frame: pd.DataFrame) -> tuple[Question, ...]:
-    """Return what was rated: the question of the trial, if it has a scale, and further questions.
+    """Return the rating questions: that of the trial, if it has a scale, and further questions.
 
     Parameters
     ----------
     design : mapping
-        The protocol's sections; empty if they are unknown: then a column ``value`` holds ratings.
+        Sections of the protocol; if empty (unknown), a column ``value`` holds the ratings.
     frame : DataFrame
         Tidy answers.
     """
@@ -108,16 +108,16 @@ def questions_of(design: Mapping[str, Any], frame: pd.DataFrame) -> tuple[Questi
 
 
 def ratings(responses: Responses, task: TrialTask, asked: Sequence[Question]) -> Iterator[IndividualValue]:
-    """Yield mean ratings by level, exponents of magnitudes, and differences of ratings between right and wrong answers.
+    """Yield mean ratings by level, power-law exponents, and rating differences between correct and incorrect answers.
 
     Parameters
     ----------
     responses : Responses
         The answers.
     task : TrialTask
-        What the answers mean.
+        Task of the participant.
     asked : sequence of Question
-        What was rated.
+        Rating questions.
     """
     frame, scale = responses.frame, scale_of(responses.frame.columns)
     is_correct = correct(frame, task, scale)
@@ -142,14 +142,14 @@ def ratings(responses: Responses, task: TrialTask, asked: Sequence[Question]) ->
 
 
 def correct(frame: pd.DataFrame, task: TrialTask, scale: LevelScale) -> pd.Series:
-    """Return which answers are correct, 1 or 0; NaN if the design does not determine it.
+    """Score the answers as correct (1) or incorrect (0); NaN if the design does not determine it.
 
     Parameters
     ----------
     frame : DataFrame
-        Tidy answers, by what they name.
+        Tidy answers in terms of intervals.
     task : TrialTask
-        What the answers mean.
+        Task of the participant.
     scale : LevelScale
         Scale of the levels.
     """
@@ -165,12 +165,12 @@ def correct(frame: pd.DataFrame, task: TrialTask, scale: LevelScale) -> pd.Serie
 
 
 def power_law(levels: ArrayLike, magnitudes: ArrayLike) -> Interval:
-    """Return the exponent of magnitude over level, by least squares of their logarithms, with its t interval.
+    """Fit the power law of magnitude over level by log-log least squares, and return its exponent with the t interval.
 
     Parameters
     ----------
     levels, magnitudes : (n,) arrays
-        Level and magnitude of each answer, above zero.
+        Level and magnitude estimate of each answer, positive.
 
     References
     ----------
@@ -187,9 +187,9 @@ def power_law(levels: ArrayLike, magnitudes: ArrayLike) -> Interval:
 
 
 def level_findings(values: Sequence[IndividualValue], groups: Mapping[str, str]) -> Iterator[Finding]:
-    """Yield Friedman's test of each rating over levels, with Kendall's coefficient; for two levels, signed ranks.
+    """Yield Friedman's test of each rating over levels, with Kendall's W; for two levels, the signed-rank test.
 
-    Groups that met different levels have tests of their own.
+    Groups with different levels are tested separately.
 
     Parameters
     ----------
@@ -217,7 +217,7 @@ def level_findings(values: Sequence[IndividualValue], groups: Mapping[str, str])
 def _over_levels(
     measure: Measure, scope: str, levels: Sequence[float], people: Sequence[Mapping[float, float]]
 ) -> Iterator[Finding]:
-    """Yield the test of a rating over levels, of participants by their ratings at the levels; none at one level."""
+    """Yield the test of a rating over levels, given the participants' ratings by level; none for a single level."""
     rows = np.array([[own[level] for level in levels] for own in people if len(own) == len(levels)])
     if len(levels) < 2 or len(rows) < 2:
         return
@@ -238,7 +238,7 @@ def _over_levels(
 
 
 def friedman(rows: np.ndarray) -> tuple[ExactTest, Any]:
-    """Return Friedman's test, with p from shuffles within participants, and Kendall's W.
+    """Return Friedman's test, with p from permutations within participants, and Kendall's W.
 
     Parameters
     ----------
@@ -249,7 +249,7 @@ def friedman(rows: np.ndarray) -> tuple[ExactTest, Any]:
     ranks = pd.DataFrame(rows.reshape(-1, k)).round(9).rank(axis=1).to_numpy().reshape(-1, n, k)
     ties = ((ranks[..., np.newaxis] == ranks[..., np.newaxis, :]).sum(axis=-1) ** 2 - 1).sum(axis=(1, 2))
     most = n**2 * (k**3 - k) / 12 - n * ties / 12
-    # Sums of halves are exact in single precision.
+    # Ranks are multiples of 1/2, so their sums are exact in single precision.
     test = shuffle_conditions((ranks - (k + 1) / 2).astype(np.float32)[..., np.newaxis])
     concordance = np.divide(test.statistic, most, out=np.full(most.shape, math.nan), where=most > 0)
     statistic = np.where(most > 0, n * (k - 1) * concordance, 0.0)

@@ -1,4 +1,4 @@
-"""Answers from a CSV file or a results tree."""
+"""Reading of answers from a CSV file or a results tree."""
 
 from __future__ import annotations
 
@@ -18,28 +18,27 @@ def read_responses(
     stimulus: str | None = None,
     table_format: TableFormat | None = None,
 ) -> Responses:
-    """Return the answers in a CSV file, a session log, or a tree of sessions.
+    """Read the answers in a CSV file, a session log, or a tree of sessions.
 
     Parameters
     ----------
     path : Path or str
         A CSV file; or a results folder, or any folder or session log in it.
     *labs : Path or str
-        Results folders of other labs that ran the same protocol.
+        Results folders of other labs with the same protocol.
     mode : {"real", "pilot", "simulated"}, optional
-        Which sessions of a tree, or rows of a CSV with a column ``mode``, to take. By default the real ones; if there
-        are none, the only kind there is.
+        Which sessions of a tree, or rows of a CSV with a column ``mode``, to use. By default the real ones; if there
+        are none, those of the only mode.
     stimulus : str, optional
-        Stimulus whose trials to take, if there are several; by default all.
+        Stimulus to analyse, if there are several; by default all.
     table_format : TableFormat, optional
-        The answers that could be given, how they are written and the margin of equivalence, for a CSV; recorded
-        sessions contain them.
+        The answers offered, their spelling and the equivalence margin, for a CSV; recorded sessions contain them.
 
     Raises
     ------
     InputError
-        With every fault found, its place and what to do: unknown words, missing columns or cells, doubled rows,
-        a tree that mixes modes or protocols.
+        With all problems found, their locations and remedies: unknown words, missing columns or cells, duplicate rows,
+        a tree with mixed modes or protocols.
     """
     place, *further = map(Path, (path, *labs))
     for each in (place, *further):

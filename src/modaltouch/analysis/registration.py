@@ -1,4 +1,4 @@
-"""What a preregistration sees of an analysis, and which one it was checked against."""
+"""Interface between an analysis and its preregistration."""
 
 from __future__ import annotations
 
@@ -16,56 +16,56 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Registration:
-    """The preregistration that an analysis was checked against.
+    """The preregistration checked against an analysis.
 
     Attributes
     ----------
     path : Path or None
-        Its file; None without one.
+        File of the preregistration, if any.
     departures : tuple of str
-        Departures of the analysis from it, in words.
+        Departures of the analysis from the preregistration, in words.
     """
 
     path: Path | None = None
     departures: tuple[str, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
-        """Return both as plain values for ``--json``."""
+        """Return the attributes as plain values for ``--json``."""
         return {"preregistration": str(self.path) if self.path else None, "departures": list(self.departures)}
 
 
 class RegisteredAnalysis(ABC):
-    """An analysis as a preregistration sees it."""
+    """Base class of analyses that can be checked against a preregistration."""
 
     responses: Responses
 
     @property
     @abstractmethod
     def confirmatory(self) -> list[tuple[str, AnswerCounts, Finding]]:
-        """The tests that are corrected in families: part of the design (or empty), counts, and test."""
+        """Tests corrected in families: part of the design (or empty), counts, and test."""
 
     @abstractmethod
     def terms(self, tests: Mapping[str, int]) -> dict[str, Any]:
-        """Return the terms fixed beforehand, by name, as plain values; `tests` counts the tests of each family."""
+        """Return the terms fixed by a preregistration, by name; `tests` is the number of tests in each family."""
 
     def design_in_words(self) -> list[tuple[str, str]]:
-        """Return the terms of a design without counts of its own, in words, by name."""
+        """Describe a design without counts of the whole, as terms in words by name."""
         return []
 
     def describe_families(self) -> list[dict[str, Any]]:
-        """Return the families of confirmatory tests.
+        """Describe the families of confirmatory tests.
 
         Returns
         -------
         list of dict
-            ``name``, ``asks``, ``test``, ``scopes``, and ``significant``: whether any test is, after correction.
+            ``name``, ``asks``, ``test``, ``scopes``, and ``significant`` (whether any test is, after correction).
         """
         from modaltouch.analysis.preregistration import describe_families
 
         return describe_families(self.confirmatory)
 
     def departures_from(self, terms: Mapping[str, Any]) -> tuple[str, ...]:
-        """Return the departures from a preregistration with these terms, in words."""
+        """Describe the departures from a preregistration with these terms, in words."""
         from modaltouch.analysis.preregistration import find_departures
 
         return find_departures(terms, self.terms, self.confirmatory, self.responses)

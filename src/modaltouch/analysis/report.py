@@ -1,4 +1,4 @@
-"""The report: one HTML file with embedded figures, which needs no network and prints well."""
+"""Report of an analysis, as a self-contained, printable HTML file with embedded figures."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ from modaltouch.analysis.zones import zones_in_words, zones_of
 from modaltouch.report import ReportFigure, format_number, page_files
 
 MOST_ROWS = 8
-"""Most rows of a table that is shown open; longer ones are folded, and not printed."""
+"""Maximum number of rows of an unfolded table; longer tables are folded, and not printed."""
 
 CATCHES = "Beside d', criteria and detection thresholds, catch trials are in no other table, figure or test."
 
 
 def _cautions(answers: AnswerCounts) -> dict[str, str]:
-    """Return what a reader of a question's numbers should know, by question."""
+    """Return cautions on the interpretation of the results, by question."""
     felt = [answers.answers[place].name for place in answers.felt]
     return {
         "a1": "Each p is of all answers in a cell, tested against an even split over "
@@ -63,7 +63,7 @@ def _cautions(answers: AnswerCounts) -> dict[str, str]:
 
 
 def report_files(analysis: Analysis, pictures: Sequence[ReportFigure]) -> dict[str, Any]:
-    """Return the report and its figures, by file name."""
+    """Render the report and its figures, by file name."""
     from modaltouch.analysis.provenance import describe_record
 
     answers = analysis.answers
@@ -104,7 +104,7 @@ def report_files(analysis: Analysis, pictures: Sequence[ReportFigure]) -> dict[s
 
 
 def design_limits(analysis: Analysis) -> list[str]:
-    """Return sentences on what the design of these answers cannot show."""
+    """Return the limitations of the design, in sentences."""
     answers, n = analysis.answers, analysis.answers.n_participants
     both, nothing = answers.answers.naming("left", "right"), answers.answers.naming()
     flips = Counter(row.family for row in analysis.findings if row.family and re.search("sign.flip", row.name))
@@ -136,7 +136,7 @@ def design_limits(analysis: Analysis) -> list[str]:
             f"“{both.name.capitalize() if both else ''}” mixes two things, feeling both fingers alike and being "
             "unable to tell; the question does not separate them.",
         ),
-        (  # With several intervals, guessing is known from the design; with numbers, it has no meaning.
+        (  # With several intervals, the guess rate follows from the design; for numbers, there is none.
             nothing is None and len(answers.answers) > 1 and analysis.responses.n_intervals == 1,
             "No answer says that nothing was felt, so a trial without a stimulus cannot be answered correctly: lapses "
             "and guessing stay unknown.",
@@ -166,7 +166,7 @@ def design_limits(analysis: Analysis) -> list[str]:
 
 
 def _aliases(pairs: Sequence[Pair]) -> Iterator[str]:
-    """Yield the pairs of zones that never change sides, in words."""
+    """Yield the pairs of zones confounded with side, in words."""
     sides = {(pair.left, pair.right) for pair in pairs}
     for left, right in ((pair.left, pair.right) for pair in pairs if not pair.focused):
         if (right, left) not in sides:
@@ -201,12 +201,12 @@ def _zone_rows(answers: AnswerCounts, condition: str) -> list[dict[str, Any]]:
 
 
 def speed_rows(frame: pd.DataFrame) -> list[dict[str, Any]]:
-    """Return the peak speeds predicted under the fingers from left to right [mm/s], a row for each pair of zones.
+    """Return the predicted peak speeds under the fingers from left to right [mm/s], one row per pair of zones.
 
     Parameters
     ----------
     frame : DataFrame
-        Tidy answers; without the speed under each finger there is no row.
+        Tidy answers; without the speed under each finger, there are no rows.
     """
     sides = ["speed_left_mm_s", "speed_between_mm_s", "speed_right_mm_s"]
     sides = [side for side in sides if has_values(frame, side)]
@@ -215,13 +215,13 @@ def speed_rows(frame: pd.DataFrame) -> list[dict[str, Any]]:
 
 
 def delivered_rows(frame: pd.DataFrame) -> list[dict[str, Any]]:
-    """Return the same for the peak speeds delivered under the faster finger, in trials where they are known."""
+    """Return the peak speeds delivered under the faster finger [mm/s], one row per pair, in trials where known."""
     is_told = "delivered_mm_s" in frame and frame["delivered_mm_s"].notna().any()
     return _ranges(frame, ["delivered_mm_s"]) if is_told else []
 
 
 def _ranges(frame: pd.DataFrame, columns: list[str]) -> list[dict[str, Any]]:
-    """Return a row for each pair of zones, with the range of the columns in a cell for each level."""
+    """Return one row per pair of zones, with the ranges of the columns at each level."""
     *pair, level = cell_of(frame.columns)
     bounds = frame.dropna(subset=columns).groupby([*pair, level], observed=True)[columns].agg(["min", "max"])
     said = bounds.round().astype(int).astype(str).apply(
@@ -235,7 +235,7 @@ def _ranges(frame: pd.DataFrame, columns: list[str]) -> list[dict[str, Any]]:
 
 
 def list_questions(findings: Sequence[Finding], answers: AnswerCounts) -> list[dict[str, Any]]:
-    """Return the statistics question by question: in words, and each test or estimate as a table of its own.
+    """Return the statistics by question: a summary in words, and a table for each test or estimate.
 
     Parameters
     ----------
@@ -256,7 +256,7 @@ def list_questions(findings: Sequence[Finding], answers: AnswerCounts) -> list[d
                 "question": question,
                 "heading": heading,
                 "answer": answer_question(own, claim, answers),
-                # A caution about what is not shown is not needed if everything is.
+                # Omit cautions on non-significant results if all are significant.
                 "caution": "" if is_shown else cautions.get(question, ""),
                 "parts": [_part(name, rows, answers) for name, rows in groups.items()],
             })  # fmt: skip
@@ -289,18 +289,18 @@ def _part(name: str, rows: Sequence[Finding], answers: AnswerCounts) -> dict[str
 
 
 MOST_PARTICIPANTS = 40
-"""Participants that one page of strips can show."""
+"""Maximum number of participants on one page of strips."""
 
 ZONE_COLOURS = ("#a9c3ee", "#e6e9ee", "#f2b196")
-"""Dominant zone, both, other zone: light enough for dark letters, also in print."""
+"""Colours of dominant zone, both, and other zone; light enough for dark letters, also in print."""
 OTHER_COLOURS = ("#f6e08a", "#a6dcc0", "#d7b9e0", "#9fe0f5", *ZONE_COLOURS)
-"""Answers that name no zone; the last colours are those of zones, needed only if no answer names one."""
+"""Colours of answers that name no zone; the last ones, those of zones, are used only if no answer names a zone."""
 TIED, NOTHING = "#ffffff", "#c3c8d0"
 
 
 @dataclass(frozen=True)
 class Kind:
-    """What a cell can hold: an answer, or a tie between repetitions (place -1); with its letter and colour."""
+    """Content of a cell: an answer, or a tie between repetitions (place -1), with its letter and colour."""
 
     place: int
     name: str
@@ -309,7 +309,7 @@ class Kind:
 
 
 def kinds_of(answers: AnswerCounts, pair: Pair) -> list[Kind]:
-    """Return what the cells of a pair can hold, in the order of the legend.
+    """Return the possible contents of the cells of a pair, in the order of the legend.
 
     Parameters
     ----------
@@ -326,7 +326,7 @@ def kinds_of(answers: AnswerCounts, pair: Pair) -> list[Kind]:
             kinds.append(Kind(place, answers.answers[place].name, "&", both))
         kinds.append(Kind(answers.other_place(pair), "other zone", pair.other, other))
     rest = {p: answers.answers[p].name for p in answers.felt if p not in {kind.place for kind in kinds}}
-    # Two letters if these are distinct, else the number of the answer.
+    # Use two letters if they are distinct, else the number of the answer.
     is_clear = len({name[:2] for name in rest.values()}) == len(rest)
     letters = [name[:2] if is_clear else str(place + 1) for place, name in rest.items()]
     kinds += [Kind(*each) for each in zip(rest, rest.values(), letters, OTHER_COLOURS, strict=False)]
@@ -335,12 +335,12 @@ def kinds_of(answers: AnswerCounts, pair: Pair) -> list[Kind]:
 
 
 def participant_strips(answers: AnswerCounts) -> dict[str, Any]:
-    """Return each participant's most frequent answer in each cell, for a table of each finger condition.
+    """Return each participant's most frequent answer in each cell, as a table for each finger condition.
 
     Parameters
     ----------
     answers : AnswerCounts
-        Counts of the answers; the first `MOST_PARTICIPANTS` are taken.
+        Counts of the answers; only the first `MOST_PARTICIPANTS` participants are shown.
     """
     modal = answers.modal()[:MOST_PARTICIPANTS]
     kinds = [kinds_of(answers, pair) for pair in answers.pairs]

@@ -1,10 +1,10 @@
-"""Answers ready to be analysed: one tidy table, and where the answers come from.
+"""Answers as input to the analysis: a tidy table, and the source of the answers.
 
-The tidy table has one row for each answer (or, with a column ``n``, for a count of equal answers)::
+The tidy table has one row per answer (or, with a column ``n``, per count of identical answers)::
 
     participant, finger_condition, zone_left, zone_right, velocity_mm_s, response
 
-For sessions with levels calibrated by participant, ``multiple_of_threshold`` replaces ``velocity_mm_s``.
+If levels are multiples of each participant's threshold, ``multiple_of_threshold`` replaces ``velocity_mm_s``.
 """
 
 from __future__ import annotations
@@ -37,17 +37,17 @@ _SIDES = (("zone_left", "zone_right"), ("speed_left_mm_s", "speed_right_mm_s"))
 
 
 def cell_of(columns: Container[str]) -> tuple[str, ...]:
-    """Return the columns that distinguish the cells of the design."""
+    """Return the columns that define the cells of the design."""
     return (CELL[0], *zones_of(columns), scale_of(columns).column)
 
 
 def keys_of(columns: Container[str]) -> tuple[str, ...]:
-    """Return the columns that distinguish the answers of a balanced table: who gave them, and in which cell."""
+    """Return the columns that define participant and cell of an answer in a balanced table."""
     return ("participant", *cell_of(columns))
 
 
 def answers_per_cell(frame: pd.DataFrame) -> pd.DataFrame:
-    """Return how many answers each participant (row) gave in each cell of the crossed design (column).
+    """Return the number of answers of each participant (row) in each cell of the crossed design (column).
 
     Parameters
     ----------
@@ -72,12 +72,12 @@ def describe_cell(cell: Iterable[object], scale: LevelScale = VELOCITY) -> str:
 
 
 def missing_answer_notes(asked: pd.DataFrame, given: pd.DataFrame) -> tuple[str, ...]:
-    """Return a note on participants, pairs and levels without any answer, which are in no table or test.
+    """Return notes on participants, pairs and levels without any answer, which do not appear in tables or tests.
 
     Parameters
     ----------
     asked, given : DataFrame
-        Rows of all trials, and of those with an answer.
+        Rows of all trials, and of trials with an answer.
     """
     scale = scale_of(asked.columns)
     words: dict[tuple[str, ...], Callable[..., str]] = {
@@ -94,20 +94,20 @@ def missing_answer_notes(asked: pd.DataFrame, given: pd.DataFrame) -> tuple[str,
 
 @dataclass(frozen=True)
 class TableFormat:
-    """How a CSV file is to be read.
+    """Format of a CSV file.
 
     Attributes
     ----------
     answers : AnswerList or None
-        The answers that could be given; by default the paper's.
+        The answers offered; by default the paper's.
     words : dict of str to str
-        Words of the file, and the answers that they stand for.
+        Mapping from words in the file to answers.
     missing : tuple of str
-        Words of the file that stand for no answer, besides an empty field, ``n/a`` and ``time_out``.
+        Words for a missing answer, besides an empty field, ``n/a`` and ``time_out``.
     margin : float or None
-        Difference within which finger conditions count as alike [1].
+        Equivalence margin of the finger conditions [1].
     design : dict
-        Sections of the protocol that the answers were given in; empty if no protocol is named.
+        Sections of the protocol; empty if no protocol is given.
     """
 
     answers: AnswerList | None = None
@@ -118,7 +118,7 @@ class TableFormat:
 
     @property
     def asked(self) -> tuple[str, ...]:
-        """Columns that the protocol requires; without them, a different design would be analysed unnoticed."""
+        """Columns required by the protocol; without them, the analysis could silently assume a different design."""
         answers = self.design.get("answers") or {}
         told = {"interval": self.design.get("intervals"), "value": answers.get("scale"),
                 "stimulus": self.design.get("stimuli"), "group": self.design.get("groups"),
@@ -128,14 +128,14 @@ class TableFormat:
 
 @dataclass(frozen=True)
 class ExcludedSource:
-    """Something that was found but not analysed.
+    """A source of answers excluded from the analysis.
 
     Attributes
     ----------
     source : str
         File, folder or rows.
     reason : str
-        Why it was left out.
+        Reason for the exclusion.
     """
 
     source: str
@@ -144,20 +144,20 @@ class ExcludedSource:
 
 @dataclass(frozen=True)
 class AnswerSource:
-    """Where the answers come from.
+    """Source of the answers.
 
     Attributes
     ----------
     path : str
-        File or folder as it was given.
+        File or folder, as given by the user.
     kind : str
         ``csv`` or ``results``.
     sha256 : str
         Hash of the file, or of the hashes of the logs.
     mode : str
-        ``real``, ``pilot`` or ``simulated``; empty for a CSV, which does not say.
+        ``real``, ``pilot`` or ``simulated``; empty (unknown) for a CSV.
     labs : tuple of str
-        The folders of the labs, if there are several.
+        Folders of the labs, if there are several.
     """
 
     path: str
@@ -169,43 +169,42 @@ class AnswerSource:
 
 @dataclass(frozen=True, eq=False)
 class Responses:
-    """Answers ready to be analysed.
+    """Answers as input to the analysis.
 
     Attributes
     ----------
     frame : DataFrame
-        Tidy table; ``response`` is categorical over all answers that could be given, ``n`` counts equal answers. For
-        adaptive sessions it includes trials that timed out, without a response.
+        Tidy table; ``response`` is categorical over all answers offered, ``n`` counts identical answers. For adaptive
+        sessions, it includes trials that timed out, without a response.
     sessions : tuple of SessionFacts
-        What the log of each recorded session says besides its answers; empty for a CSV.
+        Facts about each recorded session besides its answers; empty for a CSV.
     left_out : tuple of ExcludedSource
-        What was found but not used, and why.
+        Sources excluded from the analysis, with reasons.
     source : AnswerSource
-        Where the answers come from.
+        Source of the answers.
     focus : str
-        Zone at which the vibration was focused, if known.
+        Zone of the focus, if known.
     start : dict
         Start record of the first session; empty for a CSV.
     catches : dict of (str, str, str) to Counter
-        Answers to catch trials by participant, finger condition and kind of session, which are not in the table; empty
-        without any.
+        Answers to catch trials by participant, finger condition and kind of session; these are not in the table.
     stimulus : str
-        Stimulus that was chosen among several; empty if none was chosen.
+        Stimulus selected among several; empty if none was selected.
     foci : dict of str to str
-        Focus of each of several stimuli.
+        Focus of each stimulus, if there are several.
     answers : AnswerList
-        The answers that could be given.
+        The answers offered.
     margin : float or None
-        Difference within which finger conditions count as alike [1]; for sessions, from their protocol.
+        Equivalence margin of the finger conditions [1]; for sessions, from the protocol.
     asked : int or None
-        Answers asked of each participant in each cell; None if only the table can tell.
+        Scheduled answers per participant and cell; None to infer them from the table.
     notes : tuple of str
-        How the table was read, for the report.
+        Notes on the reading of the table, for the report.
     scheduled : DataFrame or None
-        Every trial, answered in time or not, from which the trials of each cell are counted if not every participant
-        met every cell equally often; None if the design is crossed.
+        All trials, with or without an answer, to count the trials of each cell in designs that are not crossed; None
+        for a crossed design.
     design : dict
-        Sections of the protocol; empty if it is unknown.
+        Sections of the protocol; empty if unknown.
     """
 
     frame: pd.DataFrame
@@ -226,19 +225,19 @@ class Responses:
 
     @property
     def task(self) -> TrialTask:
-        """What a trial asks of the participant."""
+        """Task of the participant in a trial."""
         from modaltouch.analysis.task import TrialTask
 
         return TrialTask.of(self.design)
 
     @property
     def n_intervals(self) -> int:
-        """Number of intervals of a trial."""
+        """Number of intervals per trial."""
         return int((self.design.get("intervals") or {}).get("number", 1))
 
     @property
     def command(self) -> str:
-        """The command that analyses the same answers."""
+        """Command line to analyse these answers."""
         source = self.source
         words = ["modaltouch", "analyse", *(source.labs or [source.path]), *["--out", "FOLDER"] * bool(source.labs)]
         words += ["--stimulus", self.stimulus] * bool(self.stimulus)
@@ -249,7 +248,7 @@ class Responses:
         return shlex.join(words)
 
     def as_dict(self, *notes: str) -> dict[str, Any]:
-        """Return where the answers come from, and the form at the end, as plain values for ``--json``."""
+        """Return the source of the answers and the form at the end, as plain values for ``--json``."""
         from modaltouch.analysis.provenance import summarise_form
 
         return {
@@ -262,13 +261,13 @@ class Responses:
 
     @property
     def has_individual_results(self) -> bool:
-        """Whether a participant has more than counts of answers: catch trials, a d', a threshold, ratings, a group."""
+        """Whether there are individual results besides counts: catch trials, d', thresholds, ratings or groups."""
         detects = bool(self.catches) or self.answers.naming() is not None or len(self.answers) == 2
         rated = "value" in self.frame.columns or bool((self.design.get("answers") or {}).get("then"))
         return detects or rated or bool(self.design.get("intervals")) or bool(self.groups)
 
     def caught(self, participant: str, finger_condition: str = "all", kind: str = "") -> Counter[str]:
-        """Return a participant's answers to catch trials, of one finger condition and kind of session, or of all."""
+        """Return a participant's answers to catch trials, for one or all finger conditions and kinds of session."""
         own = (
             words
             for (who, condition, occasion), words in self.catches.items()
@@ -278,14 +277,14 @@ class Responses:
 
     @property
     def groups(self) -> dict[str, str]:
-        """Group of each participant, in the order of the protocol; empty if there are not several."""
+        """Group of each participant, in the order of the protocol; empty unless there are several groups."""
         if "group" not in self.frame.columns or self.frame["group"].nunique() < 2:
             return {}
         told = self.frame[["participant", "group"]].drop_duplicates().sort_values("group", kind="stable")
         return dict(zip(told["participant"].astype(str), told["group"].astype(str), strict=True))
 
     def of_groups(self, groups: Collection[str]) -> Responses:
-        """Return the answers of some groups in the cells that all of them met."""
+        """Return the answers of some groups in the cells common to all of them."""
         own = self.frame[self.frame["group"].isin(groups)]
         told = [name for name in (*cell_of(own), "stimulus", "session_kind", "focus") if name in own.columns]
         n_met = own.groupby(told, observed=True)["group"].transform("nunique")
@@ -293,12 +292,12 @@ class Responses:
 
     @property
     def stimuli(self) -> tuple[str, ...]:
-        """Stimuli that the answers are to, if there are several."""
+        """Stimuli of the answers, if there are several."""
         return self._several("stimulus")
 
     @property
     def kinds(self) -> tuple[str, ...]:
-        """Kinds of session that the answers are from, if there are several."""
+        """Kinds of session of the answers, if there are several."""
         return self._several("session_kind")
 
     def _several(self, column: str) -> tuple[str, ...]:
@@ -306,7 +305,7 @@ class Responses:
         return names if len(names) > 1 else ()
 
     def by_choice(self) -> Responses:
-        """Return answers that name an interval by what they choose in it; others unchanged."""
+        """Recode answers that name an interval by the stimulus chosen; keep other answers."""
         if not self.design.get("intervals") or not set(self.task.named) & set(self.answers.names):
             return self
         frame, answers = self.task.by_choice(self.frame, self.answers)
@@ -314,12 +313,12 @@ class Responses:
         return replace(self, frame=frame, answers=answers, scheduled=scheduled)
 
     def count(self, focus: str = "") -> AnswerCounts:
-        """Return the answers as one array.
+        """Count the answers.
 
         Parameters
         ----------
         focus : str
-            Zone of the focus if the answers do not give it; guessed if empty.
+            Zone of the focus, if unknown from the answers; guessed if empty.
 
         Raises
         ------
@@ -332,15 +331,15 @@ class Responses:
         return replace(counts, guesses_evenly=self.n_intervals < 3)
 
     def by_speed(self, speed: Speed) -> Responses:
-        """Return the answers with their levels as the peak speed predicted or delivered under the faster finger.
+        """Replace the levels by the peak speeds predicted or delivered under the faster finger.
 
-        In adaptive sessions each trial has its own speed; a fixed level has the mean over its trials, so that the cells
-        of the design stay the same. For a trial without a speed from the vibrometer, the predicted one is taken.
+        In adaptive sessions, each trial has its own speed; fixed levels take the mean over trials, to preserve the
+        cells of the design. Trials without a vibrometer measurement take the predicted speed.
 
         Raises
         ------
         InputError
-            If the answers do not contain these speeds, or are relative to a standard level.
+            If the answers do not contain these speeds, or compare levels with a standard.
         """
         if self.task.standard > 0:
             given = f"a standard of {self.task.standard:g} mm/s, to which speeds under the fingers are not comparable"
@@ -364,22 +363,22 @@ class Responses:
 
     @property
     def in_multiples(self) -> bool:
-        """Whether levels are multiples of each participant's own threshold."""
+        """Whether levels are multiples of each participant's threshold."""
         return scale_of(self.frame.columns) == OWN_THRESHOLD
 
     @property
     def is_adaptive(self) -> bool:
-        """Whether the levels followed from the answers, so that there are runs and no table of counts."""
+        """Whether levels were set adaptively, so that there are runs instead of counts."""
         return bool(self.start.get("design", {}).get("adaptive"))
 
 
 def refuse_unequal(place: Path, frame: pd.DataFrame) -> None:
-    """Refuse participants who met different conditions, as under two versions of a protocol.
+    """Refuse participants with different conditions, e.g. from two versions of a protocol.
 
     Parameters
     ----------
     place : Path
-        Where the answers are from.
+        Source of the answers.
     frame : DataFrame
         Tidy answers of recorded sessions.
     """
@@ -397,7 +396,7 @@ def refuse_unequal(place: Path, frame: pd.DataFrame) -> None:
 
 
 def sum_catches(told: Iterable[tuple[str, str, str, str, int]]) -> dict[tuple[str, str, str], Counter[str]]:
-    """Return the answers to catch trials, each with its count, by participant, finger condition and kind of session."""
+    """Sum the counts of answers to catch trials by participant, finger condition and kind of session."""
     catches: dict[tuple[str, str, str], Counter[str]] = {}
     for participant, finger_condition, kind, word, n in told:
         catches.setdefault((str(participant), str(finger_condition), str(kind)), Counter())[str(word)] += int(n)
@@ -405,29 +404,29 @@ def sum_catches(told: Iterable[tuple[str, str, str, str, int]]) -> dict[tuple[st
 
 
 def kinds_of(design: Mapping[str, Any]) -> dict[str, bool]:
-    """Return the kinds of session that the sections of a protocol list, and whether each is analysed."""
+    """Return the kinds of session in the sections of a protocol, and whether each is analysed."""
     listed = (design.get("schedule") or {}).get("sessions")
     return {kind["name"]: kind.get("analysed", True) for kind in listed} if isinstance(listed, (list, tuple)) else {}
 
 
 def unmirror(frame: pd.DataFrame, answers: AnswerList) -> pd.DataFrame:
-    """Return a tidy table with the zones of mirrored rows, and their answers, in the order of the beam.
+    """Return a tidy table with zones and answers of mirrored rows in the order of the beam.
 
-    A participant who feels zone C on the left of a turned beam answers "left"; the answer is C all the same, as for
-    those who feel it on the right. The column ``placement`` is kept and gives the side.
+    On a turned beam, a participant who feels zone C on the left answers "left"; the answer still means zone C, as for
+    participants who feel it on the right. The column ``placement`` is kept and indicates the side.
 
     Parameters
     ----------
     frame : DataFrame
-        Tidy answers; rows whose column ``placement`` begins with "mirrored" are turned.
+        Tidy answers; rows with a ``placement`` beginning with "mirrored" are swapped.
     answers : AnswerList
-        The answers that could be given; an answer whose opposite is not among them is kept.
+        The answers offered; an answer without an opposite among them is kept.
     """
     if "placement" not in frame.columns:
         return frame
     import numpy as np
 
-    # One finger alone has no other side.
+    # A single finger has no opposite side.
     turned = (frame["placement"].astype(str).str.startswith("mirrored") & (frame["zone_right"] != "")).to_numpy()
     if not turned.any():
         return frame
@@ -440,7 +439,7 @@ def unmirror(frame: pd.DataFrame, answers: AnswerList) -> pd.DataFrame:
     changed: dict[str, Any] = {"response": words.where(~turned, words.map(lambda word: opposite.get(word, word)))}
     for left, right in _SIDES:
         if left in frame.columns and right in frame.columns:
-            # The two columns may have different categories.
+            # The columns may have different categories.
             changed[left], changed[right] = (
                 np.where(turned, frame[one], frame[other]) for one, other in ((right, left), (left, right))
             )
