@@ -1,7 +1,6 @@
-"""Answers from a tree of recorded sessions, with the reason why a session is left out.
+"""Reading of answers from a tree of recorded sessions, with the reasons for excluded sessions.
 
-Modes and protocols are never mixed: real, pilot and simulated sessions answer different questions, and so do
-two designs.
+Real, pilot and simulated sessions are never mixed, nor are sessions of different protocols.
 """
 
 from __future__ import annotations
@@ -39,37 +38,37 @@ from modaltouch.record import RecordError, Session, SessionFolder, audit_session
 
 @dataclass(frozen=True)
 class SessionAnswers:
-    """A session of the tree.
+    """Answers of one session of the tree.
 
     Attributes
     ----------
     path : Path
-        Its log.
+        Log of the session.
     mode, participant, protocol : str
         From the log; empty if it cannot be read.
     reason : str
-        Why it is left out although its mode is the right one; empty if it can be analysed.
+        Reason to exclude the session, apart from its mode; empty if it can be analysed.
     digest : str
         SHA-256 of the log.
     rows : tuple of tuple
-        Its answers in the order of `COLUMNS` and `columns`; none if it is left out.
+        Answers in the order of `COLUMNS` and `columns`; empty if excluded.
     facts : SessionFacts or None
-        What the log says besides the answers; None if it is left out.
+        Facts from the log besides the answers; None if excluded.
     focus : str
-        Zone at which the vibration was focused, if known.
+        Zone of the focus, if known.
     foci : dict of str to str
-        Focus of each of several stimuli.
+        Focus of each stimulus, if there are several.
     levels : {"fixed", "adaptive", "calibrated"}
-        What sets its levels: the protocol; the answers, in which case its rows include catch trials, at 0 mm/s; or
-        the participant's own threshold, of which they are then multiples.
+        Origin of the levels: fixed by the protocol; set adaptively (the rows then include catch trials, at 0 mm/s); or
+        multiples of the participant's threshold.
     answers : AnswerList
-        The answers that could be given.
+        The answers offered.
     catches : Counter
-        Its answers to catch trials, with their finger condition.
+        Answers to catch trials, with their finger condition.
     kind : (str, str)
-        The participant's group and the kind of session; empty if there are none.
+        Group of the participant and kind of session; empty if there are none.
     is_crossed : bool
-        Whether its protocol has every pair at every level, equally often.
+        Whether the protocol has every pair at every level, equally often.
     columns : tuple of str
         Columns of numbers on a scale, and of further questions.
     names : tuple of str
@@ -98,7 +97,7 @@ class SessionAnswers:
     lab: str = ""
 
     def of_lab(self, name: str) -> SessionAnswers:
-        """Return the session with the lab in its participant's name, so that participants of labs are distinct."""
+        """Return the session with the lab in the participant id, to keep participants of different labs distinct."""
         who = f"{name}/{self.participant}"
         rows = tuple((who, *row[1:]) for row in self.rows)
         facts = None if self.facts is None else replace(self.facts, participant=who, occasion=(name, self.kind[1]))
@@ -106,9 +105,9 @@ class SessionAnswers:
 
 
 def _rows(session: Session) -> tuple[tuple[Any, ...], ...]:
-    """Return the answers of a session that count, in the order of `COLUMNS` and of its questions.
+    """Return the valid answers of a session, in the order of `COLUMNS` and its further questions.
 
-    Catch trials are included only for adaptive sessions.
+    Catch trials are included only in adaptive sessions.
     """
     rows, with_catches = [], _levels(session) == "adaptive"
     for row in session.table():
@@ -116,7 +115,7 @@ def _rows(session: Session) -> tuple[tuple[Any, ...], ...]:
             continue
         row |= {"velocity_mm_s": row["multiple_of_threshold"] or row["velocity_mm_s"], "n": 1}
         values = (row[name] for name in (*COLUMNS, *session.question_columns))
-        # Words that occur in every row are stored once.
+        # Intern recurring words, to save memory.
         rows.append(tuple(sys.intern(value) if isinstance(value, str) else value for value in values))
     return tuple(rows)
 
@@ -156,20 +155,20 @@ COLUMNS = (
     "standard_mm_s",
     "correct",
 )
-"""Columns of the tidy table of recorded answers; levels calibrated by participant are multiples of the threshold."""
+"""Columns of the tidy table of recorded answers; calibrated levels are multiples of the participant's threshold."""
 
 _STIMULUS = COLUMNS.index("stimulus")
 _ONE = "give the folder of one of them"
 _ONE_NAMED = f"{_ONE}; give the other protocol another name"
 _OF_INTERVALS = ("interval", "standard_mm_s", "correct")
-"""Columns that only trials with several intervals have."""
+"""Columns specific to trials with several intervals."""
 
 _SPEEDS = ("speed_left_mm_s", "speed_between_mm_s", "speed_right_mm_s", "delivered_mm_s")
 _NUMBERS = ("trial", "block", "response_uncertainty", *_SPEEDS)
 
 
 def open_log(path: Path) -> SessionAnswers:
-    """Read a session and keep only what an analysis needs, as a thousand logs would not fit in memory."""
+    """Read a session, keeping only the data for an analysis, since a thousand logs would not fit in memory."""
     try:
         session = read_session(path)
     except RecordError as error:
@@ -206,34 +205,34 @@ def open_log(path: Path) -> SessionAnswers:
 
 
 def _names(design: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the names of a protocol's stimuli, groups and kinds of session, in its order."""
+    """Yield the names of stimuli, groups and kinds of session, in the order of the protocol."""
     yield from (*design.get("stimuli", ()), *(design.get("groups") or ()), *kinds_of(design))
 
 
 def _in_time(whole: pd.DataFrame, answers: AnswerList, *, keep: bool) -> pd.DataFrame:
-    """Return the trials without those that timed out, or, to `keep` them, with no answer to them."""
+    """Drop the trials that timed out or, with `keep`, set their answers to missing."""
     told = pd.Categorical(whole["response"].where(in_time := whole["response"] != TIME_OUT), list(answers.ranked.names))
     return whole.assign(response=told)[in_time | keep].reset_index(drop=True)
 
 
 def read_tree(place: Path, *further: Path, mode: str | None = None, stimulus: str | None = None) -> Responses:
-    """Return the answers of the complete, valid sessions in a folder, or in those of several labs.
+    """Read the answers of the complete, valid sessions in a folder, or in the folders of several labs.
 
     Parameters
     ----------
     place : Path
         A results folder, a folder in it, or one session log.
     *further : Path
-        Results folders of other labs; the names of all folders are then the groups of participants.
+        Results folders of other labs; the folder names then define groups of participants.
     mode : {"real", "pilot", "simulated"}, optional
-        Which sessions to take; by default the real ones, and if there are none the only kind there is.
+        Which sessions to use; by default the real ones or, if there are none, those of the only mode.
     stimulus : str, optional
-        Stimulus whose trials to take, of several at fixed levels; by default all.
+        Stimulus to analyse, of several at fixed levels; by default all.
 
     Raises
     ------
     InputError
-        If there is no session to analyse, or the folder mixes modes or protocols without a choice.
+        If there is no session to analyse, or if the folder mixes modes or protocols and none is selected.
     """
     if mode is not None and mode not in MODES:
         raise InputError.of(place, f"mode {mode!r}", ", ".join(MODES), "choose one of them")
@@ -284,7 +283,7 @@ def _open_logs(place: Path) -> list[SessionAnswers]:
 
 
 def _open_labs(*places: Path) -> list[SessionAnswers]:
-    """Return the sessions of several labs, each under the name of its folder."""
+    """Open the sessions of several labs, labelled by folder name."""
     names = [place.resolve().name for place in places]
     if twice := next((name for name in names if names.count(name) > 1), None):
         given = f"several folders named {twice!r}"
@@ -303,7 +302,7 @@ def _source(places: Sequence[Path], taken: Sequence[SessionAnswers], mode: str) 
 
 
 def _check(place: Path, taken: Sequence[SessionAnswers], left_out: Sequence[ExcludedSource]) -> None:
-    """Refuse an empty choice, and a session that occurs twice, as in a copy or in a folder within another lab's."""
+    """Refuse an empty selection, and duplicate sessions, e.g. from a copy or nested folders of labs."""
     first: dict[str, Path] = {}
     for item in taken:
         if (earlier := first.setdefault(item.digest, item.path)) is not item.path:
@@ -327,7 +326,7 @@ def _join(
     *,
     is_crossed: bool,
 ) -> pd.DataFrame:
-    """Return the tidy table of the sessions' answers, to one stimulus if that is chosen."""
+    """Join the answers of the sessions into a tidy table, for one stimulus if selected."""
     frame = pd.DataFrame([row for item in taken for row in item.rows], columns=[*COLUMNS, *taken[0].columns])
     numbers = [len(item.rows) for item in taken]
     for place_of, column in enumerate(("group", "session_kind")):
@@ -359,14 +358,14 @@ def _join(
 def _sort(
     items: Sequence[SessionAnswers], left_out: list[ExcludedSource], reason_of: Callable[[SessionAnswers], str]
 ) -> list[SessionAnswers]:
-    """Return the sessions without a reason to leave them out, and add the others to `left_out`."""
+    """Return the sessions without a reason for exclusion, and append the others to `left_out`."""
     reasons = [(item, reason_of(item)) for item in items]
     left_out += [ExcludedSource(str(item.path.parent), reason) for item, reason in reasons if reason]
     return [item for item, reason in reasons if not reason]
 
 
 def _only(place: Path, what: str, values: Sequence[str], remedy: str) -> str:
-    """Return the value that all sessions share, empty without any; refuse several."""
+    """Return the common value of all sessions, or an empty string without any; refuse several values."""
     counted = Counter(values)
     if len(counted) > 1:
         listed = ", ".join(f"{n} {value}" for value, n in counted.most_common())
@@ -375,7 +374,7 @@ def _only(place: Path, what: str, values: Sequence[str], remedy: str) -> str:
 
 
 def _one_list(place: Path, taken: Sequence[SessionAnswers]) -> AnswerList:
-    """Return the list of all answers that could be given; sessions may lack an answer that others offer."""
+    """Return the longest list of answers offered; refuse sessions with other answers or different questions."""
     longest = max((item.answers for item in taken), key=len)
     for item in taken:
         if item.columns != taken[0].columns:
@@ -389,7 +388,7 @@ def _one_list(place: Path, taken: Sequence[SessionAnswers]) -> AnswerList:
 
 @contextmanager
 def _no_search_for_cycles() -> Iterator[None]:
-    """Switch off cyclic garbage collection, which took a fifth of the time: lines of JSON hold no cycles."""
+    """Disable cyclic garbage collection, a fifth of the run time, while parsing JSON, which contains no cycles."""
     was_on = gc.isenabled()
     gc.disable()
     try:
@@ -404,13 +403,13 @@ def _other_mode(item: SessionAnswers, chosen: str) -> str:
 
 
 def _is_crossed(taken: Sequence[SessionAnswers], stimulus: str | None) -> bool:
-    """Return whether all sessions have every pair at every level equally often, with one stimulus and one kind."""
+    """Return whether all sessions have one stimulus and kind, with every pair at every level equally often."""
     is_one = stimulus is not None or len({row[_STIMULUS] for item in taken for row in item.rows}) < 2
     return is_one and all(item.is_crossed for item in taken) and len({item.kind for item in taken}) == 1
 
 
 def _as_many(taken: Sequence[SessionAnswers], left_out: list[ExcludedSource]) -> list[SessionAnswers]:
-    """Return equally many sessions of each kind from every participant; further ones are left out."""
+    """Select equally many sessions of each kind from every participant; the others are excluded."""
     held, seen = Counter((item.participant, item.kind) for item in taken), Counter[object]()
     fewest = {kind: min(n for (_, own), n in held.items() if own == kind) for _, kind in held}
     return _sort(taken, left_out, lambda item: _surplus(item, fewest[item.kind], seen))

@@ -1,4 +1,4 @@
-"""The scale of the levels in a table of answers: peak velocities, or multiples of each participant's own threshold."""
+"""Scales of the levels in a table of answers: peak velocities, or multiples of each participant's threshold."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ from typing import Literal
 
 @dataclass(frozen=True)
 class LevelScale:
-    """A scale of levels, recognised by the column that holds them.
+    """A scale of levels, identified by its column in the tidy table.
 
     Attributes
     ----------
     column : str
         Column of the tidy table.
     quantity : str
-        Name with unit, for a figure's axis.
+        Name with unit, for axis labels.
     unit : str
         Unit, as written after a number.
     step : float
-        Change of level for which slopes are reported.
+        Change of level for the report of slopes.
     step_in_words : str
-        The same in words.
+        `step` in words.
     """
 
     column: str
@@ -43,7 +43,7 @@ class LevelScale:
 
 
 VELOCITY = LevelScale("velocity_mm_s", "peak velocity at the focus [mm/s]", "mm/s", 100.0, "100 mm/s")
-"""The same peak velocities for all participants."""
+"""Peak velocities, the same for all participants."""
 
 OWN_THRESHOLD = LevelScale(
     "multiple_of_threshold",
@@ -52,18 +52,18 @@ OWN_THRESHOLD = LevelScale(
     1.0,
     "one threshold",
 )
-"""Levels calibrated by participant."""
+"""Multiples of each participant's threshold."""
 
 PREDICTED = LevelScale("speed_mm_s", "predicted peak speed under the faster finger [mm/s]", "mm/s", 100.0, "100 mm/s")
-"""Levels as the speed predicted under the faster finger."""
+"""Peak speeds predicted under the faster finger."""
 
 DELIVERED = replace(
     PREDICTED, column="speed_delivered_mm_s", quantity="delivered peak speed under the faster finger [mm/s]"
 )
-"""Levels as the speed that the vibrometer measured in each trial, or the predicted speed if it gave none."""
+"""Peak speeds measured by the vibrometer in each trial, or predicted if not measured."""
 
 Speed = Literal["nominal", "predicted", "delivered"]
-"""What defines levels: the speed asked for at the focus, or that predicted or delivered under the faster finger."""
+"""Definition of the levels: nominal speed at the focus, or predicted or delivered speed under the faster finger."""
 
 
 def scale_of(columns: Container[str]) -> LevelScale:

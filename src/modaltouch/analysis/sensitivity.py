@@ -1,8 +1,7 @@
-"""Sensitivity d' and criterion of one participant, by signal detection theory, with 95 % intervals.
+"""Signal detection theory: sensitivity d' and criterion of one participant, with 95 % intervals.
 
-Estimates use rates with the log-linear correction, (k + 0.5) / (n + 1), so that they are finite. Intervals use the
-counts themselves and exact limits of the rates, so they cover at least 95 %; a bound is infinite if the answers do not
-determine it.
+Estimates use rates with the log-linear correction, (k + 0.5) / (n + 1), to be finite. Intervals use uncorrected counts
+and exact limits of the rates, so their coverage is at least 95 %; a bound not determined by the answers is infinite.
 
 References
 ----------
@@ -28,30 +27,30 @@ from modaltouch.analysis.intervals import DROP, Interval, clopper_pearson
 FloatArray = NDArray[np.float64]
 Statistic = Callable[[FloatArray, FloatArray], FloatArray]
 Count = tuple[int, int]
-"""How often an answer was given, and out of how many."""
+"""Count of an answer, and number of trials."""
 
 _HALVINGS = 50
 _FARTHEST = 40.0
-"""Largest d' that is distinguished from an infinite one."""
+"""Largest finite d'."""
 
 
 @dataclass(frozen=True, eq=False)
 class SignalDetection:
-    """Signal detection of one participant from two kinds of trial.
+    """Sensitivity and criterion of one participant.
 
     Attributes
     ----------
     d_prime : Interval
-        Sensitivity d', in standard deviations of what is felt at one presentation.
+        Sensitivity d', in standard deviations of the percept of one presentation.
     contrast : float
-        Difference of the two rates, or of one rate from chance [1]. Its expectation is zero if nothing is
-        discriminated, unlike that of d', whose correction shifts the rate of fewer trials more. NaN without trials of
-        both kinds.
+        Difference of the two rates, or of one rate and chance [1]. Unlike d', whose rates are biased by the correction
+        if the numbers of trials differ, its expectation is zero without discrimination. NaN without trials of both
+        kinds.
     criterion : Interval or None
-        Criterion; 0 if no answer is preferred, higher with fewer answers of the first kind. None if all answers are
+        Criterion; 0 without response bias, and higher with fewer answers of the first kind. None if all answers are
         pooled.
     model : str
-        Decision model that it rests on.
+        Decision model.
     """
 
     d_prime: Interval
@@ -66,7 +65,7 @@ def yes_no(signal: Count, noise: Count) -> SignalDetection:
     Parameters
     ----------
     signal, noise : (int, int)
-        Answers "yes" in trials with the signal, and in those without it.
+        Answers "yes" in trials with and without the signal.
 
     Examples
     --------
@@ -87,32 +86,32 @@ def two_intervals(first: Count, second: Count) -> SignalDetection:
     Parameters
     ----------
     first, second : (int, int)
-        Answers "first" in trials with the signal in the first interval, and in those with it in the second.
+        Answers "first" in trials with the signal in the first and in the second interval.
     """
     found = yes_no(first, second)
     return replace(found, d_prime=found.d_prime.changed(lambda d_prime: d_prime / math.sqrt(2)), model="2AFC")
 
 
 def m_intervals(correct: Count, m: int) -> SignalDetection:
-    """Return d' of an unbiased observer of m alternatives, with the interval from the exact one of the share.
+    """Return d' of an unbiased observer of m alternatives, with the interval from that of the proportion correct.
 
     Parameters
     ----------
     correct : (int, int)
         Correct answers.
     m : int
-        Alternatives, two or more.
+        Number of alternatives, at least two.
     """
     found = _of_share(correct, lambda d: share_correct(d, m), -_FARTHEST)
     return SignalDetection(found, _rate(correct) - 1 / m, model=f"{m}AFC")
 
 
 def odd_of_three(correct: Count) -> SignalDetection:
-    """Return d' of the triangular model: whichever percept is farthest from the other two is called the odd one.
+    """Return d' of the triangular method, in which the percept farthest from the other two is judged as odd.
 
     With percepts x, y of the equal stimuli and z of the odd one, u = (x - y) / sqrt(2) and v = (z - (x + y) / 2)
-    sqrt(2 / 3) have unit variance. The answer is correct if v^2 / u^2 > 3, which has a noncentral F distribution with
-    1 and 1 degrees of freedom and noncentrality 2 d'^2 / 3. No d' is below 0.
+    sqrt(2 / 3) have unit variance. The answer is correct if v^2 / u^2 > 3; this ratio has a noncentral F distribution
+    with 1 and 1 degrees of freedom and noncentrality 2 d'^2 / 3. d' is at least 0.
 
     Parameters
     ----------
@@ -124,7 +123,7 @@ def odd_of_three(correct: Count) -> SignalDetection:
 
 
 def _of_share(correct: Count, rising: Callable[[FloatArray], FloatArray], lowest: float) -> Interval:
-    """Return the d', at least `lowest`, that gives a share of correct answers, with exact bounds."""
+    """Return the d', at least `lowest`, for a proportion of correct answers, with exact bounds."""
     share = clopper_pearson(*correct)
     rates = np.array([_corrected(*correct), share.low, share.high])
     ends = np.full(rates.shape, lowest), np.full(rates.shape, _FARTHEST)
@@ -133,14 +132,14 @@ def _of_share(correct: Count, rising: Callable[[FloatArray], FloatArray], lowest
 
 
 def share_correct(d_prime: ArrayLike, m: int) -> FloatArray:
-    """Return the share of correct answers of an unbiased observer of m alternatives [1].
+    """Return the proportion of correct answers of an unbiased observer of m alternatives [1].
 
     Parameters
     ----------
     d_prime : float or array
         Sensitivity d'.
     m : int
-        Alternatives.
+        Number of alternatives.
     """
     if m == 2:
         return np.asarray(ndtr(np.asarray(d_prime) / np.sqrt(2)))
@@ -151,21 +150,21 @@ def share_correct(d_prime: ArrayLike, m: int) -> FloatArray:
 
 @lru_cache(maxsize=1)
 def _nodes() -> tuple[FloatArray, FloatArray]:
-    """Return the 80 nodes and weights of an integral over the normal distribution, accurate to 1e-9."""
+    """Return the 80 nodes and weights of Gauss-Hermite quadrature, accurate to 1e-9."""
     nodes, weights = np.polynomial.hermite_e.hermegauss(80)
     return nodes, weights
 
 
 def same_different(differing: Count, alike: Count) -> SignalDetection:
-    """Return d' and criterion of the differencing model: "different" if two percepts are farther apart than k.
+    """Return d' and criterion k of the differencing model: "different" if two percepts differ by more than k.
 
-    If equal stimuli are called different more often than differing ones, d' is negative, so that it is unbiased if
-    nothing is discriminated.
+    If equal stimuli are called different more often than different stimuli, d' is negative, so that it is unbiased
+    without discrimination.
 
     Parameters
     ----------
     differing, alike : (int, int)
-        Answers "different" in trials whose stimuli differ, and in those whose stimuli are the same.
+        Answers "different" in trials with different and with equal stimuli.
     """
     return SignalDetection(
         _joint(_signed, differing, alike),
@@ -185,7 +184,7 @@ def _signed(hit: FloatArray, alarm: FloatArray) -> FloatArray:
 
 
 def _differencing(hit: FloatArray, alarm: FloatArray) -> FloatArray:
-    """Return the d' that gives the rate `hit` of "different" to differing stimuli; 0 if it is not above `alarm`."""
+    """Return the d' for a rate `hit` of answers "different" to different stimuli; 0 if not above `alarm`."""
     hit, k = np.broadcast_arrays(hit, _criterion(alarm))
     known = np.where(np.isfinite(k), k, 0.0)
     root, far = np.sqrt(2), np.full(hit.shape, _FARTHEST)
@@ -196,13 +195,13 @@ def _differencing(hit: FloatArray, alarm: FloatArray) -> FloatArray:
 def _inverted(
     rising: Callable[[FloatArray], FloatArray], wanted: FloatArray, low: FloatArray, high: FloatArray
 ) -> FloatArray:
-    """Return where an increasing function reaches some values, by bisection; infinite at a bound of `_FARTHEST`."""
+    """Invert an increasing function by bisection; infinite at a bound of `_FARTHEST`."""
     bottom, top = low, high
     for _ in range(_HALVINGS):
         middle = (low + high) / 2
         is_low = rising(middle) < wanted
         low, high = np.where(is_low, middle, low), np.where(is_low, high, middle)
-    # What bisection leaves of zero becomes zero.
+    # Round the bisection error at zero.
     found = np.where((wanted >= 1) | (high == top), np.inf, np.where(np.abs(low) < 1e-6, 0.0, low))
     return np.where((low == bottom) & (bottom < 0), -np.inf, found)
 
@@ -216,25 +215,25 @@ def _corrected(given: int, n: int) -> float:
 
 
 def _joint(statistic: Statistic, first: Count, second: Count) -> Interval:
-    """Return a statistic that is monotonic in each of two rates, and its bounds.
+    """Return a statistic that is monotonic in each of two rates, with its bounds.
 
-    At a bound each rate is at an exact limit of its own; squares of their normal quantiles add up to that of 97.5 %.
+    At a bound, both rates are at exact limits whose squared normal quantiles add up to that of 97.5 %.
     """
     estimate = statistic(*(np.asarray(_corrected(*count)) for count in (first, second)))
     one, other = _limits(*first), _limits(*second)[:, ::-1]
     with np.errstate(invalid="ignore"):
         values = statistic(one[:, np.newaxis], other[np.newaxis])
-    # Rounding errors about zero become zero, without a sign.
+    # Round numerical noise to positive zero.
     best, low, high = (round(float(each), 12) + 0.0 for each in (estimate, np.nanmin(values), np.nanmax(values)))
     return Interval(best, low, high, first[1] + second[1])
 
 
 _PARTS = 2 * ndtr(math.sqrt(2 * DROP) * np.sin(np.linspace(0, np.pi / 2, 61))) - 1
-"""Confidence of a rate's limits at bounds of a statistic, from none to 95 %; closely spaced at both ends."""
+"""Confidence levels of the limits of a rate, from 0 to 95 %, closely spaced at both ends [1]."""
 
 
 @lru_cache(maxsize=4096)
 def _limits(given: int, n: int) -> FloatArray:
-    """Return the lowest and the highest rate that a count allows at each confidence of `_PARTS`, (2, 61) array."""
+    """Return the lower and upper exact limits of a rate at each confidence level of `_PARTS`, (2, 61) array."""
     share = clopper_pearson(given, n, _PARTS)
     return np.stack([share.low, share.high])

@@ -1,11 +1,12 @@
-"""The statistics of the experiment: every question of the plan as rows of one tidy table.
+"""Statistics of the experiment: findings on all questions of the statistics plan.
 
-The participant is the unit of inference. Two claims are kept apart: that some participant differs, by exact tests that
-shuffle or flip within participants, and that participants differ on average, by the mean of a bounded score, whose
-interval inverts its test. The first takes fewer data to show; only the second says by how much.
+The participant is the unit of inference. Two hypotheses are tested separately: that some participant shows an effect,
+by exact permutation tests or sign flips within participants; and that participants show an effect on average, by the
+mean of a bounded score, whose interval inverts the test. The former needs fewer data; only the latter estimates the
+effect size.
 
-`STATISTICS` holds the families of tests. Each is one function of the counted answers of an experiment or a batch: the
-analysis reports its results, and planning counts in how many simulated experiments it is significant.
+`STATISTICS` defines the families of tests, as functions of the counts of an experiment or a batch. The analysis reports
+their results; planning estimates their power from simulated experiments.
 """
 
 from __future__ import annotations
@@ -35,28 +36,28 @@ IntArray = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Statistic:
-    """A family of tests; the analysis reports it, and planning simulates its power.
+    """A family of tests, reported by the analysis and simulated by planning.
 
     Attributes
     ----------
     question : str
-        Question of the report that it belongs to.
+        Question of the report to which the family belongs.
     asks : str
-        What it asks, for the report and the figure of a plan.
+        The question asked, for the report and the figure of a power analysis.
     name : str
-        Name of its tests.
+        Name of the tests.
     compute : callable
-        Takes the counts of the answers of an experiment or a batch, and returns the results; None if these answers or
-        this design have no such test.
+        Maps the counts of an experiment or a batch to the results, or None if the test does not apply to the answers or
+        the design.
     unit : str
-        Quantity of its intervals.
+        Quantity of the intervals.
     smallest_p : callable
-        Takes the levels, the numbers of participants and of repetitions, and the margin of equivalence, and returns the
-        smallest p that a test can give; by default that of sign flips, and of a bounded mean.
+        Maps the levels, the numbers of participants and repetitions, and the equivalence margin to the smallest
+        attainable p; by default that of sign flips and bounded means.
     against_guessing : bool
-        Whether its null hypothesis holds when participants guess, rather than when both fingers feel alike.
+        Whether the null hypothesis is guessing, rather than equal sensations at both fingers.
     when_alike : bool
-        Whether it finds an effect when both fingers feel alike.
+        Whether an effect is present even with equal sensations at both fingers.
     """
 
     question: str
@@ -70,18 +71,18 @@ class Statistic:
 
 
 def chance_tests(answers: AnswerCounts) -> FamilyResult | None:
-    """Return tests of whether cells differ from guessing, with all answers equally likely.
+    """Return tests of each cell against guessing, with equal probabilities of all answers.
 
-    One answer of each participant enters a cell: the one given or, with repetitions, the most frequent; ties are
-    left out and counted in the note. The estimate is the share of the most frequent answer. If "felt nowhere" is one
-    too, the test is of those who felt something: given their number, guesses are even; the share is of all.
+    Each participant contributes one answer per cell: the one given or, with repetitions, the most frequent; ties are
+    excluded and counted in the note. The estimate is the share of the most frequent answer. If "nothing felt" is among
+    the answers, the test is conditional on the number of participants who felt something; the share is of all.
     """
     felt = answers.felt
     if len(felt) < 2 or not answers.guesses_evenly:
         return None
     cells, kinds = _cells_of(answers)
     n, nothing = kinds.sum(axis=-1), answers.answers.naming()
-    # A batch of experiments has the quantities of the first; only those of a single experiment are shown.
+    # A batch takes the quantities of its first experiment; they are shown only for a single experiment.
     shown = kinds.reshape(-1, *kinds.shape[-2:])[0]
     labels = [{place: label for label, place in answers.labelled(pair) if place in felt} for pair in answers.pairs]
     most = [max(labels[q], key=own.__getitem__) for (q, _), own in zip(cells, shown, strict=True)]
@@ -105,14 +106,14 @@ def chance_tests(answers: AnswerCounts) -> FamilyResult | None:
 
 
 def _cells_of(answers: AnswerCounts) -> tuple[list[tuple[int, str]], IntArray]:
-    """Return the index of the pair and the scope of each cell, and participants by their most frequent answer."""
+    """Return pair index and scope of each cell, and the number of participants by most frequent answer."""
     cells = product(answers.pair_cells, answers.levels)
     kinds = answers.n_modal.reshape(*answers.n_modal.shape[:-4], -1, len(answers.answers))
     return [(q, f"{scope} {answers.scale.say(level)}") for (_, q, scope), level in cells], kinds
 
 
 def cell_share_findings(answers: AnswerCounts) -> Iterator[Finding]:
-    """Yield the share of the effect in each cell, or of each answer, of participants by their most frequent answer."""
+    """Yield the share of the effect, or of each answer, among participants' most frequent answers in each cell."""
     cells, kinds = _cells_of(answers)
     for (q, scope), own in zip(cells, kinds, strict=True):
         for label, place in answers.effects(answers.pairs[q])[: None if answers.is_nominal else 1]:
@@ -121,7 +122,7 @@ def cell_share_findings(answers: AnswerCounts) -> Iterator[Finding]:
 
 
 def dominance(answers: AnswerCounts) -> Contrast | None:
-    """Return the choices of one zone of each pair against those of the other, over all levels."""
+    """Return the contrast of the dominant and the other zone of each pair, over all levels."""
     if not answers.compares:
         return None
     first, second = (answers.shares(each).joined(2) for each in (answers.dominant, answers.other))
@@ -150,7 +151,7 @@ def dominance(answers: AnswerCounts) -> Contrast | None:
 
 
 def leaning_findings(answers: AnswerCounts) -> Iterator[Finding]:
-    """Yield how many of those who lean to either zone of a pair lean to the dominant one."""
+    """Yield the share of participants who prefer the dominant zone of a pair, out of those who prefer either zone."""
     score = answers.shares(answers.dominant - answers.other).joined(2).given.sum(axis=-1)
     leaning = (score != 0).sum(axis=-1)
     test, share = sign_test(score), clopper_pearson((score > 0).sum(axis=-1), leaning)
@@ -163,7 +164,7 @@ def leaning_findings(answers: AnswerCounts) -> Iterator[Finding]:
 
 
 def _levels_of(answers: AnswerCounts) -> tuple[list[str], list[str], Shares]:
-    """Return scopes, labels and shares of what may change with the level: the dominant zone or else each answer."""
+    """Return scopes, labels and shares for tests over levels: of the dominant zone, or else of each answer."""
     effects = answers.of_effects[: 1 if answers.compares else None]
     of_pairs = effects[0] if len(effects) == 1 else np.stack(effects, axis=-3)
     asked = answers.answered if len(effects) == 1 else np.stack([answers.answered] * len(effects), axis=-3)
@@ -175,7 +176,7 @@ def _levels_of(answers: AnswerCounts) -> tuple[list[str], list[str], Shares]:
 
 
 def level_tests(answers: AnswerCounts) -> FamilyResult | None:
-    """Return tests of whether any participant's choices change with the level; None at one level."""
+    """Return tests of a trend over levels in any participant's choices; None for a single level."""
     if len(answers.levels) < 2:
         return None
     scopes, labels, shares = _levels_of(answers)
@@ -195,7 +196,7 @@ def level_tests(answers: AnswerCounts) -> FamilyResult | None:
 
 
 def slopes(answers: AnswerCounts) -> MeanScores | None:
-    """Return the least-squares slopes over the level of participants with an answer at every level."""
+    """Return the least-squares slopes over levels, for participants with answers at all levels."""
     scopes, labels, shares = _levels_of(answers)
     centred = np.asarray(answers.levels) - np.mean(answers.levels)
     if not centred.any():
@@ -215,7 +216,7 @@ def slopes(answers: AnswerCounts) -> MeanScores | None:
 
 
 def conditions_compared(answers: AnswerCounts) -> Contrast | None:
-    """Return the shares of each effect in one finger condition against another, pair by pair."""
+    """Return the contrasts between finger conditions of the share of each effect, by pair."""
     names, chosen = answers.finger_conditions, [answers.shares(each) for each in answers.of_effects]
     compared = list(combinations(range(len(names)), 2))
     if not (compared and chosen):
@@ -236,7 +237,7 @@ def conditions_compared(answers: AnswerCounts) -> Contrast | None:
 
 
 def pairs_compared(answers: AnswerCounts) -> Contrast | None:
-    """Return the shares of "both" for one pair of zones against another; without a dominant zone, of each answer."""
+    """Return the contrasts between pairs of the share of "both" or, without a dominant zone, of each answer."""
     effects = slice(1 if answers.compares else 0, None)
     names, chosen = (
         [pair.label for pair in answers.pairs],
@@ -314,11 +315,11 @@ STATISTICS: dict[str, Statistic] = {
         lambda answers: _tests_of(pairs_compared(answers), means_of),
     ),
 }  # fmt: skip
-"""Families of tests, each corrected by Holm's method."""
+"""Families of tests, with Holm's correction in each."""
 
 
 def family_findings(family: str, answers: AnswerCounts) -> Iterator[Finding]:
-    """Yield the tests of a family, one of `STATISTICS`, in a single experiment."""
+    """Yield the tests of a family (a key of `STATISTICS`) for a single experiment."""
     statistic = STATISTICS[family]
     found = statistic.compute(answers)
     if found is None:
@@ -333,22 +334,22 @@ def family_findings(family: str, answers: AnswerCounts) -> Iterator[Finding]:
 
 
 def find(answers: AnswerCounts, frame: pd.DataFrame, of_design: Iterable[Finding] = ()) -> list[Finding]:
-    """Return the statistics of the answers, in the order of the questions.
+    """Compute the statistics of the answers, in the order of the questions.
 
     Parameters
     ----------
     answers : AnswerCounts
         Counts of the answers.
     frame : DataFrame
-        The tidy answers themselves, for what counts do not hold: order and times.
+        Tidy answers, for trial order and reaction times.
     of_design : iterable of Finding
-        Findings from catch trials and from measures of each participant, such as d' or ratings.
+        Findings on catch trials and individual measures, such as d' or ratings.
     """
     return correct(uncorrected(answers, frame, of_design))
 
 
 def uncorrected(answers: AnswerCounts, frame: pd.DataFrame, of_design: Iterable[Finding] = ()) -> list[Finding]:
-    """Return what `find` does, before Holm's correction."""
+    """Compute the statistics as in `find`, before Holm's correction."""
     findings = [
         *of_design,
         *(_choice_findings(answers) if len(answers.answers) > 1 else ()),
@@ -359,7 +360,7 @@ def uncorrected(answers: AnswerCounts, frame: pd.DataFrame, of_design: Iterable[
 
 
 def _choice_findings(answers: AnswerCounts) -> Iterator[Finding]:
-    """Yield the findings on answers that are chosen from a list."""
+    """Yield the findings on answers chosen from a list."""
     for family in STATISTICS:
         yield from (own := list(family_findings(family, answers)))
         if family == "a1" and own:
@@ -375,7 +376,7 @@ def _choice_findings(answers: AnswerCounts) -> Iterator[Finding]:
 
 
 def questions() -> list[str]:
-    """Return the questions in the order of the report: those with families of tests, then the further ones."""
+    """Return the questions in the order of the report: those with families of tests, then secondary ones."""
     return [*_OF_DESIGN, *dict.fromkeys(each.question for each in STATISTICS.values()), *_FURTHER]
 
 

@@ -1,11 +1,11 @@
-"""Tails of sums of independent integers, one from each participant, for many tests at once.
+"""Tail probabilities of sums of independent integer scores of participants, for batches of tests.
 
-A participant's number has one of a few distributions (`laws`), so a test is a row of counts: how many participants have
-each distribution.
+Each score has one of a few distributions (`laws`), so a test is a row of counts: the number of participants with each
+distribution.
 
-`Sums.tails` convolves, test by test, and keeps the relative accuracy of the smallest p. `Sums.quick_tails` multiplies
-characteristic functions: a row of counts times one table of logarithms that all tests share. Its absolute error is near
-1e-14, negligible at any significance level, and thousands of tests take milliseconds.
+`Sums.tails` convolves test by test, with relative accuracy for the smallest p. `Sums.quick_tails` multiplies
+characteristic functions, as the product of the counts and a table of logarithms shared by all tests. Its absolute error
+is near 1e-14, negligible at any significance level, and thousands of tests take milliseconds.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from modaltouch.analysis.convolution import Kernel, tail_probability
 IntArray = NDArray[np.int64]
 FloatArray = NDArray[np.float64]
 Law = tuple[IntArray, FloatArray]
-"""Values, increasing, and their probabilities [1]."""
+"""Values in increasing order, and their probabilities [1]."""
 
 LEAST_P = 1e-14
-"""Smaller p are given as this when many tests are done at once."""
+"""Lower limit of the approximate p of batches of tests [1]."""
 
 _AT_ONCE = 1_000_000
-"""Entries of the largest temporary array."""
+"""Maximum size of temporary arrays."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,13 +38,13 @@ class Sums:
     Attributes
     ----------
     laws : sequence of (values, probabilities)
-        Distributions that a participant's number may have.
+        Possible distributions of a participant's score.
     means : (n_laws,) array of int
-        Mean of each distribution times `scale`, so that distances from the mean are integers too.
+        Mean of each distribution times `scale`, so that distances from the mean are integers.
     scale : int
         Factor that makes the means integers.
     counts : (n_tests, n_laws) array of int
-        How many participants of each test have each distribution.
+        Number of participants with each distribution, by test.
     """
 
     laws: Sequence[Law]
@@ -69,11 +69,11 @@ class Sums:
 
     @property
     def farthest(self) -> IntArray:
-        """Largest distance from the mean that each sum can have, times `scale`."""
+        """Largest possible distance of each sum from its mean, times `scale`."""
         return np.asarray(np.maximum(self.mean - self.lowest * self.scale, self.highest * self.scale - self.mean))
 
     def tails(self, distance: IntArray) -> FloatArray:
-        """Return the probability that each sum lies at least this far from its mean, (n_tests,) array [1].
+        """Return the probability of at least this distance of each sum from its mean, (n_tests,) array [1].
 
         Parameters
         ----------
@@ -91,7 +91,7 @@ class Sums:
         return p
 
     def quick_tails(self, distance: IntArray) -> FloatArray:
-        """Return the same to within 1e-13, at least `LEAST_P`, for thousands of sums at once."""
+        """Approximate `tails` to within 1e-13, clipped at `LEAST_P`, for thousands of sums."""
         if not distance.any():
             return np.ones(len(distance))
         first, inverse = _different_rows(self.counts, distance)
@@ -99,13 +99,13 @@ class Sums:
         return np.asarray(some._transformed(distance[first])[inverse])
 
     def _transformed(self, distance: IntArray) -> FloatArray:
-        # In steps from its lowest value, a sum takes the values 0 ... width.
+        # Count in steps from the lowest value, so that a sum has values from 0 to width.
         unit = int(np.gcd.reduce(np.concatenate([values - values[0] for values, _ in self.laws])))
         width = (self.highest - self.lowest) // unit
         first = np.maximum(((self.mean - distance) // self.scale - self.lowest) // unit + 1, 0)
         last = np.minimum(-((-self.mean - distance) // self.scale) - self.lowest - 1, width * unit) // unit
         nodes = _Nodes(int(width.max()))
-        # A distribution wider than the period occurs in no sum.
+        # Distributions wider than the period do not occur in any sum.
         steps = (np.bincount((values - values[0]) // unit, weights) for values, weights in self.laws)
         waves = np.stack([np.fft.rfft(each, nodes.period)[1:] for each in steps])
         log_size, turn = np.log(np.maximum(np.abs(waves), 1e-300)), -np.angle(waves)
@@ -123,7 +123,7 @@ class Sums:
 
 
 def _different_rows(counts: IntArray, distance: IntArray) -> tuple[IntArray, IntArray]:
-    """Return one row of each distinct test, and which of them each test equals; all rows if their code is too long."""
+    """Return the indices of unique tests, and the inverse indices; all tests if rows do not fit into an integer key."""
     n_participants, farthest = int(counts.sum(axis=1).max()), int(distance.max())
     if counts.shape[1] * np.log2(n_participants + 1) + np.log2(farthest + 1) >= 62:
         every = np.arange(len(counts))
@@ -136,15 +136,15 @@ def _different_rows(counts: IntArray, distance: IntArray) -> tuple[IntArray, Int
 
 
 def _times(rows: FloatArray, table: FloatArray) -> FloatArray:
-    """Return the matrix product in one thread, so that its sums are the same on every machine, whatever its load."""
+    """Return the matrix product, computed in a single thread so that its rounding is reproducible."""
     return np.asarray(np.einsum("ts,sk->tk", rows, table))
 
 
 class _Nodes:
-    """Half the angles at which characteristic functions are evaluated, as many as a sum from 0 to `width` needs."""
+    """Half-angles of the nodes at which the characteristic functions of sums from 0 to `width` are evaluated."""
 
     def __init__(self, width: int) -> None:
-        # An odd number of nodes: no cosine of a whole multiple is zero.
+        # With an odd period, no cosine of an integer multiple is zero.
         self.period = (width + 1) | 1
         self._place = np.arange(1, (self.period - 1) // 2 + 1)
         self.angles = np.pi * self._place / self.period
@@ -152,5 +152,5 @@ class _Nodes:
         self.n_nodes = max(int(self._place.size), 1)
 
     def sine(self, multiples: IntArray) -> FloatArray:
-        """Return the sines of whole multiples of the angles, (n_multiples, n_nodes) array."""
+        """Return the sines of integer multiples of the angles, (n_multiples, n_nodes) array."""
         return np.asarray(self._table[(multiples[:, None] * self._place) % (2 * self.period)])
