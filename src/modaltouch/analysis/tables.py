@@ -1,4 +1,4 @@
-"""Counts as tables: per cell, and in the form of Fig. 10 and Fig. 11."""
+"""Tables of counts: by cell, and in the form of Fig. 10 and Fig. 11."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ PAPER_TEXT: dict[str, dict[tuple[str, str], str]] = {
     },
     "two_hands": {},
 }
-"""Answers of ten participants at 80, 100, 150 and 200 mm/s, from the text of the paper's section V, which gives no
+"""Answers of ten participants at 80, 100, 150 and 200 mm/s, from the text of section V of the paper, which gives no
 numbers for two hands."""
 
 
 def tabulate(answers: AnswerCounts) -> pd.DataFrame:
-    """Return the counts of every cell, summed over participants: its names, its level, each answer and their sum n."""
+    """Return the counts by cell, summed over participants: factors, level, count of each answer, and their sum n."""
     sums = answers.counts.sum(axis=0)
     rows = [
         (condition, pair.label, pair.left, pair.right, level, *sums[f, q, v].tolist(), int(sums[f, q, v].sum()))
@@ -54,8 +54,8 @@ def zone_table(answers: AnswerCounts, finger_condition: str) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        Index (pair, answer), answers as in the paper: ``C``, ``A``, ``C & A`` and so on, then all others by name; one
-        column for each level, holding how many answers out of the cell's n.
+        Index (pair, answer), with answers as in the paper: ``C``, ``A``, ``C & A`` and so on, then all others by name;
+        one column of counts per level.
 
     Raises
     ------
@@ -77,12 +77,12 @@ def zone_table(answers: AnswerCounts, finger_condition: str) -> pd.DataFrame:
 
 
 def figure_names(finger_conditions: Sequence[str]) -> dict[str, str]:
-    """Return the file name, without ending, of the figure of each finger condition.
+    """Return the file name, without extension, of the figure of each finger condition.
 
     Parameters
     ----------
     finger_conditions : sequence of str
-        The paper's two get its figure numbers, any other a name of its own.
+        Finger conditions; those of the paper have its figure numbers.
 
     Examples
     --------

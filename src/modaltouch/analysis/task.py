@@ -1,4 +1,4 @@
-"""What the answers of a design mean: which interval they name, or whether they say same or different."""
+"""Task of the participant in designs with several intervals: which interval, or same or different."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ CORRECT, INCORRECT = "correct", "incorrect"
 
 @dataclass(frozen=True)
 class TrialTask:
-    """What a trial asks of the participant.
+    """Task of the participant in a trial.
 
     Attributes
     ----------
     n_intervals : int
         Number of intervals.
     named : dict of str to int
-        Interval that each answer names, from 1.
+        Interval named by each answer, from 1.
     different, same : frozenset of str
-        Answers that say that the stimuli of a trial differ, and that they do not.
+        Answers meaning "different" and "same".
     standard : float
-        Level of the standard [mm/s]; 0 if nothing is driven in its intervals, NaN if it is the level of the comparison.
+        Level of the standard [mm/s]; 0 for no stimulus, NaN for the level of the comparison.
     stimulus : str
-        Stimulus of the standard; empty if it is that of the comparison.
+        Stimulus of the standard; empty for that of the comparison.
     asks_stronger : bool
-        Whether the interval of the higher level is the right answer; else that of the comparison.
+        Whether the correct answer is the interval with the higher level, rather than that with the comparison.
     places : tuple of int
-        Intervals that may hold the comparison; empty for all.
+        Possible intervals of the comparison; empty for all.
     """
 
     n_intervals: int = 1
@@ -53,7 +53,7 @@ class TrialTask:
         Parameters
         ----------
         design : mapping
-            The protocol's sections.
+            Sections of the protocol.
         """
         section, meant = design.get("intervals") or {}, (design.get("answers") or {}).get("intervals") or {}
         if not section:
@@ -71,17 +71,17 @@ class TrialTask:
         )
 
     def turns(self, level: float) -> bool:
-        """Return whether the right answer at a level is the interval of the standard, not of the comparison."""
+        """Return whether the correct answer at a level is the interval of the standard, not of the comparison."""
         return self.asks_stronger and self.n_intervals == 2 and level < self.standard
 
     def tells(self, level: float) -> bool:
-        """Return whether an answer at a level is right or wrong; it is neither if two intervals are equally strong."""
+        """Return whether answers at a level are correct or incorrect; neither if two intervals have equal levels."""
         return not self.asks_stronger or level > self.standard or self.turns(level)
 
     def told(self, frame: pd.DataFrame, level: str) -> pd.DataFrame:
-        """Return the answers that say something about the intervals; all if none can.
+        """Return the informative answers about intervals; all answers if none names an interval.
 
-        If the stronger of three intervals is asked for, trials whose comparison is below the standard say nothing.
+        If the strongest of three intervals is asked for, trials with a comparison below the standard are excluded.
 
         Parameters
         ----------
@@ -96,7 +96,7 @@ class TrialTask:
 
     @property
     def no_d_prime_reason(self) -> str:
-        """Why no model gives a d' for the interval named, or for same and different; empty if one does."""
+        """Reason why no model gives d' for the task; empty if there is one."""
         if self.n_intervals == 3 and self.different:
             return "whether three intervals are the same: the differencing model is for two"
         if self.n_intervals == 3 and len(self.places or self.named) < 3:
@@ -104,7 +104,7 @@ class TrialTask:
         return ""
 
     def is_same(self, frame: pd.DataFrame, level: str) -> pd.Series:
-        """Return in which trials the comparison equals the standard.
+        """Return a mask of the trials whose comparison equals the standard.
 
         Parameters
         ----------
@@ -118,23 +118,23 @@ class TrialTask:
 
     @property
     def detects(self) -> bool:
-        """Whether the other intervals are silent, so that one answer is correct at any level."""
+        """Whether the other intervals have no stimulus, so that there is a correct answer at any level."""
         return self.standard == 0
 
     @property
     def words(self) -> tuple[str, str]:
-        """Words for an answer that names the interval of the comparison, and for one that names another."""
+        """Names of a choice of the interval of the comparison, and of another interval."""
         return (CORRECT, INCORRECT) if self.detects else (COMPARISON, STANDARD)
 
     def by_choice(self, frame: pd.DataFrame, answers: AnswerList) -> tuple[pd.DataFrame, AnswerList]:
-        """Return answers by what they choose, comparison or standard, or correct or incorrect, and the list of these.
+        """Recode answers as comparison or standard, or as correct or incorrect, and return them with their list.
 
         Parameters
         ----------
         frame : DataFrame
             Tidy answers; those that name no interval are kept.
         answers : AnswerList
-            The answers that could be given.
+            The answers offered.
         """
         place, named = frame["interval"].astype(int), frame["response"].astype(str).map(self.named)
         chosen = frame["response"].astype(str).where(named.isna(), self.words[1]).where(named != place, self.words[0])

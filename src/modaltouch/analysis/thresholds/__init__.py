@@ -1,8 +1,8 @@
-"""Adaptive sessions: each run's psychometric function, or why it has none; figures and report.
+"""Analysis of adaptive sessions: psychometric function of each run, thresholds, figures and report.
 
-``psychometric``  fit, interval by profile likelihood, guard against flat data
+``psychometric``  fit with profile-likelihood intervals and a check for flat data
 ``runs``          runs from the answers; thresholds over participants
-``figures``       track and fitted function of each run; thresholds of all
+``figures``       track and fitted function of each run; thresholds of all runs
 ``analysis``      analyse_runs, render_runs: table, figures, report
 """
 

@@ -1,4 +1,4 @@
-"""The whole analysis of adaptive sessions: thresholds, figures, report."""
+"""Analysis of adaptive sessions: thresholds, figures and report."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ from modaltouch.analysis.words import format_interval
 from modaltouch.report import ReportFigure, page_files
 
 MOST_FIGURES = 60
-"""Most sessions whose runs are drawn; with more, no browser would open the report."""
+"""Maximum number of sessions for figures of runs, to limit the size of the report."""
 
 
 @dataclass(frozen=True, eq=False)
 class ThresholdAnalysis(RegisteredAnalysis):
-    """The results of adaptive sessions, and where they were written.
+    """Results of adaptive sessions, and the files written.
 
     Attributes
     ----------
     responses : Responses
         The answers.
     runs : tuple of Run
-        Every run with its fit.
+        All runs with their fits.
     files : dict of str to Path
         Files written, by name.
     registration : Registration
-        The preregistration that it was checked against.
+        The preregistration checked against the analysis.
     """
 
     responses: Responses
@@ -45,11 +45,11 @@ class ThresholdAnalysis(RegisteredAnalysis):
 
     @property
     def confirmatory(self) -> list[tuple[str, AnswerCounts, Finding]]:
-        """None: comparisons of thresholds are exploratory."""
+        """Empty, since comparisons of thresholds are exploratory."""
         return []
 
     def terms(self, tests: Mapping[str, int]) -> dict[str, Any]:
-        """Return the terms that a preregistration fixes, by name."""
+        """Return the terms fixed by a preregistration, by name."""
         adaptive = self.responses.start["design"]["adaptive"]
         return {
             "participants": len({run.participant for run in self.runs}),
@@ -61,7 +61,7 @@ class ThresholdAnalysis(RegisteredAnalysis):
         }
 
     def design_in_words(self) -> list[tuple[str, str]]:
-        """Return runs, levels and method in words, by name."""
+        """Describe the runs, levels and method in words, by name."""
         from modaltouch.analysis.preregistration import term_in_words
 
         terms = self.terms({})
@@ -69,7 +69,7 @@ class ThresholdAnalysis(RegisteredAnalysis):
 
     @property
     def thresholds(self) -> list[dict[str, Any]]:
-        """Mean thresholds over participants, one row for each kind of run."""
+        """Mean thresholds over participants, one row per kind of run."""
         return over_participants(self.runs)
 
     @cached_property
@@ -86,12 +86,12 @@ class ThresholdAnalysis(RegisteredAnalysis):
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """Lowest and highest level that a run may reach [mm/s]."""
+        """Lowest and highest possible level of a run [mm/s]."""
         levels = self.responses.start["design"]["conditions"]["peak_velocities_mm_s"]
         return min(levels), max(levels)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return everything as plain values for ``--json``; what the answers do not determine is null."""
+        """Return all results as plain values for ``--json``; undetermined values are null."""
         return {
             "thresholds": [run.as_dict() for run in self.runs],
             "over_participants": self.thresholds,
@@ -111,7 +111,7 @@ class ThresholdAnalysis(RegisteredAnalysis):
 
 
 def analyse_runs(responses: Responses) -> ThresholdAnalysis:
-    """Analyse adaptive sessions, and return the results.
+    """Analyse adaptive sessions.
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ def analyse_runs(responses: Responses) -> ThresholdAnalysis:
 
 
 def render_runs(analysis: ThresholdAnalysis) -> dict[str, Any]:
-    """Return the contents of every file of the analysis, by name, as `write_files` takes them.
+    """Render all files of the analysis, by name, for `write_files`.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
-"""Psychometric functions over levels that the protocol fixes: threshold or point of subjective equality of each person.
+"""Psychometric functions by the method of constant stimuli: threshold or point of subjective equality (PSE).
 
-With one interval, a success is that something was felt, and catch trials give the guess rate. With several, it is a
-correct answer if no comparison is below the standard; if some are, and the stronger of two intervals is asked for, it
-is that the comparison was chosen.
+With one interval, a success is an answer that something was felt, and catch trials give the guess rate. With several,
+it is a correct answer if no comparison is below the standard. If some are, and the stronger of two intervals is asked
+for, it is a choice of the comparison.
 """
 
 from __future__ import annotations
@@ -24,28 +24,28 @@ from modaltouch.analysis.task import TrialTask
 from modaltouch.analysis.thresholds.psychometric import Psychometric, fit_psychometric
 
 MOST_LAPSE = 0.02
-"""Largest lapse rate at either end that a fit may find [1]; with 0.05, 144 answers give a spread 10 % too small."""
+"""Maximum lapse rate of a fit, at either end [1]; with 0.05, the spread from 144 answers is 10 % too small."""
 
 FEWEST_LEVELS = 3
 
 JND_OF_SPREAD = NormalDist().inv_cdf(0.75)
-"""Just noticeable difference over the spread: from half to three quarters of the answers."""
+"""Ratio of the just noticeable difference (from 50 % to 75 % of the answers) to the spread [1]."""
 
 
 @dataclass(frozen=True, eq=False)
 class FittedCell:
-    """The psychometric function of one participant under one finger condition on one pair of zones.
+    """Psychometric function of one participant in one finger condition and pair of zones.
 
     Attributes
     ----------
     cell : Cell
-        Whose it is, and from which answers.
+        Participant and cell.
     levels, shares, tries : (n_levels,) arrays
-        Levels [mm/s, or own thresholds], shares of successes [1], and answers.
+        Levels [mm/s, or multiples of own threshold], proportions of successes [1], and numbers of answers.
     fitted : Psychometric
         The function, in dB re one unit of the levels.
     is_choice : bool
-        Whether a success is that the comparison was chosen, so that its middle is a point of subjective equality.
+        Whether a success is a choice of the comparison, so that the midpoint is a point of subjective equality.
     """
 
     cell: Cell
@@ -57,21 +57,21 @@ class FittedCell:
 
 
 def fit_cells(responses: Responses, task: TrialTask) -> tuple[FittedCell, ...]:
-    """Return the psychometric functions; empty if the design has none, as with fewer than three levels.
+    """Fit the psychometric functions; empty if the design has none, e.g. with fewer than three levels.
 
     Parameters
     ----------
     responses : Responses
         The answers.
     task : TrialTask
-        What the answers mean.
+        Task of the participant.
     """
     scale = scale_of(responses.frame.columns)
     frame = task.told(responses.frame, scale.column)
     is_felt = task.n_intervals == 1 and responses.answers.naming() is not None and not responses.answers.compares
     if frame[scale.column].nunique() < FEWEST_LEVELS or not (task.named or is_felt):
         return ()
-    if task.no_d_prime_reason:  # then the guess rate is unknown, too
+    if task.no_d_prime_reason:  # the guess rate is unknown, too
         return ()
     is_below = bool(task.named) and bool((frame[scale.column] < task.standard).any())
     is_choice = is_below and task.turns(-math.inf)
@@ -106,7 +106,7 @@ def _fit(
 
 
 def measures_of_fits(fits: tuple[FittedCell, ...], task: TrialTask, scale: LevelScale) -> Iterator[IndividualValue]:
-    """Yield threshold, or point of subjective equality with the just noticeable difference, of each function."""
+    """Yield the threshold, or the PSE and the just noticeable difference, of each function."""
     name = "threshold" if task.named else "detection threshold"
     threshold = Measure(name, f"{name} [{scale.unit}]", "function", is_ratio=True)
     equal = Measure("PSE", f"point of subjective equality [{scale.unit}]", "function", task.standard or None, True)

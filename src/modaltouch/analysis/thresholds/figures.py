@@ -1,4 +1,4 @@
-"""Figures of adaptive runs: the track of levels with the fitted function beside it, and the thresholds of all."""
+"""Figures of adaptive runs: track of levels with the fitted function, and thresholds of all runs."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from modaltouch.report import CONDITION_COLOURS, FAINT, INK, house_style, quiet_
 
 BLUE = CONDITION_COLOURS[0]
 _ROW = 2.5
-"""Height of a run [inch]."""
+"""Height of the panels of a run [inch]."""
 
 
 def draw_runs(runs: Sequence[Run], bounds: tuple[float, float]) -> Figure:
-    """Draw the runs of a session, one below the other: track on the left, fitted function on the right.
+    """Plot the runs of a session in rows, with the track on the left and the fitted function on the right.
 
     Parameters
     ----------
     runs : sequence of Run
         Runs of one session.
     bounds : (float, float)
-        Lowest and highest level that a run may reach [mm/s].
+        Lowest and highest possible level of a run [mm/s].
     """
     with house_style(7.4, _ROW * len(runs) + 0.5, len(runs), 2, width_ratios=[1.35, 1]) as (figure, rows):
         for (track, function), run in zip(rows, runs, strict=True):
@@ -88,7 +88,7 @@ def _mark_levels(axis: Axis) -> None:
 
 
 def _in_mm_s(threshold: Interval, bounds: tuple[float, float]) -> tuple[float, float, float]:
-    """Return the lower bound, value and upper bound of a threshold [mm/s]; an open bound lies outside the figure."""
+    """Return the lower bound, value and upper bound of a threshold [mm/s]; infinite bounds lie outside the figure."""
     told = threshold.changed(lambda level: float(np.clip(10 ** (level / 20), bounds[0] / 10, bounds[1] * 10)))
     return told.low, told.estimate, told.high
 
@@ -96,7 +96,7 @@ def _in_mm_s(threshold: Interval, bounds: tuple[float, float]) -> tuple[float, f
 def _band(
     span: Callable[..., Any], line: Callable[..., Any], threshold: Interval | None, bounds: tuple[float, float]
 ) -> None:
-    """Draw a threshold and its interval across a panel."""
+    """Mark a threshold and its interval across a panel."""
     if threshold is not None:
         low, value, high = _in_mm_s(threshold, bounds)
         span(low, high, color="#e6ecf6", zorder=0, linewidth=0)
@@ -104,14 +104,14 @@ def _band(
 
 
 def draw_thresholds(runs: Sequence[Run], bounds: tuple[float, float]) -> Figure:
-    """Draw the thresholds of all runs with their intervals; runs without one are open marks at the edge.
+    """Plot the thresholds of all runs with their intervals; runs without a threshold have open markers at the edge.
 
     Parameters
     ----------
     runs : sequence of Run
         All runs.
     bounds : (float, float)
-        Lowest and highest level that a run may reach [mm/s].
+        Lowest and highest possible level of a run [mm/s].
     """
     kinds = list(dict.fromkeys(run.kind for run in runs))
     people = list(dict.fromkeys((run.participant, run.session) for run in runs))
@@ -135,9 +135,9 @@ def draw_thresholds(runs: Sequence[Run], bounds: tuple[float, float]) -> Figure:
 
 
 def _draw_kind(axes: Axes, runs: Sequence[Run], heights: np.ndarray, k: int, bounds: tuple[float, float]) -> None:
-    # 32 kinds are distinct: when the colours repeat, the markers have moved on by one.
+    # When colours repeat, shift the markers by one, for 32 distinct combinations.
     colour, marker = CONDITION_COLOURS[k % 4], "os^DvPX*"[(k + k // 4) % 8]
-    # Plotted by itself, so that a kind whose runs give no threshold is in the legend, too.
+    # Empty plot, so that the legend includes kinds of run without any threshold.
     axes.plot([], [], marker=marker, color=colour, ms=5, linestyle="", label=runs[0].kind)
     for run, height in zip(runs, heights, strict=True):
         threshold = run.fitted.threshold

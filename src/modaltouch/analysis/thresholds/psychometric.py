@@ -1,14 +1,14 @@
-"""A psychometric function fitted to the answers of one run, or the reason why these answers give no threshold.
+"""Maximum-likelihood fit of a psychometric function to one run, or the reason why there is no threshold.
 
-The probability of success at a level x [dB re 1 mm/s] is g + (1 - g - l) Phi((x - m) / s): m is the threshold, halfway
-between guessing and lapsing, s the spread, g the guess rate and l the lapse rate. The likelihood is evaluated on a
-grid, so nothing diverges if answers are separated. Intervals are the ends of the joint 95 % region of m and s, all
-pairs whose greatest log likelihood is within 3.00 of the maximum: the levels of a run follow from its answers and its
-most likely spread is too small, so that an interval of m alone, within 1.92, would miss the threshold too often.
+The probability of success at a level x [dB re 1 mm/s] is g + (1 - g - l) Phi((x - m) / s), with the threshold m halfway
+between the asymptotes, the spread s, the guess rate g and the lapse rate l. The likelihood is evaluated on a grid, so
+nothing diverges if answers are separated. Intervals are projections of the joint 95 % region of m and s, with a profile
+log likelihood within 3.00 of the maximum. Intervals of m alone, within 1.92, would have too low a coverage, since
+levels depend on the answers and the spread is underestimated.
 
 References
 ----------
-Wichmann and Hill, Perception & Psychophysics 63 (2001) 1293-1313 (the function; lapses held to a small range).
+Wichmann and Hill, Perception & Psychophysics 63 (2001) 1293-1313 (the function; bounded lapse rate).
 Venzon and Moolgavkar, J. R. Stat. Soc. C 37 (1988) 87-94 (profile likelihood; joint regions).
 """
 
@@ -29,37 +29,37 @@ STEP = 0.25
 """Step of the grid of thresholds [dB]."""
 
 BEYOND = 20.0
-"""How far beyond the presented levels the grid of thresholds reaches [dB]."""
+"""Range of the grid of thresholds beyond the presented levels [dB]."""
 
 _LEAST = 1e-9
-"""No outcome is impossible: probabilities are kept this far from 0 and 1."""
+"""Minimum distance of probabilities from 0 and 1, so that no outcome is impossible [1]."""
 
 _SPREADS = np.geomspace(0.5, 20.0, 28)
 _GUESSES = np.array([0.0, 0.01, 0.025, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5])
 """Grids of spreads [dB] and, if there are catch trials, of guess rates [1]."""
 
 _AT_ONCE = 4_000_000
-"""Likelihoods in the largest temporary array."""
+"""Maximum size of temporary arrays of likelihoods."""
 
 
 @dataclass(frozen=True)
 class Psychometric:
-    """The psychometric function fitted to the answers of a run.
+    """Psychometric function fitted to the answers of a run.
 
     Attributes
     ----------
     n_trials, n_successes : int
-        Trials with a stimulus, and successes among them.
+        Number of trials with a stimulus, and of successes among them.
     n_catch, n_false : int
-        Catch trials, and successes among them.
+        Number of catch trials, and of successes among them.
     threshold, spread : Interval or None
-        Threshold and spread [dB re 1 mm/s, dB]; None if the answers do not determine them.
+        Threshold [dB re 1 mm/s] and spread [dB]; None if not determined by the answers.
     guess_rate, lapse_rate : float
-        Most likely rates [1].
+        Maximum-likelihood estimates [1].
     why_not : str
-        Why there is no threshold; empty if there is one.
+        Reason why there is no threshold; empty if there is one.
     is_uncertain, is_step : bool
-        Whether a constant probability, or the steepest function, explains the answers as well as the fitted function.
+        Whether a constant probability, or the steepest function, fits the answers equally well.
     """
 
     n_trials: int
@@ -76,7 +76,7 @@ class Psychometric:
 
     @property
     def slope(self) -> float | None:
-        """Slope of the function at the threshold [1/dB]; None if a step fits the answers as well."""
+        """Slope of the function at the threshold [1/dB]; None if a step fits the answers equally well."""
         if self.spread is None or self.is_step:
             return None
         return (1 - self.guess_rate - self.lapse_rate) / float(self.spread.estimate * math.sqrt(2 * math.pi))
@@ -101,28 +101,28 @@ def fit_psychometric(
     unit: str = "mm/s",
     flat_rate: float | None = None,
 ) -> Psychometric:
-    """Return the psychometric function of a run.
+    """Fit the psychometric function of a run.
 
-    Answers that a constant probability explains as well give no threshold. If `flat_rate` is known, it is the only
-    constant tried: adaptive forced-choice runs gather where the function is flat, and one in four with a wide spread
-    would otherwise be lost.
+    There is no threshold if a constant probability fits equally well. If `flat_rate` is given, it is the only constant
+    considered: levels of adaptive forced-choice runs cluster in a narrow range, so a fitted constant would reject one
+    in four runs with a wide spread.
 
     Parameters
     ----------
     levels : sequence of float
         Level of each trial with a stimulus [dB re 1 mm/s, or another unit].
     successes : sequence of bool
-        Whether each of them was a success.
+        Whether each of these trials was a success.
     guess_rate : float or array
-        Probability of success if nothing is felt, or several to try [1]; with catch trials, it is fitted instead.
+        Guess rate, or a grid of guess rates [1]; with catch trials, it is fitted instead.
     most_lapse : float
-        Largest lapse rate that a fit may find [1].
+        Maximum lapse rate [1].
     catches : sequence of bool
         Whether each catch trial was a success.
     unit : str
         Unit of the levels, in words.
     flat_rate : float, optional
-        Probability of success if the level is ignored, if known [1].
+        Probability of success regardless of the level, if known [1].
 
     Raises
     ------
@@ -154,18 +154,18 @@ def fit_psychometric(
 
 @dataclass(frozen=True, eq=False)
 class Fits:
-    """The fits of a batch of runs, arrays of shape (n_runs,).
+    """Fits of a batch of runs, as arrays of shape (n_runs,).
 
     Attributes
     ----------
     threshold, spread : Interval
-        [dB re 1 mm/s], [dB]; a bound is infinite if the answers do not determine it.
+        Threshold [dB re 1 mm/s] and spread [dB]; bounds not determined by the answers are infinite.
     guess_rate, lapse_rate : arrays
-        Most likely rates [1].
+        Maximum-likelihood estimates [1].
     gain, settled : arrays
-        Gain of log likelihood over a constant probability: the most likely one; and `flat_rate` instead, if known.
+        Gain in log likelihood over the best constant probability, and over `flat_rate`, if known.
     is_told, is_step : arrays of bool
-        Whether the answers determine a threshold, and whether the steepest function fits as well.
+        Whether the answers determine a threshold, and whether the steepest function fits equally well.
     """
 
     threshold: Interval
@@ -189,18 +189,18 @@ def fit_counts(
     n_false: int = 0,
     flat_rate: float | None = None,
 ) -> Fits:
-    """Return the fits of a batch of runs, whose levels are all or some of those given.
+    """Fit the psychometric functions of a batch of runs on a common set of levels.
 
     Parameters
     ----------
     levels : (n_levels,) array
-        Levels, increasing [dB].
+        Levels in increasing order [dB]; a run need not include all of them.
     hits, tries : (n_runs, n_levels) arrays
-        Successes and trials of each run.
+        Number of successes and trials of each run.
     guess_rate, most_lapse, flat_rate
         As for `fit_psychometric`.
     n_catch, n_false : int
-        Catch trials of each run, and successes among them.
+        Number of catch trials of each run, and of successes among them.
     """
     thresholds = np.arange(levels[0] - BEYOND, levels[-1] + BEYOND + STEP / 2, STEP)
     guesses = _GUESSES if n_catch else np.atleast_1d(np.asarray(guess_rate, dtype=float))
@@ -244,11 +244,11 @@ def _profiles(
     lapses: FloatArray,
     guesses: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the highest log likelihood of each threshold, spread and lapse rate, by guess rate and run."""
+    """Return the profile log likelihoods of threshold, spread and lapse rate, by guess rate and run."""
     from scipy.special import ndtr
 
     rising = ndtr((levels - thresholds[:, None, None]) / _SPREADS[:, None])
-    # A threshold is searched for around a run's own levels.
+    # Restrict the threshold of a run to the vicinity of its levels.
     lowest, highest = (np.where(tries > 0, levels, end) for end in (np.inf, -np.inf))
     inside = thresholds >= lowest.min(axis=-1)[:, None] - BEYOND - STEP / 4
     inside &= thresholds <= highest.max(axis=-1)[:, None] + BEYOND + STEP / 2
@@ -268,13 +268,13 @@ def _profiles(
 
 
 def _log_chance(n_false: int, n_catch: int, guesses: FloatArray) -> FloatArray:
-    """Return the log likelihood of successes on catch trials, for each guess rate."""
+    """Return the log likelihood of the catch trials for each guess rate."""
     p = np.clip(guesses, _LEAST, 1 - _LEAST)
     return np.asarray(n_false * np.log(p) + (n_catch - n_false) * np.log1p(-p))
 
 
 def _counted(levels: Sequence[float], successes: Sequence[bool]) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the distinct levels, and the successes and trials at each."""
+    """Return the unique levels, with the numbers of successes and trials at each."""
     if not levels or len(levels) != len(successes):
         raise ValueError(f"given {len(levels)} levels and {len(successes)} answers; give one answer to each level")
     x, places = np.unique(np.round(levels, 6), return_inverse=True)
@@ -283,7 +283,7 @@ def _counted(levels: Sequence[float], successes: Sequence[bool]) -> tuple[FloatA
 
 
 def _why_not(x: FloatArray, hits: FloatArray, tries: FloatArray, gain: float, threshold: float, unit: str) -> str:
-    """Return why these answers give no threshold; empty if they do."""
+    """Return the reason why the answers give no threshold; empty if they do."""
     lowest, highest = (f"{10 ** (level / 20):.3g} {unit}" for level in (x[0], x[-1]))
     reasons = (
         (hits.sum() == tries.sum(), f"every answer was a success: the threshold lies below {lowest}, or there is none"),
@@ -296,7 +296,7 @@ def _why_not(x: FloatArray, hits: FloatArray, tries: FloatArray, gain: float, th
 
 
 def _located(values: FloatArray, profiles: FloatArray) -> Interval:
-    """Return where profiles are highest, between grid points, and where they have dropped by `REGION`."""
+    """Interpolate the maximum of profiles, and the bounds at which they have dropped by `REGION`."""
     rows, place = np.arange(len(profiles)), profiles.argmax(axis=1)
     padded = np.pad(profiles, ((0, 0), (1, 1)), constant_values=-np.inf)
     before, here, after = (padded[rows, place + shift] for shift in range(3))
@@ -311,7 +311,7 @@ def _located(values: FloatArray, profiles: FloatArray) -> Interval:
 
 
 def _crossing(values: FloatArray, profiles: FloatArray, bound: FloatArray) -> FloatArray:
-    """Return where profiles first rise above a bound; minus infinity if they are above it from the start."""
+    """Return the points where profiles first exceed a bound; minus infinity if they exceed it from the start."""
     rows, inside = np.arange(len(profiles)), (profiles >= bound[:, None]).argmax(axis=1)
     outside = np.maximum(inside - 1, 0)
     found, left = profiles[rows, inside], profiles[rows, outside]
@@ -321,7 +321,7 @@ def _crossing(values: FloatArray, profiles: FloatArray, bound: FloatArray) -> Fl
 
 
 def _log_constant(hits: FloatArray, tries: FloatArray) -> FloatArray:
-    """Return the highest log likelihood of a constant probability."""
+    """Return the maximum log likelihood of a constant probability."""
     from scipy.special import xlogy
 
     share = hits / np.maximum(tries, 1)

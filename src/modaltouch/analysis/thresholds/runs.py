@@ -1,4 +1,4 @@
-"""Runs of adaptive sessions, each with its psychometric function; thresholds over participants."""
+"""Runs of adaptive sessions with their psychometric functions, and thresholds over participants."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Run:
     session : int
         Number of the session.
     finger_condition : str
-        ``one_hand``, ``two_hands`` or a name of the protocol.
+        ``one_hand``, ``two_hands`` or another name from the protocol.
     pair : str
         Zones under the fingers, such as ``A-C``.
     stimulus : str
@@ -44,15 +44,15 @@ class Run:
     levels : (n_trials,) array
         Level of each trial, in order [mm/s].
     successes : (n_trials,) array of bool
-        Whether its answer counts as a success.
+        Whether each answer was a success.
     fitted : Psychometric
         Function fitted to the answers.
     n_missing : int
-        Trials that timed out; the next level follows as after a failure, but no fit counts them.
+        Number of trials that timed out, which are failures for the adaptive rule but excluded from the fit.
     group : str
         Group or lab of the participant; empty if there is only one.
     session_kind : str
-        Kind of session; empty if only one is analysed.
+        Kind of session; empty if only one kind is analysed.
     """
 
     participant: str
@@ -69,13 +69,13 @@ class Run:
 
     @property
     def kind(self) -> str:
-        """The factors in words, which runs of other participants share."""
+        """Factors in words, common to runs of different participants."""
         told = self.factors | {"finger_condition": self.finger_condition.replace("_", " ")}
         return " ".join(told.values())
 
     @property
     def factors(self) -> dict[str, str]:
-        """Group, kind of session, finger condition, pair and stimulus by name, without those that do not vary."""
+        """Levels of the varying factors (group, kind of session, finger condition, pair, stimulus) by name."""
         names = ("group", "session_kind", "finger_condition", "pair", "stimulus")
         return {name: getattr(self, name) for name in names if getattr(self, name)}
 
@@ -86,13 +86,13 @@ class Run:
 
     @property
     def n_reversals(self) -> int:
-        """How often the level turned from falling to rising or back."""
+        """Number of reversals of the track."""
         turns = np.sign(np.diff(self.levels))
         moving = turns[turns != 0]
         return int((moving[1:] != moving[:-1]).sum())
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the run as plain values; what the answers do not determine is null."""
+        """Return the run as plain values; undetermined values are null."""
         fitted = self.fitted
         threshold, spread = (each or Interval.point(math.nan, 0) for each in (fitted.threshold, fitted.spread))
         is_told = fitted.threshold is not None
@@ -121,7 +121,7 @@ class Run:
 
 
 def find_runs(responses: Responses) -> tuple[Run, ...]:
-    """Return every run of adaptive sessions with its fit.
+    """Find and fit all runs of adaptive sessions.
 
     Parameters
     ----------
@@ -134,15 +134,15 @@ def find_runs(responses: Responses) -> tuple[Run, ...]:
     for key, part in frame.groupby([*KEYS, *zones_of(frame.columns)], sort=True, observed=True):
         silent = part[scale_of(part.columns).column] == 0
         for stimulus in sorted(part["stimulus"][~silent].unique()):
-            # A catch trial has no stimulus: it counts for the run of each stimulus, at its focus.
+            # Catch trials have no stimulus and count for the runs of all stimuli.
             runs.append(_run(key, stimulus, part[silent | (part["stimulus"] == stimulus)], rule, responses))
     return tuple(runs)
 
 
 def is_forced(responses: Responses) -> bool:
-    """Return whether the guess rate is that of guessing among the answers, with no catch trials to estimate another."""
+    """Return whether the guess rate is the chance level of a forced choice, rather than estimated from catch trials."""
     silent = responses.frame.dropna(subset="response")[scale_of(responses.frame.columns).column] == 0
-    # A third is written with a few digits, as the check of the protocol allows.
+    # Allow for a rounded guess rate such as 0.33, as in the check of the protocol.
     chance = 1 / len(responses.answers) - 0.01
     return bool(responses.start["design"]["adaptive"]["guess_rate"] >= chance and not silent.any())
 
@@ -174,10 +174,10 @@ def _run(key: tuple[Any, ...], stimulus: str, part: pd.DataFrame, rule: dict[str
 
 
 def over_participants(runs: Sequence[Run]) -> list[dict[str, Any]]:
-    """Return the geometric mean threshold of each kind of run over participants.
+    """Compute the geometric mean threshold over participants for each kind of run.
 
-    A participant's sessions of a kind are averaged first. Runs without a threshold are left out and counted; the mean
-    is then over those participants who have one.
+    Thresholds are first averaged over a participant's sessions of a kind. Runs without a threshold are excluded and
+    counted; the mean is over participants with at least one threshold.
     """
     rows = []
     for kind in dict.fromkeys(run.kind for run in runs):
@@ -204,12 +204,12 @@ def over_participants(runs: Sequence[Run]) -> list[dict[str, Any]]:
 
 
 def compare_runs(runs: Sequence[Run]) -> list[Finding]:
-    """Return the ratios of thresholds between kinds of run that differ in one factor, with their tests.
+    """Compare thresholds between kinds of run that differ in one factor, as ratios with tests.
 
-    Within participants, the logarithms are tested by sign flips; between groups, participants are shuffled, in kinds of
-    run that both groups had. A participant's sessions of a kind are averaged first; without a threshold in one of two
-    kinds, a participant is left out of their comparison. No hypothesis is fixed in advance: the tests are exploratory,
-    not corrected.
+    Log thresholds are compared within participants by sign flips, and between groups by permuting participants, for
+    kinds of run common to both groups. They are first averaged over a participant's sessions of a kind; participants
+    without a threshold in one of two kinds are excluded from the comparison. The tests are exploratory and not
+    corrected.
     """
     told: dict[tuple[str, str, str], list[float]] = {}
     for run in runs:
@@ -230,14 +230,14 @@ def compare_runs(runs: Sequence[Run]) -> list[Finding]:
 
 
 def in_words(estimate: Interval, unit: str = "") -> str:
-    """Return a threshold with its interval [mm/s], such as ``12.3 (9.1 to 17)``."""
+    """Format a threshold with its interval [mm/s], as in ``12.3 (9.1 to 17)``."""
     value, *bounds = (_velocity(each) for each in (estimate.estimate, estimate.low, estimate.high))
     low, high = ("no bound" if bound is None else format_number(bound) for bound in bounds)
     return f"{format_number(value)}{unit} ({low} to {high})"
 
 
 def _velocity(level: float) -> float | None:
-    """Return a level [dB re 1 mm/s] in mm/s; None if it is not finite."""
+    """Convert a level from dB re 1 mm/s to mm/s; None if not finite."""
     return float(f"{10 ** (level / 20):.5g}") if math.isfinite(level) else None
 
 
