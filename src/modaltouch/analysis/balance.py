@@ -15,7 +15,7 @@ from modaltouch.analysis.scale import VELOCITY, scale_of
 from modaltouch.protocol import Problem
 
 _MOST_MISSING = 0.25
-"""Share of missing answers above which a participant presumably had another design, or gave up [1]."""
+"""Share of missing answers at or above which a participant presumably had another design, or gave up [1]."""
 
 
 _FEWEST_TIMES = 4

@@ -1,4 +1,4 @@
-"""The tidy CSV: every word, number and cell is checked, and all faults of its fields are reported at once."""
+"""Reading and validation of tidy CSV files; all problems in the fields are reported together."""
 
 from __future__ import annotations
 
@@ -32,18 +32,18 @@ from modaltouch.protocol import TIME_OUT, AnswerList, InputError, Problem, Scale
 
 _SPEEDS = ("speed_left_mm_s", "speed_between_mm_s", "speed_right_mm_s")
 NUMBERS = ("trial", "block", "response_time", *_SPEEDS)
-"""Further columns that the analysis uses if present, named as in the record's own table."""
+"""Optional columns used by the analysis, named as in the table of recorded answers."""
 
 _LEAST_LEVEL, _MOST = 0.001, 100_000
-"""Lowest level, the finest step that a trend distinguishes; and the highest level and count of equal answers."""
+"""Lowest level (the resolution of trend tests), and highest level and count of identical answers."""
 
 _LONGEST, _LONG = 86_400.0, 60.0
-"""Longest reaction time, and longest median of all [s]; longer ones must be in milliseconds."""
+"""Maximum reaction time, and maximum median [s]; longer times are presumably in milliseconds."""
 
 _CAUGHT = "catch trials, counted apart"
 _CATCH_COLUMNS = ["participant", "finger_condition", "session_kind", "response", "n"]
 _LEFT_OUT = ("excluded", "exclude", "withdrawn", "invalid")
-"""Columns of 0 and 1 in which a lab marks the rows that do not count."""
+"""Columns of 0 and 1 that mark excluded rows."""
 
 _TRUTH = {"0": False, "false": False, "no": False, "": False, "1": True, "true": True, "yes": True}
 _EMPTY = ("", "n/a")
@@ -52,26 +52,26 @@ _EMPTY = ("", "n/a")
 def read_csv(
     path: Path, table_format: TableFormat | None = None, mode: str | None = None, stimulus: str | None = None
 ) -> Responses:
-    """Return the answers in a tidy CSV file.
+    """Read the answers in a tidy CSV file.
 
     Parameters
     ----------
     path : Path
-        A table with the six columns, and optionally ``n`` (count of equal answers), ``repetition``, ``practice``,
-        ``catch`` (1 where nothing was driven, whatever the velocity), ``excluded`` (1 where the row does not count;
-        also ``exclude``, ``withdrawn``, ``invalid``), ``mode``, ``stimulus``, ``session``, ``session_kind`` and any
-        others, which are kept. If any response is ``none``, that was an answer, unless `table_format` has the answers.
-        If ``multiple_of_threshold`` is filled in, it is the level. Sessions of a kind count as repetitions, as many as
-        all participants have. If the answers are ratings, ``response`` may be left out.
+        A table with the six columns, and optionally ``n`` (count of identical answers), ``repetition``, ``practice``,
+        ``catch`` (1 for trials without a stimulus, regardless of the velocity), ``excluded`` (1 for excluded rows; also
+        ``exclude``, ``withdrawn``, ``invalid``), ``mode``, ``stimulus``, ``session``, ``session_kind`` and any others,
+        which are kept. If ``none`` occurs as a response, it is an answer, unless `table_format` specifies the answers.
+        A filled column ``multiple_of_threshold`` holds the levels. Sessions of a kind count as repetitions, up to the
+        number that all participants have. If the answers are ratings, ``response`` is optional.
     table_format : TableFormat, optional
-        How the words are to be read.
+        Format of the file.
     mode, stimulus : str, optional
-        Which rows to take; needed if there are several modes, while stimuli are all taken by default.
+        Which rows to use. The mode is required if there are several; by default, all stimuli are used.
 
     Raises
     ------
     InputError
-        With all faults of the fields; if there are none, with all faults of the balance.
+        With all problems in the fields or, if there are none, all problems of balance.
     """
     table_format = table_format or TableFormat()
     table = choose_rows(_with_responses(path, table_format), "mode", mode)
@@ -112,7 +112,7 @@ def read_csv(
 
 
 def _with_responses(path: Path, table_format: TableFormat) -> Table:
-    """Return a table with a column of responses, which ratings may do without: the number itself is the answer."""
+    """Read a table, adding a column of responses if it has only ratings."""
     is_rated = "value" in table_format.asked
     table = read_table(path, (*REQUIRED[: -1 if is_rated else None], *table_format.asked))
     if not is_rated or set(table.fields.get("response", ())) - set(_EMPTY):
@@ -122,7 +122,7 @@ def _with_responses(path: Path, table_format: TableFormat) -> Table:
 
 
 def _with_missing(part: pd.DataFrame, usual: int) -> pd.DataFrame:
-    """Return a crossed part with one row for each answer, and one without a response for each missing answer."""
+    """Expand a crossed part to one row per answer, adding rows without a response for missing answers."""
     lacks = (usual - answers_per_cell(part)).melt(ignore_index=False, value_name="n").reset_index()
     missing = lacks.loc[lacks.index.repeat(lacks["n"].clip(lower=0))]
     rows = pd.concat([part.loc[part.index.repeat(part["n"])], missing])
@@ -131,7 +131,7 @@ def _with_missing(part: pd.DataFrame, usual: int) -> pd.DataFrame:
 
 
 def _in_order(frame: pd.DataFrame, design: Mapping[str, Any]) -> pd.DataFrame:
-    """Return answers with stimuli, groups and kinds of session in the protocol's order, others after them."""
+    """Order stimuli, groups and kinds of session as in the protocol, followed by any others."""
     for column, names in _names(design).items():
         if column in frame:
             named = [name for name in names if (frame[column] == name).any()]
@@ -141,13 +141,13 @@ def _in_order(frame: pd.DataFrame, design: Mapping[str, Any]) -> pd.DataFrame:
 
 
 def _names(design: Mapping[str, Any]) -> dict[str, Sequence[str]]:
-    """Return the names that a protocol defines for some columns."""
+    """Return the stimuli, groups and kinds of session defined by the protocol, by column."""
     own = {"stimulus": design.get("stimuli"), "group": design.get("groups"), "session_kind": kinds_of(design)}
     return {column: tuple(names or ()) for column, names in own.items()}
 
 
 def _joined_parts(parts: Sequence[pd.DataFrame], usual: Sequence[int], design: Mapping[str, Any]) -> pd.DataFrame:
-    """Return all parts as one table, with the columns that distinguish recorded ones, and the focus of each answer."""
+    """Join all parts into one table, with the columns of recorded answers for group, kind of session and focus."""
     frame = pd.concat(map(_with_missing, parts, usual))
     lacking = {name: "" for name in ("group", "session_kind") if name not in frame}
     frame = frame.assign(focus=_foci(frame, design), **lacking)
@@ -155,7 +155,7 @@ def _joined_parts(parts: Sequence[pd.DataFrame], usual: Sequence[int], design: M
 
 
 def _parts(asked: pd.DataFrame, design: Mapping[str, Any]) -> list[pd.DataFrame]:
-    """Return the answers to each stimulus, in each kind of session, of each group of the protocol."""
+    """Split the answers by stimulus, kind of session and group of the protocol."""
     by = ["stimulus", *["group"] * ("group" in asked and bool(design.get("groups")))]
     by += ["session_kind"] * ("session_kind" in asked)
     named = asked if "stimulus" in asked else asked.assign(stimulus="")
@@ -163,19 +163,19 @@ def _parts(asked: pd.DataFrame, design: Mapping[str, Any]) -> list[pd.DataFrame]
 
 
 def _is_crossed(design: Mapping[str, Any]) -> bool:
-    """Return whether every participant of a group meets every cell of a stimulus equally often."""
+    """Return whether each participant of a group has the same number of trials in every cell of a stimulus."""
     own = [section.get("conditions") or {} for section in (design, *(design.get("groups") or {}).values())]
     return not any(conditions.get(key) for conditions in own for key in ("cells", "exclude"))
 
 
 def _foci(frame: pd.DataFrame, design: Mapping[str, Any]) -> list[str]:
-    """Return the focus of each answer's stimulus; empty if no protocol gives it."""
+    """Return the focus of each answer's stimulus; empty if not given by a protocol."""
     focal, own = (design.get("stimulus") or {}).get("focus", ""), design.get("stimuli") or {}
     return [str(own.get(name, {}).get("focus") or focal) for name in frame.get("stimulus", [""] * len(frame))]
 
 
 def _scales(design: Mapping[str, Any]) -> dict[str, ScaleSection]:
-    """Return the scale of each column of ratings: that of the trial's question, and those of further ones."""
+    """Return the scale of each column of ratings, for the question of the trial and further questions."""
     section = design.get("answers") or {}
     asked = {"value": section, **(section.get("then") or {})}
     return {name: ScaleSection.model_validate(each["scale"]) for name, each in asked.items() if each.get("scale")}
@@ -184,9 +184,9 @@ def _scales(design: Mapping[str, Any]) -> dict[str, ScaleSection]:
 def _frame_of(
     columns: _Columns, fields: pd.DataFrame, counts: pd.Series, table_format: TableFormat
 ) -> tuple[pd.DataFrame, AnswerList]:
-    """Return the values of all rows, and the answers that could be given."""
+    """Return the values of all rows, and the answers offered."""
     answers = table_format.answers
-    # A column of zones without any entry belongs to a finger that was not used.
+    # An empty column of zones belongs to an unused finger.
     absent = [name for name in zones_of(fields.columns)[1:] if set(fields[name]) <= set(_EMPTY)]
     names = [name for name in (*REQUIRED[:2], *zones_of(fields.columns)) if name not in absent]
     frame = pd.DataFrame({name: columns.words(name) for name in names})
@@ -221,19 +221,19 @@ def _frame_of(
         else:
             frame[name] = fields[name].astype("str")
     if "value" in table_format.asked:
-        frame["response"] = frame["response"].where(frame["value"].notna())  # no rating is no answer
+        frame["response"] = frame["response"].where(frame["value"].notna())  # without a rating, the answer is missing
     if "interval" in table_format.asked:
         frame["interval"] = columns.whole_numbers("interval", 1, table_format.design["intervals"]["number"])
     return frame, answers
 
 
 def choose_rows(table: Table, name: str, chosen: str | None) -> Table:
-    """Return the rows with the chosen word in a column, if one is chosen.
+    """Select the rows with a value in a column, if given.
 
     Raises
     ------
     InputError
-        If the column has several words and none is chosen, does not have the chosen one, or has unknown modes.
+        If the column has several values and none is given, lacks the given value, or contains unknown modes.
     """
     words = set(table.fields[name]) - set(_EMPTY) if name in table.fields else set()
     listed = ", ".join(sorted(map(str, words))) or f"no column {name} with a word"
@@ -250,7 +250,7 @@ def choose_rows(table: Table, name: str, chosen: str | None) -> Table:
 
 
 def choose_sessions(table: Table) -> tuple[Table, list[ExcludedSource], list[str]]:
-    """Return equally many sessions of each participant, what is left out, and notes on how they were taken."""
+    """Select equally many sessions of each participant; return them with excluded sources and notes."""
     if "session" not in table.fields:
         return table, [], []
     who, session = (table.fields[name].astype("str") for name in ("participant", "session"))
@@ -265,20 +265,20 @@ def choose_sessions(table: Table) -> tuple[Table, list[ExcludedSource], list[str
 
 
 class _Columns:
-    """The columns of a table as values, and the faults of their fields."""
+    """Parser of the columns of a table, which collects problems in their fields."""
 
     def __init__(self, table: Table) -> None:
         self._table = table
         self.problems: list[Problem] = []
 
     def words(self, name: str) -> pd.Series:
-        """Return a column of words, none of them empty."""
+        """Return a column of non-empty words."""
         column = self._table.fields[name]
         self.problems += self._table.check_words(column, bool, "a word", lambda word: ("nothing", "fill it in"))
         return column
 
     def answers(self, words: tuple[str, ...], remedy: str, table_format: TableFormat) -> pd.Series:
-        """Return the responses, each one of the answers or missing."""
+        """Return the responses as a categorical of the answers, with missing values."""
         missing = {*_EMPTY, TIME_OUT, *table_format.missing}
 
         def say(word: str) -> tuple[str, str]:
@@ -294,7 +294,7 @@ class _Columns:
         return pd.Series(pd.Categorical(found.where(found.isin(words)), list(words)), column.index)
 
     def apart(self, kinds: Mapping[str, bool]) -> dict[str, pd.Series]:
-        """Return the rows that are not analysed, by reason, each once; `kinds` says which kinds of session are."""
+        """Return masks of the rows to exclude, each under one reason; `kinds` flags the analysed kinds of session."""
         reasons = {name: (f"rows marked {name}", "a row that does not count") for name in _LEFT_OUT}
         reasons |= {"practice": ("practice trials", "a practice trial"), "catch": (_CAUGHT, "a catch trial")}
         apart, free = {}, pd.Series(True, index=self._table.fields.index)
@@ -307,7 +307,7 @@ class _Columns:
         return apart
 
     def flags(self, name: str, what: str) -> pd.Series:
-        """Return which rows a column of 0 and 1 marks; none if there is no such column."""
+        """Return the mask of rows marked in a column of 0 and 1; none without the column."""
         fields = self._table.fields
         if name not in fields:
             return pd.Series(False, index=fields.index)
@@ -326,7 +326,7 @@ class _Columns:
         missing: Sequence[str] = (),
         where: pd.Series | None = None,
     ) -> pd.Series:
-        """Return a column of finite numbers, checked `where` true; `empty` allows empty fields and `missing` words."""
+        """Return finite numbers; check the rows `where`, and allow empty fields if `empty`, and words in `missing`."""
         table = self._table
 
         def say(word: str) -> tuple[str, str]:
@@ -358,7 +358,7 @@ class _Columns:
         return values
 
     def check_words(self, where: pd.Series, design: Mapping[str, Any]) -> None:
-        """Refuse words that differ only in capitals, equal zones, and names that the protocol does not have."""
+        """Check for words that differ only in case, equal zones, and names unknown to the protocol."""
         for name in (*REQUIRED[:2], *zones_of(self._table.fields.columns)):
             self.check_spelling(name)
         self.check_zones()
@@ -366,7 +366,7 @@ class _Columns:
         self.check_names(where, design)
 
     def check_spelling(self, name: str) -> None:
-        """Refuse words of a column that differ only in capitals: one of them is a slip."""
+        """Refuse words of a column that differ only in case, presumably by mistake."""
         column = self._table.fields[name]
         words = map(str, reversed([*column.unique()]))
         usual = {word.casefold(): word for word in words}  # the first spelling in the file
@@ -381,7 +381,7 @@ class _Columns:
         self.problems += self._table.check_words(column, is_usual, "one spelling for each name", say)
 
     def whole_numbers(self, name: str, least: int, most: int | None = None) -> pd.Series:
-        """Return a column of whole numbers."""
+        """Return a column of integers."""
         allowed = f"a whole number, {least} or above" if most is None else f"a whole number, {least} to {most}"
         highest = 999_999_999 if most is None else most
         values = self.numbers(name, allowed, lambda value: value == int(value) and least <= value <= highest)
@@ -403,7 +403,7 @@ class _Columns:
         )
 
     def check_stimuli(self, where: pd.Series) -> None:
-        """Refuse rows without a stimulus, or a kind of session, if other rows name theirs."""
+        """Refuse rows without a stimulus, or a kind of session, if other rows have one."""
         fields = self._table.fields
         for name, what in (("stimulus", "stimulus"), ("session_kind", "kind of session")):
             if name in fields and not set(fields[name]) <= set(_EMPTY):
@@ -413,7 +413,7 @@ class _Columns:
                 )  # fmt: skip
 
     def check_names(self, where: pd.Series, design: Mapping[str, Any]) -> None:
-        """Refuse stimuli, groups and kinds that the protocol does not have, and a participant of several groups."""
+        """Refuse stimuli, groups and kinds of session unknown to the protocol, and participants in several groups."""
         table, fields = self._table, self._table.fields
         for column, names in _names(design).items():
             if column in fields and names:
@@ -438,7 +438,7 @@ class _Columns:
 
 
 def _number(word: str, separator: str) -> float:
-    # A decimal comma is unambiguous only if commas do not separate fields and there is no decimal point as well.
+    # A decimal comma is unambiguous only if fields are not separated by commas, and there is no decimal point.
     if separator != "," and word.count(",") == 1 and "." not in word:
         word = word.replace(",", ".")
     try:

@@ -1,4 +1,4 @@
-"""Exact test of a trend over levels, with answers shuffled within participants; one test or a batch of them.
+"""Exact test of a trend over levels by permutation within participants, singly or in batches.
 
 References
 ----------
@@ -21,40 +21,40 @@ from modaltouch.analysis.sums import Law, Sums
 IntArray = NDArray[np.int64]
 
 GRID_STEPS = 1000
-"""Levels without a common grid of at most this many steps are rounded to one of this many."""
+"""Maximum number of steps of the common grid of levels; levels without such a grid are rounded to this many steps."""
 
 MOST_EXACT = 400
-"""Most answers of a participant for which all shuffles are counted; for more, the normal distribution gives p, within
+"""Maximum number of answers per participant for the exact test; for more, p is from a normal approximation, accurate to
 4 % above 1e-6."""
 
 _RAREST = 4
 
 
 def trend_test(chosen: ArrayLike, levels: Sequence[float], n_repetitions: ArrayLike = 1) -> ExactTest:
-    """Return the exact test of a trend over levels, with answers shuffled within each participant.
+    """Exact test of a trend over levels by permutation of the answers within each participant.
 
     Under the null hypothesis, a participant's answers do not depend on the level, so all assignments of the answers to
-    the presentations are equally likely. Participants whose answers are all the same drop out.
+    the presentations are equally likely. Participants with identical answers do not contribute.
 
     Parameters
     ----------
     chosen : (..., n_participants, n_levels) array of int
-        How often the answer was chosen at each level.
+        Counts of the answer at each level.
     levels : sequence of float
-        Levels, as scores of the trend; only the ratios of their distances matter.
+        Levels, the scores of the trend; only their relative distances matter.
     n_repetitions : int, or array of int like `chosen`
-        Answers to each level.
+        Number of all answers at each level.
 
     Returns
     -------
     ExactTest
-        The statistic is the sum over participants of score times count, less its expectation, in units of the grid
-        of `level_scores`.
+        The statistic is the sum over participants of score times count, minus its expectation, in units of the grid of
+        `level_scores`.
 
     Raises
     ------
     ValueError
-        If the counts do not fit the levels and repetitions.
+        If the counts do not match the levels and repetitions.
     """
     counts = whole_numbers(chosen, "chosen")
     scores = level_scores(levels)
@@ -86,7 +86,7 @@ def trend_test(chosen: ArrayLike, levels: Sequence[float], n_repetitions: ArrayL
 
 
 def _normal_trend(counts: IntArray, answered: IntArray, scores: IntArray) -> ExactTest:
-    """Return the test by the normal distribution of the same variance, with a continuity correction of half a step."""
+    """Return the test by normal approximation, with a continuity correction of half a step."""
     from scipy.special import ndtr
 
     n, chosen = answered.sum(axis=-1), counts.sum(axis=-1)
@@ -113,25 +113,25 @@ def _normal_trend(counts: IntArray, answered: IntArray, scores: IntArray) -> Exa
 
 
 def smallest_trend_p(levels: Sequence[float], n_participants: int, n_repetitions: int) -> float:
-    """Return the smallest p that a trend test can give, however the answers fall [1].
+    """Return the smallest attainable p of a trend test [1].
 
     Parameters
     ----------
     levels : sequence of float
         Levels.
     n_participants, n_repetitions : int
-        Participants, and presentations of each level.
+        Number of participants, and of presentations at each level.
     """
     if len(levels) * n_repetitions > MOST_EXACT:
         return sys.float_info.min if len(set(levels)) > 1 else 1.0
     extremes = _extreme_choices(levels, n_repetitions)
-    # If all choose alike, both tails are as extreme; with one who differs, the other tail may be less so.
+    # If all participants choose alike, both tails are equally probable; if one differs, the other tail may be smaller.
     chosen = [[most] * (n_participants - 1) + [one] for side in extremes for most in side for one in side]
     return float(trend_test(np.array(chosen), levels, n_repetitions).quick_p.min()) if chosen else 1.0
 
 
 def _extreme_choices(levels: Sequence[float], n_repetitions: int) -> list[list[IntArray]]:
-    """Return the rarest ways to choose only the highest levels, and only the lowest, (n_levels,) arrays of counts."""
+    """Return the least likely choices of only the highest or only the lowest levels, (n_levels,) arrays of counts."""
     laws = draws_without_replacement(level_scores(levels), n_repetitions)[1:-1]
     places = np.arange(len(levels) * n_repetitions).reshape(len(levels), n_repetitions)
     sides = []
@@ -142,17 +142,17 @@ def _extreme_choices(levels: Sequence[float], n_repetitions: int) -> list[list[I
 
 
 def level_scores(levels: Sequence[float]) -> IntArray:
-    """Return levels as small integers from zero, on their common grid.
+    """Convert levels to small integers from zero, in steps of their common grid.
 
     Parameters
     ----------
     levels : sequence of float
-        Levels in one unit, to three decimals.
+        Levels with at most three decimals.
 
     Returns
     -------
     (n_levels,) array of int
-        Scores; levels without a common grid of at most `GRID_STEPS` steps are rounded to one.
+        Scores; without a common grid of at most `GRID_STEPS` steps, levels are rounded to a grid of this many.
 
     Examples
     --------
@@ -169,19 +169,19 @@ def level_scores(levels: Sequence[float]) -> IntArray:
 
 
 def draws_without_replacement(scores: IntArray, n_repetitions: ArrayLike) -> list[Law]:
-    """Return, for every k, the distribution of the sum of k presentations drawn without replacement.
+    """Return the distribution of the sum of scores of k presentations drawn without replacement, for each k.
 
     Parameters
     ----------
     scores : (n_levels,) array of int
         Score of each level, from zero.
     n_repetitions : int, or (n_levels,) array of int
-        Answers to each level.
+        Number of answers at each level.
 
     Returns
     -------
     list of (sums, probabilities)
-        For k from 0 to all presentations: the sums that occur, increasing, and their probabilities [1].
+        For k from 0 to the number of presentations: possible sums in increasing order, and their probabilities [1].
     """
     answered = np.broadcast_to(np.asarray(n_repetitions, dtype=np.int64), scores.shape)
     n_answers = int(answered.sum())

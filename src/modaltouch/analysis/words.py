@@ -1,4 +1,4 @@
-"""Findings in words: the answer to each question, families of tests, finger conditions and zones."""
+"""Wording of findings: answers to questions, families of tests, finger conditions and zones."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ HEADINGS = {
     "speed": ("Do the answers follow the speeds under the fingers?", ""),
     "model": ("What does a mixed model say?", ""),
 }
-"""Heading of each question, and what its tests claim; other families of tests are headed by what they ask."""
+"""Heading and claim of each question; for other families of tests, the heading is their question."""
 
 
 def headings(answers: AnswerCounts) -> dict[str, tuple[str, str]]:
-    """Return the heading and the claim of each question, in the order of the report."""
+    """Return the heading and claim of each question, in the order of the report."""
     both = answers.answers.naming("left", "right") if answers.compares else None
     in_both = "" if both is None else f" in “{both.name}”"
     asked = {each.question: (f"{each.asks[:1].upper()}{each.asks[1:]}?", "") for each in STATISTICS.values()}
@@ -48,7 +48,7 @@ def headings(answers: AnswerCounts) -> dict[str, tuple[str, str]]:
 
 
 def condition_in_words(finger_condition: str) -> str:
-    """Return a finger condition in words.
+    """Format a finger condition in words.
 
     Examples
     --------
@@ -59,14 +59,14 @@ def condition_in_words(finger_condition: str) -> str:
 
 
 def scope_in_words(scope: str, finger_conditions: Sequence[str], pairs: Sequence[Pair]) -> str:
-    """Return what a finding is about in words, as in ``one hand, A and C, 80 mm/s``.
+    """Format the scope of a finding in words, as in ``one hand, A and C, 80 mm/s``.
 
     Parameters
     ----------
     scope : str
         Scope of a finding: ``one_hand A-C 80 mm/s``, ``one_hand - two_hands A-C``, ``one_hand A-C - C-E``.
     finger_conditions, pairs : sequence of str, sequence of Pair
-        Names that may occur in it.
+        Finger conditions and pairs that may occur in the scope.
     """
     names = {name: condition_in_words(name) for name in finger_conditions}
     names |= {pair.label: pair.said for pair in pairs}
@@ -77,7 +77,7 @@ def scope_in_words(scope: str, finger_conditions: Sequence[str], pairs: Sequence
 
 
 def format_p(p: float) -> str:
-    """Return a p value as a paper prints it.
+    """Format a p value for publication.
 
     Examples
     --------
@@ -92,20 +92,20 @@ def format_p(p: float) -> str:
 
 
 def format_interval(finding: Finding) -> str:
-    """Return an estimate with its interval, as in ``0.975 [0.798, 0.996]``."""
+    """Format an estimate with its interval, as in ``0.975 [0.798, 0.996]``."""
     estimate, *bounds = (format_number(value) for value in (finding.estimate, finding.low, finding.high))
     return estimate if bounds == ["–", "–"] else f"{estimate} [{', '.join(bounds)}]"
 
 
 def answer_question(own: Sequence[Finding], claim: str, answers: AnswerCounts) -> str:
-    """Return the answer to a question in sentences with numbers, first on average, then for some participant.
+    """Answer a question in sentences with numbers, first on average, then for individual participants.
 
     Parameters
     ----------
     own : sequence of Finding
         Findings on the question.
     claim : str
-        What its tests would show.
+        Claim of its tests.
     answers : AnswerCounts
         Counts of the answers.
     """
@@ -121,7 +121,7 @@ def answer_question(own: Sequence[Finding], claim: str, answers: AnswerCounts) -
 
 
 def _claim(claim: str, family: str) -> str:
-    """Return what a family of tests claims: on average, for some participant, or that conditions are alike."""
+    """Return the claim of a family of tests: on average, for some participant, or of equivalence."""
     if family not in STATISTICS:
         from modaltouch.analysis.measures import claim_of
 
@@ -134,7 +134,7 @@ def _claim(claim: str, family: str) -> str:
 
 
 def _answer_family(tested: Sequence[Finding], claim: str, answers: AnswerCounts) -> str:
-    """Return what a family of tests shows, with the numbers of its clearest test."""
+    """Summarise the results of a family of tests, with the numbers of its most significant test."""
     m = len(tested)
     shown = [row for row in tested if row.p_holm <= ALPHA]
     clearest = min(tested, key=lambda row: (row.p_holm, row.p, -abs(row.estimate)))
@@ -151,12 +151,12 @@ def _answer_family(tested: Sequence[Finding], claim: str, answers: AnswerCounts)
 
 
 def _estimate(own: Sequence[Finding], answers: AnswerCounts) -> str:
-    """Return the range of the estimates of each quantity, and how many uncorrected tests are significant."""
+    """Summarise the range of estimates of each quantity, and the number of significant uncorrected tests."""
     alike: dict[str, list[Finding]] = {}
     for row in own:
         if row.name == own[0].name and math.isfinite(row.estimate):
             alike.setdefault(row.quantity, []).append(row)
-    # Shares of different answers are not compared; of two zones, the dominant one tells the effect.
+    # Shares of different answers are not comparable; of two zones, the dominant one defines the effect.
     dominant = {f"P({pair.dominant})" for pair in answers.pairs} & alike.keys() if answers.compares else set()
     ranges = "; ".join(_range(alike[each], answers) for each in alike if each in (dominant or alike))
     said = [ranges or "not estimable: see the notes"]
@@ -171,7 +171,7 @@ def _estimate(own: Sequence[Finding], answers: AnswerCounts) -> str:
 
 
 def _range(rows: Sequence[Finding], answers: AnswerCounts) -> str:
-    """Return the lowest and the highest estimate of one quantity, with what they are about."""
+    """Format the lowest and the highest estimate of a quantity, with their scopes."""
     in_order = sorted(rows, key=lambda row: row.estimate)
     if len(rows) < 2:
         return _about(rows[0], answers)
@@ -189,7 +189,7 @@ def _about(row: Finding, answers: AnswerCounts) -> str:
 
 
 def state_families(findings: Sequence[Finding]) -> str:
-    """Return which tests are corrected together, and the error rates that result."""
+    """State the families of tests and the resulting error rates."""
     families = Counter(row.family for row in findings if row.family)
     n = len(families)
     if not n:

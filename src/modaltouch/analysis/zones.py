@@ -1,4 +1,4 @@
-"""The zones under one to three fingers: their columns in a table, and what they are called."""
+"""Columns and labels of the zones under one to three fingers."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ if TYPE_CHECKING:
 
 
 def zones_of(columns: Container[str]) -> tuple[str, ...]:
-    """Return those of a table's columns that hold the zones under the fingers."""
+    """Return the columns of a table that contain the zones under the fingers."""
     return tuple(name for name in ("zone_left", "zone_between", "zone_right") if name in columns)
 
 
 def label_zones(frame: pd.DataFrame) -> pd.Series:
-    """Return the zones of each row in one word, as in ``A-C``."""
+    """Return the zones of each row as a label, as in ``A-C``."""
     first, *others = (frame[name].astype(str) for name in zones_of(frame.columns))
     return reduce(lambda label, zone: (label + "-" + zone).where(zone != "", label), others, first)
 
 
 def zones_in_words(zones: Iterable[str]) -> str:
-    """Return zones in words.
+    """Format zones in words.
 
     Examples
     --------

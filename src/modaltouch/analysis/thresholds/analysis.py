@@ -19,7 +19,7 @@ from modaltouch.analysis.words import format_interval
 from modaltouch.report import ReportFigure, page_files
 
 MOST_FIGURES = 60
-"""Maximum number of sessions for figures of runs, to limit the size of the report."""
+"""Maximum number of sessions with figures of runs; with more, the report is too large for a browser."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -104,8 +104,8 @@ def fit_psychometric(
     """Fit the psychometric function of a run.
 
     There is no threshold if a constant probability fits equally well. If `flat_rate` is given, it is the only constant
-    considered: levels of adaptive forced-choice runs cluster in a narrow range, so a fitted constant would reject one
-    in four runs with a wide spread.
+    considered: levels of adaptive forced-choice runs cluster where the function is flat, so comparison with the best
+    constant would reject one in four runs with a wide spread.
 
     Parameters
     ----------
@@ -163,7 +163,7 @@ class Fits:
     guess_rate, lapse_rate : arrays
         Maximum-likelihood estimates [1].
     gain, settled : arrays
-        Gain in log likelihood over the best constant probability, and over `flat_rate`, if known.
+        Gain in log likelihood over the best constant probability, and over `flat_rate` (if unknown, the same).
     is_told, is_step : arrays of bool
         Whether the answers determine a threshold, and whether the steepest function fits equally well.
     """

@@ -75,7 +75,7 @@ class Run:
 
     @property
     def factors(self) -> dict[str, str]:
-        """Levels of the varying factors (group, kind of session, finger condition, pair, stimulus) by name."""
+        """Values of the varying factors (group, kind of session, finger condition, pair, stimulus) by name."""
         names = ("group", "session_kind", "finger_condition", "pair", "stimulus")
         return {name: getattr(self, name) for name in names if getattr(self, name)}
 
@@ -134,7 +134,7 @@ def find_runs(responses: Responses) -> tuple[Run, ...]:
     for key, part in frame.groupby([*KEYS, *zones_of(frame.columns)], sort=True, observed=True):
         silent = part[scale_of(part.columns).column] == 0
         for stimulus in sorted(part["stimulus"][~silent].unique()):
-            # Catch trials have no stimulus and count for the runs of all stimuli.
+            # Catch trials have no stimulus, so they count for the runs of all stimuli, scored with the focus of each.
             runs.append(_run(key, stimulus, part[silent | (part["stimulus"] == stimulus)], rule, responses))
     return tuple(runs)
 
