@@ -1,8 +1,8 @@
 """Measurements of the beam: identification, calibration, validation, and a comparison with other methods of focusing.
 
-Each command takes what to measure and on which rig, or the twin, and returns a report that contains the result and
-writes its files: an apparatus file (`identify`), a calibration file (`calibrate`), a file of fingers (`probe_fingers`),
-or a page with figures and tables (`validate`, `compare`).
+Each command takes an apparatus or a protocol and measures on a rig or on the twin. It returns a report that contains
+the result and writes its files: an apparatus file (`identify`), a calibration file (`calibrate`), a file of fingers
+(`probe_fingers`), or a page with figures and tables (`validate`, `compare`).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Types of the arrays that the lab computes with, and what is computed in several of its parts."""
+"""Array types, constants and functions shared by the lab's sub-packages."""
 
 from __future__ import annotations
 
@@ -15,5 +15,5 @@ NORMAL_95 = 1.959963984540054
 
 
 def low_pass(frequency: NDArray[np.floating[Any]], corner: float | None) -> ComplexArray:
-    """Return the response of a first-order low-pass with a corner frequency [Hz]; ones if it has none [1]."""
+    """Return the frequency response of a first-order low-pass [1]; ones if its `corner` [Hz] is None."""
     return np.asarray(1 / (1 + 1j * frequency / (np.inf if corner is None else corner)))

@@ -1,4 +1,4 @@
-"""Generator and scope together, simulated or real; the outputs are on only while a record is taken."""
+"""Generator and scope, simulated or real, with the outputs on only while a record is taken."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ if TYPE_CHECKING:
 Mode = Literal["simulated", "real"]
 
 SIMULATED = "simulated"
-"""Address that stands for the twin."""
+"""Address of the twin."""
 
 ATTEMPTS = 3
-"""How often a record is tried if the computer stalls."""
+"""Number of attempts at a record if the computer stalls."""
 
 BEAT_PERIOD = 0.1
 """Time between two heartbeats for the watchdog while a record is taken [s]."""
@@ -49,17 +49,17 @@ def quiet(*_: object, **__: object) -> None:
 
 @dataclass(frozen=True)
 class MeasurementProgress:
-    """Callbacks of a running measurement; those not given do nothing.
+    """Callbacks of a running measurement, by default without effect.
 
     Attributes
     ----------
     show : callable
-        Called with the name of a step, how much of it is done, and its total.
+        Called with the name of a step, the amount done, and the total.
     say : callable
         Called with a line of text.
     aim : callable
-        Called with a place, along the beam from mid-beam and across it from the mid-line [m]; returns when the
-        vibrometer's spot is there.
+        Called with the coordinates of a point, along the beam from mid-beam and across it from the mid-line [m];
+        returns once the vibrometer's spot is there.
     check : callable
         Called between records; may raise to stop.
     """
@@ -77,7 +77,7 @@ class MeasurementProgress:
 
 
 SILENT_PROGRESS = MeasurementProgress()
-"""Reports nothing and waits for nothing."""
+"""Callbacks that report nothing and never wait."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,11 +95,11 @@ class Laboratory:
     mode : str
         ``simulated`` if the generator is, else ``real``.
     progress : MeasurementProgress
-        Told what is measured; called with the outputs off.
+        Callbacks of the measurement; called with the outputs off.
     settling_time : float
         Wait between the first burst and the first record [s].
     simulator : Simulator or None
-        The twin, which knows the true values: for judging results, never for measuring.
+        The twin, which holds the true values; for evaluating results, never for measuring.
     """
 
     apparatus: Apparatus
@@ -115,7 +115,9 @@ class Laboratory:
         self.rig.load(burst)
 
     def record(self, position: float, velocity: float, acquisition: Acquisition, across: float = 0.0) -> Recording:
-        """Record velocity and drive at a position while the loaded burst repeats; afterwards the outputs are off.
+        """Record velocity and drive at a position while the loaded burst repeats, then switch the outputs off.
+
+        A record disturbed by a stall of this computer is repeated, up to `ATTEMPTS` attempts in total.
 
         Parameters
         ----------
@@ -131,8 +133,7 @@ class Laboratory:
         Raises
         ------
         RigError
-            If the rig fails, or the generator does not confirm before and after the record what it plays. A record
-            spoilt by a stall of this computer is repeated, up to `ATTEMPTS` in all.
+            If the rig fails, or the generator does not confirm its output both before and after the record.
         """
         self.scope.configure(acquisition)
         self.progress.aim(position, across)
@@ -152,7 +153,7 @@ class Laboratory:
     def _record_once(
         self, position: float, across: float, velocity: float, acquisition: Acquisition
     ) -> tuple[Recording | None, Firing | None]:
-        """Return a record, or None if the bursts stopped during it, and what was played."""
+        """Return a record, or None if the bursts stopped during it, and the firing."""
         firing = self.rig.fire(velocity)
         if not firing.started:
             raise RigError(
@@ -214,9 +215,9 @@ def open_laboratory(
     address : str
         ``simulated``, or the generator's VISA address; with a real one a PicoScope is opened unless `scope` is given.
     progress : MeasurementProgress
-        Told what is measured; not asked to aim at the twin.
+        Callbacks of the measurement; `aim` is not used with the twin.
     seed : int, optional
-        Seed of the twin, instead of that in its apparatus file.
+        Seed of the twin, in place of the one in its apparatus file.
     repetition : str, optional
         ``continuous`` plays one burst after the other without a gap, as for a periodic excitation; None uses the
         setting of the apparatus, as in a session.
@@ -239,14 +240,14 @@ def open_laboratory(
         if address == SIMULATED:
             from modaltouch.rig import Simulator
 
-            # The twin's beam is computed in this process, which would delay a real clock.
+            # The twin is computed in this process, too slowly for a real clock.
             clock = VirtualClock(SYSTEM_CLOCK.now())
             simulator = stack.enter_context(Simulator(apparatus, seed, clock=clock))
             scope = stack.enter_context(scope or simulator.scope())
             rig = open_generator(simulator.address, **simulator.driver_options)
             yield Laboratory(apparatus, rig, scope, "simulated", replace(progress, aim=quiet), simulator=simulator)
             return
-        # The scope first: without it nothing needs to be played.
+        # Open the scope first: without one, the generator is not needed.
         scope = stack.enter_context(scope or Scope.open(apparatus))
         rig = open_generator(address)
         mode: Mode = "simulated" if instrument_of(apparatus).is_simulated(rig.identity) else "real"

@@ -1,4 +1,4 @@
-"""Colours, maps, plain values and YAML files shared by the outputs of the lab's commands."""
+"""Colours, maps, rounding and YAML files for the outputs of the lab's commands."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ if TYPE_CHECKING:
     from modaltouch.preflight import Preflight
 
 DARK, MIDDLE, LIGHT = "#0b3c8c", "#5bb8e8", "#dbe3ee"
-"""Colours of measured, predicted and target: far apart in lightness, so that they differ without colour."""
+"""Colours of measured, predicted and target values, distinct in lightness so that they also differ in greyscale."""
 
 SIGNED = "cividis"
-"""Colour map of signed values: lightness rises evenly with the value, for every kind of colour vision."""
+"""Colour map of signed values; perceptually uniform for all types of colour vision."""
 
 
 def draw_map(axes: Axes, along: FloatArray, across: FloatArray, values: FloatArray, highest: float) -> Collection:
@@ -30,13 +30,13 @@ def draw_map(axes: Axes, along: FloatArray, across: FloatArray, values: FloatArr
 
 
 def title_of(preflight: Preflight) -> str:
-    """Return a protocol's title, or its name, and of several stimuli that of the first, which is the one taken."""
+    """Return a protocol's title or name, with the name of its first stimulus, the one used, if it has several."""
     protocol, name = preflight.experiment.protocol, next(iter(preflight.designs), "")
     return (protocol.title or protocol.protocol) + (f", stimulus {name}" if name else "")
 
 
 def rounded(value: Any, digits: int) -> Any:
-    """Return plain values with every float rounded to some decimals."""
+    """Round every float in plain values to a number of decimals."""
     if isinstance(value, dict):
         return {key: rounded(each, digits) for key, each in value.items()}
     if isinstance(value, list):
@@ -45,7 +45,7 @@ def rounded(value: Any, digits: int) -> Any:
 
 
 def write_yaml(path: Path, head: str, values: dict[str, Any]) -> None:
-    """Write plain values as YAML below comments, innermost lists and mappings on one line; no file is overwritten.
+    """Write plain values as YAML below a comment, with innermost lists and mappings on one line; never overwrite.
 
     Raises
     ------

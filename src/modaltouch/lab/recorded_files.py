@@ -1,6 +1,6 @@
-"""Records that another scope writes as files on request, used like those of a PicoScope.
+"""A scope whose records arrive as files that other software writes on request.
 
-``wanted.json`` in the folder describes the record that is awaited; the lab's scope, or its operator, writes it as CSV::
+``wanted.json`` in the folder describes the requested record; the scope, or its operator, writes the record as CSV::
 
     time_s,velocity_V,drive_1_V,drive_2_V
     0.02504,0.1873,-31.2,14.6
@@ -39,7 +39,7 @@ MOST_OVERSAMPLED = 50.0
 """Largest sampling rate of a file, relative to the requested one [1]."""
 
 CUT = 4
-"""Samples at a record's extreme, relative to those at the next value, above which the record is clipped [1]."""
+"""Ratio of samples at a record's extreme to those at the next value, above which the record is clipped [1]."""
 
 REMEDY = "move it away, or give another folder with --record"
 
@@ -47,16 +47,16 @@ FORM = "save it as UTF-8, with commas between columns and points in decimals"
 
 
 class RecordedFiles(Scope):
-    """A scope whose records arrive as files.
+    """A scope that reads its records from files.
 
     Parameters
     ----------
     folder : Path
-        Folder in which they are written; earlier files there are left alone.
+        Folder of the files; earlier files in it are left unchanged.
     apparatus : Apparatus
         Its section ``acquisition`` gives the vibrometer's sensitivity and range.
     progress : MeasurementProgress
-        Receives messages about the file awaited and why one is refused; may stop the wait.
+        Reports the awaited file and why a file was refused; may stop the wait.
     """
 
     slowest = 1800.0
@@ -94,10 +94,10 @@ class RecordedFiles(Scope):
         deadline = time.monotonic() + self.slowest
         while time.monotonic() < deadline:
             self._progress.check()
-            # Scopes may write the file name's ending in capitals.
+            # Some scopes write the file extension in capitals.
             found = [each for each in self._folder.iterdir() if each.stem == name and each.suffix.lower() in READERS]
             seen = []
-            # A file that vanishes meanwhile is looked for again.
+            # A file may disappear before it is examined; the next poll looks for it again.
             with suppress(OSError):
                 seen = [(each, each.stat().st_size, each.stat().st_mtime_ns) for each in sorted(found)]
             if seen and seen == before != refused:
@@ -115,7 +115,7 @@ class RecordedFiles(Scope):
         )
 
     def close(self) -> None:
-        """Withdraw the request for a record."""
+        """Cancel the request for a record."""
         (self._folder / "wanted.json").unlink(missing_ok=True)
 
     def _ask(self, name: str, position: float, across: float, refused: str = "") -> None:
@@ -179,14 +179,14 @@ class RecordedFiles(Scope):
         )
 
     def _remember(self, name: str) -> None:
-        """Know the last record of an earlier command by which this folder was filled, if it can be read."""
+        """Store a digest of the last record left by an earlier command, if it can be read, to detect a repeat."""
         for path in self._folder.glob(f"{name}.*"):
             with suppress(KeyError, OSError, ValueError):
                 table = READERS[path.suffix.lower()](path)
                 self._refuse_former(path, table["velocity_m_s" if "velocity_m_s" in table else "velocity_V"])
 
     def _refuse_former(self, path: Path, velocity: FloatArray) -> None:
-        """Refuse a record identical to an earlier one, since two bursts never have the same noise."""
+        """Refuse a record identical to an earlier one: the noise of two bursts is never the same."""
         marks = [hashlib.blake2b(record.tobytes(), digest_size=16).digest() for record in velocity]
         if len(marks) > len(set(marks)) == 1:
             raise ValueError(f"{path}: its {len(marks)} records are identical; record {len(marks)} bursts")
@@ -203,7 +203,7 @@ def _window(path: Path, time_s: FloatArray, asked: Acquisition) -> tuple[float, 
         raise ValueError(
             f"{path}: it contains {n_records} records of {n} samples; {asked.n_records} records were requested"
         )
-    # Files contain few digits: all samples together give the instants more accurately than any single one.
+    # Times in files have few digits: a fit over all samples is more accurate than any single one.
     order = np.arange(n) - (n - 1) / 2
     step = float((time_s @ order).mean() / (order @ order))
     uneven = np.abs(time_s - time_s.mean() - step * order) > max(step / 4, LARGEST_SHIFT)
@@ -249,7 +249,7 @@ def _is_cut(velocity: FloatArray) -> bool:
 
 def _read_csv(path: Path) -> dict[str, FloatArray]:
     """Return the columns of a CSV file, (n_records, n_samples) arrays."""
-    # A byte that is not UTF-8 is reported with the cell that contains it.
+    # Bytes that are not UTF-8 are reported with their cell.
     header, *rows = path.read_text(encoding="utf-8-sig", errors="replace").splitlines() or [""]
     names = [name.strip() for name in header.split(",")]
     if "time_s" not in names:
@@ -300,4 +300,4 @@ def _read_npz(path: Path) -> dict[str, FloatArray]:
 
 
 READERS = {".csv": _read_csv, ".npz": _read_npz}
-"""Readers of files, by ending."""
+"""File readers, by file extension."""

@@ -1,6 +1,6 @@
-"""A scan: a burst recorded position by position, each saved to disk before the next.
+"""Scans: a burst recorded at one position after another, each record saved before the next is taken.
 
-``scan.json`` describes what was played, one ``position_<n>.npz`` holds each position; an interrupted scan is resumed::
+``scan.json`` describes the scan, ``position_<n>.npz`` holds a position's arrays; an interrupted scan can be resumed::
 
     plan = ScanPlan(burst, velocity=0.2, positions=np.linspace(-0.05, 0.05, 41), acquisition=Acquisition(...))
     with open_laboratory(apparatus) as laboratory:
@@ -36,12 +36,12 @@ SCHEMA = "modaltouch scan 1"
 DESCRIPTION = "scan.json"
 
 LARGEST_SHIFT = 20e-9
-"""Largest difference between the sampling instants of two records that count as the same [s]."""
+"""Largest difference between sampling instants that count as equal [s]."""
 
 
 @dataclass(frozen=True, eq=False)
 class ScanPlan:
-    """What is played, where it is recorded, and how.
+    """The burst, positions and scope settings of a scan.
 
     Attributes
     ----------
@@ -50,11 +50,11 @@ class ScanPlan:
     velocity : float
         Level at which it is played [m/s].
     positions : sequence of float
-        Positions at which velocity is recorded, in this order, origin at mid-beam [m].
+        Measurement positions, in the order of recording, origin at mid-beam [m].
     acquisition : Acquisition
         Settings of the scope at each position.
     about : mapping
-        Further facts about the scan, plain values: the name of the stimulus, the actuator set, ...
+        Further metadata as plain values: name of the stimulus, actuator set, ...
     across : float
         Distance of the row of positions from the beam's mid-line [m].
     """
@@ -67,7 +67,7 @@ class ScanPlan:
     across: float = 0.0
 
     def settings(self) -> dict[str, Any]:
-        """Return everything that must stay the same when a scan is resumed, as plain values."""
+        """Return the settings that must be the same when a scan is resumed, as plain values."""
         return {
             "about": dict(self.about),
             "burst": {
@@ -96,7 +96,7 @@ class Scan:
     positions : (n_positions,) array
         Recorded positions, origin at mid-beam [m]; fewer than planned if the scan was interrupted.
     arrays : tuple of dict
-        Arrays kept at each position; for whole records ``time``, ``velocity`` and ``drive``.
+        Arrays kept for each position; ``time``, ``velocity`` and ``drive`` if whole records are kept.
     """
 
     facts: Mapping[str, Any]
@@ -159,7 +159,7 @@ class Scan:
         Raises
         ------
         RecordInputError
-            If one did; the message says which and where.
+            If an input was overloaded; the message names the input and the position.
         """
         for position, each in zip(self.positions, self.arrays, strict=True):
             if each["overloaded"].size:
@@ -171,12 +171,12 @@ class Scan:
         return self
 
     def refuse_other_instants(self) -> Scan:
-        """Return the scan itself if its last position has the sampling instants of the first, where these are kept.
+        """Return the scan itself if its first and last positions have equal sampling instants, where these are kept.
 
         Raises
         ------
         RecordInputError
-            If they differ, since positions are compared sample by sample.
+            If the instants differ, since positions are compared sample by sample.
         """
         first, last = (np.asarray(each.get("time", 0.0)) for each in (self.arrays[0], self.arrays[-1]))
         if first.shape != last.shape or np.abs(last - first).max() > LARGEST_SHIFT:
@@ -231,7 +231,7 @@ def read_position(path: Path, position: float) -> dict[str, NDArray[Any]]:
 
 
 def read_scan(folder: Path) -> Scan:
-    """Return a scan, complete or not, up to the first position that is missing.
+    """Read a scan, complete or not, up to the first missing position.
 
     Parameters
     ----------
@@ -257,7 +257,7 @@ def assemble(facts: Mapping[str, Any], kept: list[dict[str, NDArray[Any]]]) -> S
 
 
 Reduction = Callable[[Recording], Mapping[str, NDArray[Any]]]
-"""Reduces a recording to the arrays that are kept, by name."""
+"""Function that reduces a recording to the arrays to keep, by name."""
 
 _REMEDY = "move it away, or give another"
 
@@ -290,21 +290,21 @@ def take_scan(
     reduction: Reduction = keep_records,
     step: str = "points",
 ) -> Scan:
-    """Take a scan, from the start or from where it was interrupted, and return it.
+    """Take a scan, or resume an interrupted one, and return it.
 
     Parameters
     ----------
     laboratory : Laboratory
         Generator and scope, open; its progress may stop the scan between two positions.
     plan : ScanPlan
-        What is played, and where and how it is recorded.
+        Burst, positions and scope settings.
     folder : Path, optional
-        Folder in which each position is saved at once, and from which an interrupted scan is resumed; without it
-        nothing is written.
+        Folder in which each position is saved at once, and from which an interrupted scan is resumed; nothing is
+        written if not given.
     source : Source, optional
         The apparatus file, kept in the description.
     reduction : callable
-        Reduces each recording to what is kept; whole records if not given.
+        Reduces each recording to the arrays to keep; by default, whole records are kept.
     step : str
         Name under which progress is shown.
 
@@ -313,7 +313,7 @@ def take_scan(
     RigError
         If the rig fails; the outputs are off, and the positions recorded so far are kept.
     RecordInputError
-        If a record is clipped, or has other sampling instants than the first; it is not kept.
+        If a record is clipped, or its sampling instants differ from those of the first; it is not kept.
     RecordError
         If the folder holds a scan with other settings or something else, or cannot be written.
     """
@@ -353,7 +353,7 @@ def _describe(laboratory: Laboratory, plan: ScanPlan, source: Source | None, red
     return {
         "schema": SCHEMA,
         "mode": laboratory.mode,
-        # In the form that is read back from JSON, so that the two can be compared.
+        # Pass the settings through JSON, so that they compare equal to those read from a file.
         "settings": json.loads(json.dumps(settings)),
         "apparatus": None if source is None else source.as_dict(),
         "begun": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
@@ -363,7 +363,7 @@ def _describe(laboratory: Laboratory, plan: ScanPlan, source: Source | None, red
 
 
 def _begin(folder: Path, facts: dict[str, Any], plan: ScanPlan) -> list[dict[str, NDArray[Any]]]:
-    """Return the positions recorded already, or write the description of a new scan into its folder."""
+    """Return the arrays of the positions already recorded, or write the description of a new scan."""
     if (folder / DESCRIPTION).exists():
         found = read_facts(folder)
         _refuse_other(folder, found["settings"], facts["settings"])
@@ -425,12 +425,12 @@ EDGE = 0.5e-3
 
 
 def rows_over(apparatus: Apparatus, n_rows: int) -> tuple[float, ...]:
-    """Return the distances of rows of positions from the mid-line, evenly from edge to edge, 0 among them [m].
+    """Return evenly spaced distances of rows from the mid-line, from edge to edge and including 0 [m].
 
     Raises
     ------
     ValueError
-        If their number is not odd and positive, so that none would lie on the mid-line.
+        If the number of rows is not odd and positive, so that none would lie on the mid-line.
     """
     if n_rows < 1 or n_rows % 2 == 0:
         raise ValueError(
@@ -441,10 +441,10 @@ def rows_over(apparatus: Apparatus, n_rows: int) -> tuple[float, ...]:
 
 
 def row_name(name: str, across: float) -> str:
-    """Return the name of a row's folder, which for the mid-line is the given name itself."""
+    """Return the folder name of a row; for the mid-line, the name as given."""
     return f"{name}_{across * 1e3:+g}_mm" if across else name
 
 
 def kept_rows(folder: Path, name: str) -> list[str]:
-    """Return the suffixes of a name for the rows kept in a folder; the first is empty, for the mid-line."""
+    """Return the name suffixes of the rows kept in a folder, first the empty suffix of the mid-line."""
     return ["", *sorted(path.name.removeprefix(name) for path in folder.glob(f"{name}_*_mm"))]
