@@ -1,1 +1,1 @@
-"""Probes fingers on a beam: excitation, recordings, and the file of the fingers found."""
+"""Measurement of fingers on a beam: excitation, recordings, and the file of fingers."""

@@ -1,4 +1,4 @@
-"""``modaltouch fingers probe``: hands off, hands on, and the file of the fingers on the beam."""
+"""The command ``modaltouch fingers probe``: measurements with hands off and hands on, and the file of fingers."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def probe_fingers(
     progress: MeasurementProgress = SILENT_PROGRESS,
     lay: Callable[[str], None] = quiet,
 ) -> ProbeReport:
-    """Measure the fingers of every finger condition of a protocol, on one pair of zones.
+    """Measure the fingers of every finger condition of a protocol on one pair of zones.
 
     Parameters
     ----------
@@ -99,16 +99,16 @@ def probe_fingers(
         Position of the vibrometer's spot [m], by default near the end of the beam farther from the fingers, and the
         highest speed there and under the fingers [m/s].
     seed : int, optional
-        Seed of the simulated rig and its fingers, instead of its own.
+        Seed of the simulated rig and its fingers, in place of the one in the apparatus file.
     progress : MeasurementProgress, optional
         Reports progress and lets the user interrupt.
     lay : callable
-        Called with an instruction on what to do with the hands; returns when it is done. Not called for the twin.
+        Called with an instruction to place or lift the hands; returns once that is done. Not called for the twin.
 
     Raises
     ------
     ValueError
-        If the protocol has faults, modes are missing in the table, or a probe is refused.
+        If the protocol has faults, modes are missing from the table, or a probe is refused.
     RecordError
         If the file exists already or cannot be written.
     RigError
@@ -125,7 +125,7 @@ def probe_fingers(
 
 
 class _Plan:
-    """What is probed and where; checked before anything is opened."""
+    """The placements to probe, checked before any instrument is opened."""
 
     def __init__(self, file: Path, pair: str, hand: Literal["left", "right"] | None, seed: int | None) -> None:
         preflight = examine(file)
@@ -153,7 +153,7 @@ class _Plan:
         self.fingers = [[finger for _, finger in expected.values()] for expected in self.conditions.values()]
 
     def lay(self, bench: Laboratory, expected: Laid, lay: Callable[[str], None], words: str) -> None:
-        """Have fingers laid on the beam, or taken away."""
+        """Have fingers placed on the beam, or lifted if none is expected."""
         if bench.simulator is None:
             lay(words)
         else:
@@ -161,7 +161,7 @@ class _Plan:
             bench.simulator.touch((places + PLACE_ERROR * self.rng.standard_normal(places.size)).tolist())
 
     def carried_out(self, prober: Prober, bench: Laboratory, lay: Callable[[str], None], out: Path) -> ProbeReport:
-        """Probe all placements and return the report; for a finger measured more than once, the first counts."""
+        """Probe all placements and return the report; the first result counts if a finger is measured repeatedly."""
         self.lay(bench, {}, lay, "Take all hands off the beam")
         prober.hands_off()
         hands: dict[str, dict[str, Any]] = {}

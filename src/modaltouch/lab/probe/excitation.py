@@ -1,10 +1,11 @@
-"""What a probe plays and records: sines from all outputs at once, each at its own frequencies, and their responses.
+"""Excitation of a probe, a multisine on all outputs with separate frequencies for each, and the measured responses.
 
-Some frequencies are spaced evenly on a logarithmic scale, the others lie about the resonances. The outputs take turns,
-so that one record separates them; the noise is measured at the bins between. Responses are relative to the commanded
-voltages, so an error in the gain of generator or amplifier appears as one of the beam, and a design compensates for it.
+Some frequencies are spaced logarithmically, the others lie near the resonances. The frequencies are interleaved over
+the outputs, so that one record separates them; the noise is measured at the bins between. Responses are relative to
+the commanded voltages, so an error in the gain of generator or amplifier appears as one of the beam, and a design
+compensates for it.
 
-The first burst of a trial probes the beam too: `BurstRecord` takes its spectrum and that of the voltages behind it.
+The first burst of a trial also serves as a probe: `BurstRecord` relates its spectrum to that of the drive voltages.
 """
 
 from __future__ import annotations
@@ -32,25 +33,25 @@ LOWEST, HIGHEST, N_SPREAD = 60.0, 100e3, 60
 """Lowest and highest of the logarithmically spaced frequencies [Hz], and their number."""
 
 NEAR = (0.96, 0.98, 0.99, 1.0, 1.01, 1.02, 1.04)
-"""Frequencies about a resonance, relative to its natural frequency [1]."""
+"""Frequencies near a resonance, relative to its natural frequency [1]."""
 
 FURTHEST = 115e3
-"""Highest frequency of all [Hz]."""
+"""Upper limit of all frequencies [Hz]."""
 
 N_RECORDS = 2
-"""Periods recorded one by one; they differ if a finger moves."""
+"""Number of periods, recorded one by one; they differ if a finger moves."""
 
 GAP = 4
-"""Bins between two frequencies, enough to separate them in windowed records despite the difference of the clocks."""
+"""Spacing of the frequencies [bins]; separates them in windowed records despite the difference between the clocks."""
 
 EVEN = 0.75
-"""Exponent of the response by which the drive is divided; with 1 the beam moves alike at all frequencies [1]."""
+"""Power of the response by which the drive is divided; with 1 the velocity is the same at all frequencies [1]."""
 
 N_SILENT = 25
-"""Neighbouring silent bins over whose powers the median gives the noise [1]."""
+"""Number of neighbouring silent bins whose median power gives the noise."""
 
 ROOM = 0.8
-"""Fraction of the amplifier's limit that a probe may use [1]."""
+"""Largest fraction of the amplifier's limit used by a probe [1]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,11 +61,11 @@ class Excitation:
     Attributes
     ----------
     burst : Burst
-        One period, as the generator plays it.
+        One period of the excitation.
     bins : (n_lines,) array of int
         Frequencies in units of `SPACING`, increasing.
     channel : (n_lines,) array of int
-        Output that plays each, from 0.
+        Output that plays each frequency, counted from 0.
     line : (n_lines,) complex array
         Voltage at the beam at each frequency, as half the complex amplitude [V].
     """
@@ -83,14 +84,14 @@ class Excitation:
         laser: float,
         speed: float,
     ) -> Excitation:
-        """Return sines that keep the speed of the beam within a limit, with and without fingers.
+        """Design sines that keep the speed of the beam within a limit, with and without fingers.
 
         Parameters
         ----------
         apparatus : Apparatus
             Amplifier and generator.
         model : ModalModel
-            The beam, known approximately.
+            Approximate model of the beam.
         placements : sequence of sequences of Finger
             Expected fingers of each placement.
         laser : float
@@ -101,7 +102,7 @@ class Excitation:
         bins, channel = _lines(model)
         places = [laser, *dict.fromkeys(finger.position for fingers in placements for finger in fingers)]
         responses = [_responses(model.touched(tuple(fingers)), places, bins) for fingers in ((), *placements)]
-        # The more the beam responds, the less it is driven, so that all frequencies stand out of the noise.
+        # Drive the beam less where it responds more, so that all frequencies rise above the noise.
         size = np.abs(responses[0][0][channel, np.arange(bins.size)]) ** -EVEN
         line = size * np.exp(1j * np.pi * np.arange(bins.size) ** 2 / bins.size)
         own = np.where(channel == np.arange(model.n_channels)[:, None], line, 0)
@@ -112,10 +113,10 @@ class Excitation:
                 for place in beam
             ]
         )
-        # Every output moves the beam equally.
+        # Scale the outputs to move the beam equally.
         share = 1 / np.abs(moved).max(axis=(0, 2))
         voltage = np.stack([_wave(1.0, row, bins) for row in own]) * share[:, None]
-        # The generator begins and ends at zero, so the period begins where that changes the least.
+        # The generator starts and ends at zero, so start the period where the voltages are lowest.
         quietest = int((np.abs(voltage) + np.abs(np.roll(voltage, 1, axis=1))).max(axis=0).argmin())
         voltage = np.roll(voltage, -quietest, axis=1)
         highest = float(np.abs(np.tensordot(share, moved, (0, 1))).max())
@@ -126,7 +127,7 @@ class Excitation:
         return cls(burst, bins, channel, _at_beam(apparatus, burst, bins)[channel, np.arange(bins.size)])
 
     def probe(self, laboratory: Laboratory, laser: float, speed: float, bandwidth: float | None) -> list[Probe]:
-        """Return the responses at a point of the beam, one probe per period.
+        """Measure the responses at a point of the beam, one probe per period.
 
         Parameters
         ----------
@@ -225,13 +226,13 @@ def _at_beam(apparatus: Apparatus, burst: Burst, bins: NDArray[np.intp]) -> Comp
 
 
 BURST_OVERSAMPLING = 2
-"""Scope samples per generator sample of a burst; the images of the generator's samples are beyond the beam's band."""
+"""Scope samples per generator sample of a burst; spectral images of the held samples lie above the beam's band."""
 
 RINGS, LISTENS = 0.3, 0.9
-"""Fractions of the silence after a burst up to which the beam may ring, and up to which the noise is recorded [1]."""
+"""Ends of the beam's ringing and of the noise record, as fractions of the silence after a burst [1]."""
 
 N_CLOCKS = 1000
-"""Number of record lengths tried for the one closest to whole samples of both clocks."""
+"""Number of record lengths tried; the one closest to whole samples of both clocks is used."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -245,7 +246,7 @@ class BurstRecord:
     velocity : float
         Level at which it is played [m/s].
     near : (n_modes,) array
-        Natural frequencies about which its spectrum is evaluated [Hz].
+        Natural frequencies near which its spectrum is evaluated [Hz].
     """
 
     stimulus: Stimulus
@@ -253,18 +254,18 @@ class BurstRecord:
     near: FloatArray
 
     def acquisition(self, fastest: float) -> Acquisition:
-        """Return the settings of the scope for a highest expected speed [m/s]."""
+        """Return the scope settings for the highest expected speed [m/s]."""
         rate = BURST_OVERSAMPLING * RATE
         n_samples = int(rate * self._until(LISTENS))
         return Acquisition(sampling_rate=rate, n_samples=n_samples, drives=(), velocity_range=HEADROOM * fastest)
 
     def probe(self, recording: Recording, bandwidth: float | None) -> Probe:
-        """Return the record as a probe of the beam.
+        """Convert a record to a probe of the beam.
 
         Parameters
         ----------
         recording : Recording
-            Record of the burst, starting at rest, and the silence after it.
+            Record of the burst, starting at rest, and of the silence after it.
         bandwidth : float or None
             Corner of the vibrometer's low-pass [Hz].
 

@@ -1,4 +1,4 @@
-"""Measures the fingers on a beam: first with hands off, then at each placement."""
+"""Measurement of the fingers on a beam, first with hands off, then at each placement."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from modaltouch.preflight import DesignInputs
 from modaltouch.stimulus import Finger, ModalModel, Probe, Stimulus
 
 SPEED = 15e-3
-"""Default of the highest speed of the beam under fingers and the vibrometer's spot [m/s]."""
+"""Default limit of the beam's speed under the fingers and at the vibrometer's spot [m/s]."""
 
 FROM_END = 1e-3
 """Distance of the vibrometer's spot from the end of the beam, where every mode moves [m]."""
 
 
 class Prober:
-    """Measures fingers, with the same excitation for all placements.
+    """Measurement of fingers with the same excitation for all placements.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ class Prober:
     laser : float, optional
         Position of the vibrometer's spot [m from mid-beam]; near the end farther from the first placement if not given.
     speed : float
-        Highest speed under fingers and spot [m/s].
+        Highest speed under the fingers and at the spot [m/s].
     """
 
     def __init__(
@@ -57,7 +57,7 @@ class Prober:
 
     @property
     def fingers(self) -> tuple[Finger, ...]:
-        """The fingers on the beam, as found."""
+        """The identified fingers on the beam."""
         return self._beam.model.fingers
 
     def hands_off(self) -> dict[str, Any]:
@@ -66,7 +66,7 @@ class Prober:
         Raises
         ------
         ValueError
-            If something moved or touches the beam, or its table or the vibrometer's sensitivity does not describe it.
+            If something moved or touches the beam, or the mode table or the vibrometer's sensitivity does not fit it.
         RigError
             If the rig fails.
         """
@@ -95,13 +95,13 @@ class Prober:
         Returns
         -------
         dict
-            ``fingers``: for each, by name, its ``zone`` and its keys in a file of fingers; ``covariance``: theirs, as
-            in a file of fingers; ``misfit``; and ``modes``: those of the beam.
+            ``fingers``: ``zone`` and file keys of each finger, by name; ``covariance`` of the fingers, as in a file of
+            fingers; ``misfit``; and ``modes`` of the beam.
 
         Raises
         ------
         ValueError
-            If the fingers moved, one is not on the beam, or no impedance describes them.
+            If the fingers moved, one is not on the beam, or no impedance fits them.
         RigError
             If the rig fails.
         """
@@ -115,7 +115,7 @@ class Prober:
         }
 
     def predict(self, inputs: DesignInputs, stimulus: Stimulus) -> dict[str, Any]:
-        """Return the predicted effect of a stimulus on the beam with the fingers as found.
+        """Predict the effect of a stimulus on the beam with the identified fingers.
 
         Returns
         -------
@@ -163,7 +163,7 @@ class Prober:
         self._armed = burst, inputs, level / inputs.reference
 
     def delivered(self) -> dict[str, Any]:
-        """Return the fingers during the burst for which the scope was armed.
+        """Identify the fingers during the burst for which the scope was armed.
 
         Returns
         -------
@@ -176,7 +176,7 @@ class Prober:
         ValueError
             If no drift of the fingers explains the record.
         RigError
-            If no burst came, or the rig fails.
+            If no burst arrived, or the rig fails.
         """
         burst, inputs, share = self._armed
         beam = burst.probe(self._laboratory.scope.fetch(self.laser), self._bandwidth).later(self._beam)
@@ -191,7 +191,7 @@ class Prober:
     ) -> Callable[[ModalModel], FloatArray]:
         """Return a function from a model near a given one to its level at the focus and finger peak speeds [mm/s]."""
         unit, played = stimulus.volts_per_code(inputs.reference * 1e-3), replace(stimulus.touched(()), model=near)
-        # A peak is flat in time, so its change is that of the velocity at its instant.
+        # The time derivative is zero at a peak, so the peak changes as the velocity at that instant.
         peaks = played.peak_instants([finger.position for finger in near.fingers], unit)
         instants = [stimulus.timing.focusing_instant, *peaks.tolist()]
 
@@ -202,7 +202,7 @@ class Prober:
         return figures
 
     def _found(self, model: ModalModel, misfit: float) -> dict[str, Any]:
-        """Return the misfit, the fingers with their zones by name, and the modes of the beam."""
+        """Return misfit, fingers with their zones, by name, and modes of the beam."""
         zones, fingers = self._laboratory.apparatus.zones, {}
         for (name, zone), finger in zip(self._laid.items(), model.fingers, strict=True):
             fingers[name] = {"zone": zone, **_section(finger, zones[zone].centre_mm)}
