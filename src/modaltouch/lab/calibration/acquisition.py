@@ -1,4 +1,4 @@
-"""What calibration plays and records: bursts that identify the rig, and decays after a burst in suitable ranges."""
+"""Bursts that identify the rig, and records of free decays in suitable input ranges."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from modaltouch.rig import Acquisition, Recording, RigError
 from modaltouch.stimulus import Amplifier, BlockStates, Burst, DiagonalSystem, ModalModel, Taper, Timing
 
 SHARE = 0.6
-"""Fraction of the amplifier's and the velocity limit used for identification [1]: the table may be wrong by a third."""
+"""Fraction of the amplifier and velocity limits used for identification [1]; the mode table may be off by a third."""
 
 RISE, FALL = 1.0e-3, 0.05e-3
-"""Tapers of a probe; its end is steep, so that the fastest modes still ring after it [s]."""
+"""Tapers of a probe; the end is steep, so that the fastest modes still ring after it [s]."""
 
 SWEEP = 2.0e-3
 """Length of each sweep of the timing burst [s]."""
@@ -28,16 +28,16 @@ _GOLDEN = np.pi * (3 - np.sqrt(5))
 def probe_voltage(model: ModalModel, timing: Timing, channel: int) -> FloatArray:
     """Return voltages on one channel that leave every modelled mode ringing at the focusing instant.
 
-    Each mode is driven by its own time-reversed decay; the more it responds, the less it is driven.
+    Each mode is driven by its time-reversed decay, with an amplitude that decreases with its response.
 
     Parameters
     ----------
     model : ModalModel
-        The modes, known approximately.
+        Approximate modes.
     timing : Timing
         Clock of the samples; nothing is played after the focusing instant.
     channel : int
-        Counted from 0.
+        Channel that is driven, counted from 0.
 
     Returns
     -------
@@ -91,22 +91,22 @@ def identifying_burst(
     load_factor: float,
     velocity_limit: float,
 ) -> Burst:
-    """Return a burst of given voltages, scaled as high as the limits allow if the table may be wrong by a third.
+    """Return a burst of given voltages, scaled as high as the limits allow with a mode table that is off by a third.
 
     Parameters
     ----------
     voltage : (n_channels, n_samples) array
         Voltages of arbitrary scale.
     model : ModalModel
-        The modes, known approximately.
+        Approximate modes.
     timing : Timing
         Clock of the samples.
     amplifier : Amplifier
-        Its gain and limit.
+        Gain and voltage limit.
     load_factor : float
         Share of the generator's open-circuit voltage that reaches the amplifier [1].
     velocity_limit : float
-        Highest velocity allowed on the beam and within the vibrometer's range [m/s].
+        Highest velocity allowed on the beam and by the vibrometer's range [m/s].
     """
     points = np.linspace(-0.5, 0.5, 4 * max(model.label) + 1) * model.length
     system = DiagonalSystem.of(model)
@@ -124,23 +124,23 @@ def identifying_burst(
 
 
 MARGIN = 40e-6
-"""Time from the focusing instant to the first sample, by which drive and vibrometer have settled [s]."""
+"""Time from the focusing instant to the first sample, in which drive and vibrometer settle [s]."""
 
 PER_CYCLE = 5.0
 """Samples per cycle of the fastest listed mode [1]."""
 
 HEADROOM = 1.4
-"""Range of the scope over the highest value seen so far [1]."""
+"""Range of the scope relative to the highest value so far [1]."""
 
 N_RECORDS = 10
 """Records averaged at each point."""
 
 N_PAIRS = 4
-"""Pairs of points at equal distance from mid-beam: antisymmetric motion there cancels out of a symmetric mode."""
+"""Number of pairs of points symmetric about mid-beam; antisymmetric motion there does not bias symmetric modes."""
 
 
 def measuring_points(model: ModalModel) -> FloatArray:
-    """Return where to measure: pairs of points about mid-beam, chosen so that the least visible mode is seen best.
+    """Return pairs of points about mid-beam at which the least visible mode is most visible.
 
     Returns
     -------
@@ -164,14 +164,14 @@ def measuring_points(model: ModalModel) -> FloatArray:
 
 @dataclass
 class DecayRecorder:
-    """Takes records in suitable ranges, and reports progress.
+    """Recorder of free decays in suitable input ranges, with progress reports.
 
     Attributes
     ----------
     bench : Laboratory
-        Generator and scope; its progress is told of each record.
+        Generator and scope; each record is reported to its progress callbacks.
     model : ModalModel
-        The modes, known approximately; they determine the sampling rate and the length of a record.
+        Approximate modes, which determine the sampling rate and the length of a record.
     timing : Timing
         Clock of the burst.
     highest_velocity : float
@@ -200,7 +200,7 @@ class DecayRecorder:
     n_taken: int = field(default=0, init=False)
 
     def begin(self, step: str, n_records: int) -> None:
-        """Announce a step and its number of records."""
+        """Start a step of the progress report with its number of records."""
         self._step = f"{self.name}: {step}" if self.name else step
         self._done, self._total = 0, n_records
         self.bench.progress.show(self._step, 0, n_records)
@@ -211,13 +211,13 @@ class DecayRecorder:
         return PER_CYCLE * float(self.model.natural_frequency.max())
 
     def wait_for(self, drive: DriveDelay) -> None:
-        """Begin the records of decays only after the drive has ended at the beam."""
+        """Delay the start of decay records until the drive at the beam has ended."""
         self.margin = max(MARGIN, drive.delay + 10 * drive.lag + MARGIN / 2)
 
     def decays(
         self, burst: Burst, level: float, points: FloatArray, highest: float | None = None
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the free decay after the focusing instant.
+        """Record the free decay after the focusing instant.
 
         Parameters
         ----------
@@ -240,7 +240,7 @@ class DecayRecorder:
         self.bench.load(burst)
         asked = self._decay()
         time, rows = np.zeros(0), dict[int, FloatArray]()
-        # Back and forth, so that a spot moved by hand travels less.
+        # Reverse the order each time, so that a spot moved by hand travels less.
         self._forth = not self._forth
         order = np.arange(points.size)[:: 1 if self._forth else -1]
         for place in order.tolist():
@@ -265,7 +265,7 @@ class DecayRecorder:
         )
 
     def at_level(self, level: float, point: float) -> tuple[FloatArray, FloatArray, float]:
-        """Return the decay of the loaded burst at one point, and the highest speed there over a whole period.
+        """Record the decay of the loaded burst at one point, and the highest speed there over a whole period.
 
         Parameters
         ----------
@@ -290,7 +290,7 @@ class DecayRecorder:
         return decay.time, decay.velocity.mean(axis=0, keepdims=True), highest
 
     def drive(self, burst: Burst, volts: float) -> list[Recording]:
-        """Return the drive of all channels in the first and the last `SWEEP` seconds of a burst.
+        """Record the drive of all channels in the first and the last `SWEEP` seconds of a burst.
 
         Parameters
         ----------
@@ -303,7 +303,7 @@ class DecayRecorder:
         return [self.drive_from(start, burst.velocity, volts) for start in (0.0, self.timing.duration - SWEEP)]
 
     def drive_from(self, start: float, level: float, volts: float) -> Recording:
-        """Return the drive of all channels of the loaded burst for `SWEEP` seconds from a given instant.
+        """Record the drive of all channels of the loaded burst for `SWEEP` seconds from a given instant.
 
         Parameters
         ----------
@@ -321,7 +321,7 @@ class DecayRecorder:
         return self._within(0.0, level, asked, None)
 
     def _within(self, point: float, level: float, asked: Acquisition, highest: float | None) -> Recording:
-        """Return a record without overload, widening the ranges as needed."""
+        """Take a record without overload, widening the ranges as needed."""
         if highest:
             asked = replace(asked, velocity_range=min(HEADROOM * highest, self.highest_velocity))
         for _ in range(6):

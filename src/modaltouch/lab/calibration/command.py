@@ -1,4 +1,4 @@
-"""``modaltouch calibrate``: which stimuli can be calibrated, at which levels, and the resulting file."""
+"""The command ``modaltouch calibrate``: stimuli and levels that can be calibrated, and the calibration file."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ HEAD = """\
 
 @dataclass(frozen=True)
 class CalibrationReport:
-    """A finished calibration, and the file for it."""
+    """A finished calibration and its file."""
 
     calibration: Calibration
     out: Path
@@ -60,9 +60,9 @@ def calibrate(
     rig : str
         ``simulated``, or the generator's VISA address.
     person, accept
-        Who calibrates, for the file; and whether a calibration that misses its limits is written, with a mark.
+        Name of the operator for the file; whether a calibration that misses its limits is written, with a mark.
     record : Path, optional
-        Folder into which another scope saves its records as files; without it a PicoScope is used.
+        Folder into which another scope saves its records as files; a PicoScope is used if not given.
     progress : MeasurementProgress, optional
         Reports progress and lets the user interrupt.
 
@@ -102,11 +102,11 @@ def calibrate(
 
 
 N_BETWEEN = 3
-"""Number of levels verified between bounds within which any level may be played."""
+"""Number of levels verified between the bounds of a protocol that may play any level."""
 
 
 def design_inputs_of(preflight: Preflight) -> dict[str, DesignInputs]:
-    """Return the design inputs of each stimulus of a checked protocol, by name; an only stimulus has an empty name."""
+    """Return the design inputs of each stimulus of a checked protocol, by name; a single stimulus has an empty name."""
     preflight.require()
     faults = {name: list(_uncorrectable(part)) for name, part in preflight.parts.items()}
     problems = [each for name, own in faults.items() for each in preflight.findings.at_stimulus(name, own)]
@@ -116,10 +116,10 @@ def design_inputs_of(preflight: Preflight) -> dict[str, DesignInputs]:
 
 
 def levels_between(protocol: Protocol) -> tuple[float, ...]:
-    """Return the levels to be verified between a protocol's bounds, at equal ratios [mm/s].
+    """Return the levels to verify between a protocol's bounds, at equal ratios [mm/s].
 
-    Adaptive runs, and sensation levels relative to a participant's threshold, may use any level there. Other protocols
-    need none, since every level that is played is measured.
+    Adaptive runs, and sensation levels relative to a participant's threshold, may use any level between the bounds.
+    Other protocols need none, since all levels that they play are measured.
     """
     if protocol.adaptive is None and protocol.conditions.sensation_levels is None:
         return ()
@@ -129,7 +129,7 @@ def levels_between(protocol: Protocol) -> tuple[float, ...]:
 
 
 def _uncorrectable(preflight: Preflight) -> Iterator[Problem]:
-    """Yield the reasons why the targets of a protocol's only stimulus cannot be corrected."""
+    """Yield the reasons why the targets of a protocol's single stimulus cannot be corrected."""
     (inputs, _), reading = preflight.sound, preflight.findings.protocol
     if reading is None:
         return

@@ -5,7 +5,7 @@ r"""The free decay after the drive has ended: common poles, and their complex am
 over records q (positions, bursts), with the constant offset c of the vibrometer's output. For given poles the residues
 R follow from linear least squares; the poles follow from a Gauss-Newton search on the residual with the residues
 eliminated (variable projection: Golub & Pereyra 1973, with the Jacobian of Kaufman 1975). Unlisted modes appear as
-lines in the residual; their poles are added until none stands out of the noise, so that they do not bias the others.
+lines in the residual; their poles are added until no line exceeds the noise, so that they do not bias the others.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ _STEPS = 12
 """Largest number of Gauss-Newton steps; two or three usually suffice."""
 
 _SETTLED = 1e-3
-"""Step at which the poles have converged, in units of each pole's decay rate [1]."""
+"""Largest step of converged poles, in units of each pole's decay rate [1]."""
 
 _STANDS_OUT = 3.0
-"""Power of a line, relative to the highest expected from noise alone, above which it is a mode [1]."""
+"""Power of a line above which it is a mode, relative to the highest power expected from noise alone [1]."""
 
 _FIRST_DAMPING = 0.015
 """Initial damping ratio of an unlisted mode [1]."""
 
 _LEAST_APART = 0.75
-"""Least distance of an unlisted pole from its neighbours, in decay rates; any closer, the two are one line [1]."""
+"""Minimum distance of an unlisted pole from its neighbours, in decay rates; closer poles are a single line [1]."""
 
 
 SLIP_NOISE = 5.0
@@ -100,7 +100,7 @@ def fit_poles(time: FloatArray, records: FloatArray, pole: ComplexArray) -> Deca
 
 
 def missed_swing(swing: ComplexArray, spread: FloatArray, pole: ComplexArray, error: ComplexArray) -> FloatArray:
-    """Return the error of complex amplitudes due to errors of the poles, where noise does not explain those [m/s].
+    """Return the error of complex amplitudes due to pole errors that noise does not explain [m/s].
 
     It is half the slip, the mean over the decay.
     """
@@ -109,7 +109,7 @@ def missed_swing(swing: ComplexArray, spread: FloatArray, pole: ComplexArray, er
 
 
 def find_poles(time: FloatArray, records: FloatArray, listed: ComplexArray, *, most: int = 16) -> Decay:
-    """Fit the decays of the listed modes, and of further modes as long as any stands out of the noise.
+    """Fit the decays of the listed modes, and of further modes as long as one exceeds the noise.
 
     Parameters
     ----------
@@ -130,10 +130,10 @@ def find_poles(time: FloatArray, records: FloatArray, listed: ComplexArray, *, m
 
 
 def _next_line(time: FloatArray, records: FloatArray, decay: Decay) -> complex | None:
-    """Return the pole of a further mode that the residual shows, or None."""
+    """Return the pole of a further mode in the residual, or None."""
     rest = _about_mean(records - (decay.residue.T @ np.exp(np.outer(decay.pole, time))).real)
     n_records, n_samples = rest.shape
-    # A decaying line is best seen through a window that decays with it.
+    # The signal-to-noise ratio of a decaying line is highest with a window that decays at the same rate.
     step = float(time[1] - time[0])
     best: tuple[float, complex] | None = None
     for length in (n_samples, n_samples // 4, n_samples // 16):
@@ -163,7 +163,7 @@ def _next_line(time: FloatArray, records: FloatArray, decay: Decay) -> complex |
 
 
 def _about_mean(rows: FloatArray) -> FloatArray:
-    """Return rows less their means."""
+    """Subtract the mean of each row."""
     return np.asarray(rows - rows.mean(axis=1, keepdims=True))
 
 

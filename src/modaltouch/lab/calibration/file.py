@@ -1,4 +1,4 @@
-"""The results of a calibration, and the contents of the file that people and the session read."""
+"""Results of a calibration, and their conversion to the contents of the calibration file."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from modaltouch.system import commit, versions
 
 @dataclass(frozen=True)
 class Iteration:
-    """What one iteration of the loop measured.
+    """Measurements of one iteration of the loop.
 
     Attributes
     ----------
     number : int
-        0 for the stimulus designed from the apparatus file.
+        Number of the iteration; 0 for the stimulus designed from the apparatus file.
     state : ModalState
         State of the modes at the focusing instant.
     errors : (float, float)
@@ -74,7 +74,7 @@ class Level:
     excess : float
         Relative excess of the listed modes' part of it over the velocity expected from the points along the beam [1].
     spread : float
-        Standard error of `at_focus`, leaving aside the vibrometer's sensitivity [m/s].
+        Standard error of `at_focus`, excluding the vibrometer's sensitivity [m/s].
     highest : float
         Highest speed during the burst [m/s].
     sensitivity_doubt : float
@@ -94,7 +94,7 @@ class Level:
     def true_half_width(self) -> float:
         """Half-width of the 95 % interval of the true velocity [m/s]."""
         noise = NORMAL_95 * self.spread
-        # Where the focus and the other points disagree, either may be right.
+        # If the focus and the other points disagree, either may be correct.
         beyond = max(abs(self.excess / (1 + self.excess) * self.at_focus) - noise, 0.0)
         return math.hypot(noise, self.sensitivity_doubt * self.at_focus, beyond)
 
@@ -110,7 +110,7 @@ class CalibrationResult:
     plant : Plant
         The identified rig.
     refined : Apparatus
-        The apparatus with modes and amplifier as identified, in the units and digits of its file.
+        The apparatus with identified modes and amplifier, in the units and digits of its file.
     target : (n_modes,) array
         Target modal velocities at the reference level [m/s].
     correction : Correction
@@ -120,7 +120,7 @@ class CalibrationResult:
     turns : tuple of Iteration
         All iterations, the first without correction.
     best : Iteration
-        The one whose targets are kept.
+        The iteration whose targets are kept.
     levels : tuple of Level
         The verified levels.
     halfway : Iteration
@@ -130,7 +130,7 @@ class CalibrationResult:
     drive_peak : (n_channels,) array
         Highest drive predicted for each output at the highest level [V].
     drive_shortfall : (n_channels,) array
-        Relative shortfall of the measured drive's peaks there [1].
+        Relative shortfall of the measured drive's peaks at that level [1].
     """
 
     inputs: DesignInputs
@@ -149,22 +149,22 @@ class CalibrationResult:
 
     @property
     def reading_change(self) -> float:
-        """Change of all speeds alike from the identification, for which the first iteration was designed [1]."""
+        """Common relative change of all speeds since the identification, on which iteration 1 is based [1]."""
         return float(self.turns[1].state.velocity @ self.target / (self.target @ self.target)) - 1
 
 
 CERTAIN = 3.0
-"""Standard errors below which a deviation may be noise and is not corrected [1]."""
+"""Deviation, in standard errors, below which it may be noise and is not corrected [1]."""
 
 DIGITS = 6
-"""Decimals of a target in mm/s in the file: a thousandth of what noise leaves."""
+"""Decimals of a target in mm/s in the file; the rounding is a thousandth of the noise."""
 
 
 def significant(state: ModalState, target: FloatArray) -> FloatArray:
-    """Return the deviations of a state from its targets, less what may be noise, (2, n_modes) array [m/s].
+    """Return the deviations of a state from its targets, reduced by possible noise, (2, n_modes) array [m/s].
 
     A deviation of a few standard errors is corrected in part, a smaller one not at all, so that the loop does not
-    chase the noise of its own measurements.
+    follow the noise of its measurements.
 
     Parameters
     ----------
@@ -185,7 +185,7 @@ def corrected_inputs(inputs: DesignInputs, refined: Apparatus, correction: Corre
 
 
 def refined_apparatus(apparatus: Apparatus, plant: Plant) -> Apparatus:
-    """Return an apparatus with modes and amplifier as identified, rounded to the digits of the calibration file."""
+    """Return an apparatus with identified modes and amplifier, rounded to the digits of the calibration file."""
     channel = {name: actuators.channel - 1 for name, actuators in apparatus.actuator_sets.items()}
     modes = []
     for row, mode in enumerate(apparatus.modes):
@@ -224,12 +224,12 @@ def calibration_of(
     made: datetime,
     marks: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> Calibration:
-    """Return a finished calibration in the form and units of its file.
+    """Convert a finished calibration to the form and units of its file.
 
     Parameters
     ----------
     outcomes : mapping of str to CalibrationResult
-        The result for each stimulus on one rig, by name; an only stimulus has an empty name.
+        The result for each stimulus on one rig, by name; a single stimulus has an empty name.
     protocol : str
         Name of the protocol.
     apparatus : Apparatus
@@ -239,9 +239,9 @@ def calibration_of(
     mode : str
         ``simulated`` or ``real``.
     person : str
-        Who made it.
+        Name of the operator.
     made : datetime
-        When, with its offset from UTC.
+        Time of the calibration, with its offset from UTC.
     marks : mapping of str to mapping, optional
         ``missed`` and ``causes`` of each stimulus; empty for one within its limits.
     """

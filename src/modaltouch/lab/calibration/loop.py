@@ -1,4 +1,4 @@
-"""The loop: identify, design, measure and correct the targets until only noise is left."""
+"""The calibration loop: identify, design, measure, and correct the targets until only noise is left."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ MOST_ITERATIONS = 4
 """Largest number of iterations; two usually suffice."""
 
 LEAST_CHANGE = 2e-4
-"""Correction, relative to the reference level, below which no further iteration is worthwhile [1]."""
+"""Correction, relative to the reference level, below which the loop ends [1]."""
 
 LEAST_TRIM = 5e-3
 """Relative deviation of a level below which its amplitude is not corrected [1]."""
@@ -69,7 +69,7 @@ def calibrate_each(
     inputs_of: Mapping[str, DesignInputs],
     between: Sequence[float] = (),
 ) -> dict[str, CalibrationResult]:
-    """Return the targets and amplitudes that make each of several stimuli accurate on a rig, by name.
+    """Determine the targets and amplitudes that make each of several stimuli accurate on a rig, by name.
 
     The rig is identified once, with the sample clock of the first stimulus: amplifier, modes and vibrometer are the
     same for all.
@@ -81,7 +81,7 @@ def calibrate_each(
     apparatus : Apparatus
         As in its file.
     inputs_of : mapping of str to DesignInputs
-        The stimuli by name, without any calibration; a protocol's only stimulus has an empty name.
+        The uncalibrated stimuli by name; a protocol's single stimulus has an empty name.
     between : sequence of float
         Levels to verify in addition to the protocol's own [mm/s].
 
@@ -108,14 +108,14 @@ def calibrate(
     between: Sequence[float] = (),
     name: str = "",
 ) -> CalibrationResult:
-    """Return the targets and amplitudes that make a stimulus accurate on a rig.
+    """Determine the targets and amplitudes that make a stimulus accurate on a rig.
 
     Parameters
     ----------
     bench, apparatus
         As for `calibrate_each`.
     inputs : DesignInputs
-        The stimulus, without any calibration.
+        The uncalibrated stimulus.
     plant : Plant, optional
         The rig, if it has already been identified.
     between : sequence of float
@@ -167,7 +167,7 @@ class _Loop:
         plant = known or self._identify()
         self._recorder.wait_for(plant.drive)
         refined = refined_apparatus(self._apparatus, plant)
-        # The listed stimulus assumes the listed amplifier gain.
+        # The stimulus designed from the apparatus file assumes the amplifier gain given there.
         self._refuse_beyond_limit(float(self._listed.peak_voltage.max()) * max(plant.drive.gain))
         turns = [self._measure(0, self._listed, plant)]
         refuse_saturation(*self._drives("drive before", self._listed, plant))
@@ -195,7 +195,7 @@ class _Loop:
                 break
             best, kept = turns[-1], corrected_target
         if not self._name and turns[0].worst < best.worst:
-            # No correction helped: keep the listed rig. Several stimuli share the identified one and cannot do so.
+            # No correction helped: keep the rig of the apparatus file, unless several stimuli share the identified one.
             best, kept, refined = turns[0], listed_target, self._apparatus
         correction = self._correction(kept)
         levels = self._levels(plant, refined, correction, best.state)
@@ -232,7 +232,7 @@ class _Loop:
     def _identify(self) -> Plant:
         """Identify amplifier and clock from the drive, modes and vibrometer from the decays after a probe per output.
 
-        Delay and lag come first, since an unknown delay of a few microseconds makes the loop diverge.
+        Delay and lag are identified first, since an unknown delay of a few microseconds makes the loop diverge.
         """
         listed, timing, knobs = self._listed, self._timing, self._apparatus.acquisition
         n_channels, to_beam = listed.model.n_channels, listed.amplifier.gain * listed.load_factor
@@ -288,7 +288,7 @@ class _Loop:
         return design_to_fit(corrected_inputs(self._inputs, refined, correction), release="free")
 
     def _correction(self, corrected_target: FloatArray) -> Correction:
-        """Return targets rounded to the digits that the file keeps."""
+        """Return targets rounded to the digits of the file."""
         velocity, displacement = (np.round(each * 1e3, DIGITS) * 1e-3 for each in corrected_target)
         return Correction(velocity, displacement, self._reference)
 
@@ -326,7 +326,7 @@ class _Loop:
     def _levels(
         self, plant: Plant, refined: Apparatus, correction: Correction, reached: ModalState
     ) -> tuple[Level, ...]:
-        """Measure every level at the focus, amplitudes in proportion, and if any is off again with corrected ones."""
+        """Measure every level at the focus; if any deviates, correct the amplitudes and measure all levels again."""
         stimulus = self._corrected(refined, correction)
         self._bench.load(stimulus.burst)
         self._recorder.begin("levels", 2 * len(self._asked))
@@ -366,5 +366,5 @@ def _trim(level: Level) -> float:
     if abs(level.at_focus - level.velocity) < max(LEAST_TRIM * level.velocity, 3 * level.spread):
         return 1.0
     factor = level.velocity / level.at_focus if level.at_focus > 0 else float("inf")
-    # A larger deviation is not for a trim to mend: the level misses its limit.
+    # Larger deviations are not corrected by amplitude; the level misses its limit.
     return round(factor, 6) if 0.5 < factor < 2 else 1.0

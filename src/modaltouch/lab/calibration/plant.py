@@ -1,9 +1,9 @@
-r"""The rig as a calibration identifies it: amplifier, clock, vibrometer and modes; and modal states from free decays.
+r"""Identification of amplifier, clock, vibrometer and modes of a rig, and modal states from free decays.
 
 The drive measured at the beam is the commanded one behind a first-order amplifier,
-:math:`T \dot u = g v(t - \tau) - u`, sampled by a clock that may run fast. The vibrometer too is a delay and a lag,
-:math:`V(s) = e^{-s \tau} / (1 + s T)`; since modal gains are real, it explains the phases that remain in the modes'
-responses to a known drive.
+:math:`T \dot u = g v(t - \tau) - u`, sampled by a clock that may run fast. The vibrometer is likewise a delay and a
+lag, :math:`V(s) = e^{-s \tau} / (1 + s T)`; since modal gains are real, it accounts for the phases that remain in the
+modes' responses to a known drive.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ LONGEST = 100e-6
 """Longest delay, and lag, that is searched for [s]."""
 
 DISAGREEMENT = 1.3
-"""Standard error from the disagreement of eight points over that from noise, up to which noise explains it [1]."""
+"""Ratio of the standard error from the disagreement of eight points to that from noise, below which it is noise [1]."""
 
 SHORTEST_LAG = 20e-9
-"""Lag below which the amplifier counts as instantaneous [s]."""
+"""Lag below which the amplifier is treated as instantaneous [s]."""
 
 
 @dataclass(frozen=True)
 class DriveDelay:
-    """How the measured drive follows the commanded one.
+    """Gain, delay, lag and clock of the measured drive relative to the commanded one.
 
     Attributes
     ----------
@@ -43,7 +43,7 @@ class DriveDelay:
     clock : float
         Relative amount by which the scope's clock runs faster than the generator's [1].
     rest : float
-        Root mean square of measured less predicted drive, relative to that of the measured drive [1].
+        Root mean square of measured minus predicted drive, relative to that of the measured drive [1].
     """
 
     gain: tuple[float, ...]
@@ -59,14 +59,14 @@ class DriveDelay:
 
 
 def fit_drive(recordings: list[Recording], commanded: FloatArray, timing: Timing) -> DriveDelay:
-    """Return gain, delay, lag and clock from drives measured in different parts of a burst.
+    """Fit gain, delay, lag and clock to drives measured in different parts of a burst.
 
     Parameters
     ----------
     recordings : list of Recording
         Each with the drive of every commanded channel; the further apart in time, the better the clock is determined.
     commanded : (n_channels, n_samples) array
-        Voltages at the beam that the burst commands, with the gain in the apparatus file [V].
+        Commanded voltages at the beam, with the gain in the apparatus file [V].
     timing : Timing
         Clock of the samples.
     """
@@ -112,14 +112,14 @@ def fit_drive(recordings: list[Recording], commanded: FloatArray, timing: Timing
 
 
 def predicted_drive(drive: DriveDelay, commanded: FloatArray, time: FloatArray, timing: Timing) -> FloatArray:
-    """Return the drive expected at the beam if the amplifier is linear, (n_channels, n_times) array [V].
+    """Predict the drive at the beam for a linear amplifier, (n_channels, n_times) array [V].
 
     Parameters
     ----------
     drive : DriveDelay
-        How the drive follows the commanded one.
+        Gain, delay, lag and clock of the drive.
     commanded : (n_channels, n_samples) array
-        Voltages at the beam, with the gain in the apparatus file [V].
+        Commanded voltages at the beam, with the gain in the apparatus file [V].
     time : (n_times,) array
         Times by the scope's clock, from the generator's first sample [s].
     timing : Timing
@@ -130,7 +130,7 @@ def predicted_drive(drive: DriveDelay, commanded: FloatArray, time: FloatArray, 
 
 
 class _Lagged:
-    """Held samples behind a first-order lag, exact at every instant."""
+    """Held samples filtered by a first-order lag, exact at every instant."""
 
     def __init__(self, voltage: FloatArray, hold: float, lag: float) -> None:
         from scipy.signal import lfilter
@@ -150,7 +150,7 @@ class _Lagged:
 
 @dataclass(frozen=True)
 class VibrometerDelay:
-    """How the vibrometer follows the motion.
+    """Delay and low-pass of the vibrometer.
 
     Attributes
     ----------
@@ -159,7 +159,7 @@ class VibrometerDelay:
     lag : float
         Time constant of its low-pass [s].
     rest : float
-        Root mean square of the phases that delay and lag leave unexplained, weighted by their certainty [rad].
+        Weighted root mean square of the phases not explained by delay and lag [rad].
     covariance : (2, 2) array
         Covariance of delay and lag, from the fit and its residual [s^2].
     """
@@ -187,25 +187,25 @@ DATA_SHEET = 0.2
 def fit_vibrometer(
     pole: ComplexArray, ratio: ComplexArray, spread: FloatArray, sign: FloatArray, bandwidth: float | None = None
 ) -> VibrometerDelay:
-    """Return the vibrometer's delay and lag from ratios that would be real without it.
+    """Fit the vibrometer's delay and lag to ratios that would be real without it.
 
     Parameters
     ----------
     pole : (n_modes,) complex array
         Poles [1/s].
     ratio : (n_modes, n_channels) complex array
-        Measured response over that of a mode of unit gain to the same drive [m/s^2 per V].
+        Measured response divided by that of a mode of unit gain to the same drive [m/s^2 per V].
     spread : (n_modes, n_channels) array
         Standard errors of the ratios; infinite where nothing was measured [m/s^2 per V].
     sign : (n_modes, n_channels) array
         Sign of the listed gain; 0 where it is unknown.
     bandwidth : float, optional
-        Corner of its low-pass from the data sheet [Hz]; without it, phases hardly distinguish lag from delay.
+        Corner of its low-pass from the data sheet [Hz]; without it, the phases hardly distinguish lag from delay.
     """
     from scipy.optimize import least_squares
 
     size = np.maximum(np.abs(ratio), 1e-30)
-    # No response is known to better than a thousandth, since the model itself is no better.
+    # The model limits the accuracy of every response to a thousandth.
     weight = 1 / np.hypot(spread, 1e-3 * size + 1e-30)
 
     def turned(values: FloatArray) -> ComplexArray:
@@ -219,7 +219,7 @@ def fit_vibrometer(
         return np.append((turned(values).imag * weight).ravel(), (abs(values[1]) - expected) / doubt)
 
     def astray(delay: float) -> float:
-        # A signal inverted as a whole must not count as delayed.
+        # An inverted signal must not be mistaken for a delayed one.
         straight = turned(np.array([delay, 0.0]))
         straight = straight * np.sign(np.sum(np.where(sign != 0, sign * straight.real / size, 0.0)))
         known = sign != 0
@@ -227,7 +227,7 @@ def fit_vibrometer(
 
     tried = np.arange(0.0, LONGEST * 1e6, 0.2)
     together = tried[int(np.argmin([astray(float(delay)) for delay in tried]))]
-    # Delay and lag differ only in the third order of lag times frequency: a search from a single lag may miss it.
+    # The effects of delay and lag differ only in third order of lag times frequency, so search from several lags.
     starts = [(max(together - lag, 0.0), lag) for lag in np.arange(0.05, min(together, 5.0) + 0.1, 0.25)]
     each = [least_squares(rest, start, x_scale=[0.1, 0.1], xtol=1e-12, ftol=1e-12) for start in starts]
     found = min(each, key=lambda one: float(one.cost))
@@ -252,16 +252,16 @@ class ModalState:
     spread : (n_modes,) array
         Standard error of each, from the noise of the records [m/s].
     half_width : (n_modes,) array
-        Half-width of the 95 % interval of each, leaving aside the vibrometer's sensitivity: noise, or the disagreement
-        of the points where noise does not explain it, in quadrature with the uncertainties of vibrometer, trigger and
+        Half-width of the 95 % interval of each, excluding the vibrometer's sensitivity: noise, or the disagreement of
+        the points where noise does not explain it, in quadrature with the uncertainties of vibrometer, trigger and
         natural frequencies [m/s].
     change : (n_modes,) array
         Relative deviation of the natural frequencies from the identified ones [1].
     disagreement : (n_modes,) array
         Standard error of each, from the disagreement of the points [m/s].
     slip : (n_modes,) array
-        Effect of changed natural frequency and damping on each: amplitude times error of the pole, over the decay rate
-        [m/s].
+        Effect of a changed natural frequency and damping on each: amplitude times error of the pole, divided by the
+        decay rate [m/s].
     sensitivity_doubt : float
         Relative half-width of the 95 % interval of the vibrometer's sensitivity [1].
     """
@@ -299,15 +299,15 @@ class Plant:
     model : ModalModel
         Modes, with gains per volt at the beam, referred to the amplifier gain of the strongest channel.
     amplifier : Amplifier
-        As identified; its limit applies to the voltage that actually reaches the beam.
+        The identified amplifier; its limit applies to the actual voltage at the beam.
     drive : DriveDelay
-        How the drive follows the commanded one.
+        Gain, delay, lag and clock of the drive.
     vibrometer : VibrometerDelay
-        How the vibrometer follows the motion.
+        Delay and low-pass of the vibrometer.
     unlisted : (n_unlisted,) complex array
         Poles of modes that are not in the table [1/s].
     certainty : (n_modes,) array
-        Amplitude of each mode over its standard error when it was identified [1].
+        Amplitude of each mode relative to its standard error at identification [1].
     latency_doubt : float
         Half-width of the 95 % interval of the trigger latency [s].
     sensitivity_doubt : float
@@ -333,7 +333,7 @@ class Plant:
         return recording_time / (1 + self.drive.clock) - timing.focusing_instant
 
     def state(self, decay: Decay, shapes: FloatArray) -> ModalState:
-        """Return the modes' state at the focusing instant.
+        """Return the state of the modes at the focusing instant.
 
         Parameters
         ----------
@@ -378,7 +378,7 @@ def unit_responses(model: ModalModel, drive: DriveDelay, voltage: FloatArray, ti
     unit = replace(model, modal_gain=np.ones_like(model.modal_gain))
     amplifier = Amplifier(gain=1.0, limit=1.0, bandwidth=drive.bandwidth, delay=drive.delay)
     system = DiagonalSystem.of(unit, amplifier)
-    # Late enough for the drive to have ended.
+    # Evaluate after the drive has ended.
     later = drive.delay + 20 * drive.lag + timing.hold
     instant = min(timing.focusing_instant + later, timing.duration)
     state = system.states_by_channel(voltage, timing, instant)[:, : model.n_modes].T
@@ -396,14 +396,14 @@ def identify_plant(
     timing: Timing,
     vibrometer_bandwidth: float | None = None,
 ) -> Plant:
-    """Return the rig identified from the decays after probe bursts, one on each channel.
+    """Identify the rig from the decays after probe bursts, one on each channel.
 
     Parameters
     ----------
     model : ModalModel
         Listed modes; their shapes are kept.
     amplifier : Amplifier
-        As listed.
+        Listed amplifier.
     drive : DriveDelay
         From the measured drive.
     decay : Decay
@@ -411,7 +411,7 @@ def identify_plant(
     shapes : (n_modes, n_points) array
         Mode shapes at the points of each probe's records [1].
     voltages : list of (n_channels, n_samples) arrays
-        Voltages that each probe commands at the beam, on one channel [V].
+        Commanded voltages at the beam of each probe, on one channel [V].
     timing : Timing
         Clock of the samples.
     vibrometer_bandwidth : float, optional

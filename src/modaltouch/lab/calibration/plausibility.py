@@ -1,7 +1,7 @@
 """Plausibility checks of a calibration.
 
-Drives, velocities and modes that cannot be those of the listed rig are refused; a calibration whose errors are not
-shown to lie within its limits is marked, with the cause.
+Measurements that cannot come from the rig of the apparatus file are refused. A calibration whose errors are not shown
+to be within its limits is marked with the cause.
 """
 
 from __future__ import annotations
@@ -21,25 +21,25 @@ from modaltouch.rig import Recording, RigError
 from modaltouch.stimulus import ModalModel
 
 GAINS = (0.67, 1.5)
-"""Plausible range of measured over commanded drive [1]; outside, a probe or a switch is not as the file says."""
+"""Plausible range of measured over commanded drive [1]; outside, a probe or a switch differs from the file."""
 
 SPEEDS = (0.6, 1.6)
-"""Plausible range of measured over listed gain, common to all modes [1]; outside, a setting is not as the file says."""
+"""Plausible range of measured over listed gain, common to all modes [1]; outside, a setting differs from the file."""
 
 COMMON_FACTORS = (0.85, 1.15)
-"""Range of a common factor between measured and predicted speeds that an amplifier's tolerance may explain [1]."""
+"""Range of a common factor between measured and predicted speeds within an amplifier's tolerance [1]."""
 
 ALIKE = 0.2
-"""Median relative deviation of the gains from a common factor below which that is attributed to the vibrometer [1]."""
+"""Median relative deviation of gains from a common factor, below which the factor is that of the vibrometer [1]."""
 
 NOTHING = 0.02
-"""Measured over commanded drive below which there is no drive [1]."""
+"""Ratio of measured to commanded drive below which the drive is missing [1]."""
 
 LARGEST_REST = 0.3
-"""Largest part of the measured drive left unexplained by delay, lag and gain [1]; noise alone leaves a twentieth."""
+"""Largest part of the measured drive not explained by delay, lag and gain [1]; noise alone amounts to a twentieth."""
 
 LEAST_CERTAINTY = 8.0
-"""Least amplitude of a mode, in standard errors [1]."""
+"""Minimum amplitude of a mode, in standard errors [1]."""
 
 FURTHEST = 0.05
 """Largest relative deviation of a natural frequency from the listed one [1]; beyond, it may be that of another mode."""
@@ -63,17 +63,17 @@ HYSTERESIS = (
 )
 
 LARGEST_PHASE = 0.2
-"""Largest phase left unexplained by the vibrometer's delay and lag [rad]."""
+"""Largest phase not explained by the vibrometer's delay and lag [rad]."""
 
 LEAST_COHERENCE = 0.3
-"""Least fraction of a velocity's power that repeats with every burst [1]."""
+"""Minimum fraction of a velocity's power that repeats with every burst [1]."""
 
 FAR_OFF, MOST_FAR_OFF = 6.0, 5e-5
 """Standard deviations above which a sample is a gap or a shock, and largest plausible fraction of such samples [1]."""
 
 
 def refuse_implausible_drive(drive: DriveDelay) -> None:
-    """Refuse a measured drive that is not the commanded one behind the amplifier."""
+    """Refuse a measured drive that does not match the commanded drive after the amplifier."""
     believed = drive.rest <= LARGEST_REST
     for number, gain in enumerate(drive.gain, start=1):
         if (believed or abs(gain) < NOTHING) and not GAINS[0] <= gain <= GAINS[1]:
@@ -97,7 +97,7 @@ def refuse_changing_beam(decays: Sequence[Decay], shapes: FloatArray) -> None:
     n, size = len(shapes), np.sqrt((shapes**2).sum(axis=1))
     for one, other in itertools.pairwise(decays):
         moved = np.abs(one.pole_error.imag - other.pole_error.imag)[:n] / -one.pole.real[:n]
-        # Only modes that both probes excite well show it.
+        # A change is significant only in modes that both probes excite well.
         least = np.minimum(
             *(np.abs(modal_swings(each, shapes)) * size / np.maximum(each.spread[:n], 1e-30) for each in (one, other))
         )
@@ -120,7 +120,7 @@ HUM = (
 
 
 def refuse_hum(decay: Decay, n_listed: int, length: float) -> None:
-    """Refuse records of the given length [s] that hold a low tone which does not decay after the burst."""
+    """Refuse records of a given length [s] that contain a low-frequency tone which does not decay after the burst."""
     for pole in decay.pole[n_listed:]:
         frequency = abs(pole.imag) / (2 * np.pi)
         # Over a record the slowest mode decays by 1.2 time constants.
@@ -132,7 +132,7 @@ def refuse_hum(decay: Decay, n_listed: int, length: float) -> None:
 
 
 def refuse_odd_point(decay: Decay, shapes: FloatArray, points: FloatArray) -> None:
-    """Refuse a point whose velocity is not the one that the other points predict, such as one that is inverted."""
+    """Refuse a point whose velocity disagrees with the prediction from the other points, such as an inverted one."""
     seen = decay.residue[: len(shapes)].reshape(len(shapes), -1, points.size)
     here = shapes[:, None]
     others = ((seen * here).sum(axis=2, keepdims=True) - seen * here) / ((here**2).sum(axis=2, keepdims=True) - here**2)
@@ -149,7 +149,7 @@ def refuse_odd_point(decay: Decay, shapes: FloatArray, points: FloatArray) -> No
 
 
 def refuse_implausible_plant(plant: Plant, listed: ModalModel, margin: float) -> None:
-    """Refuse modes that are too weak, or are not those of the table."""
+    """Refuse modes that are too weak or do not match the table."""
     found = plant.model
     for row, label in enumerate(listed.label):
         if not plant.certainty[row] >= LEAST_CERTAINTY:
@@ -192,7 +192,7 @@ def common_factor(found: ModalModel, listed: ModalModel) -> float:
 
 
 def refuse_common_factor(found: ModalModel, listed: ModalModel, allowed: tuple[float, float]) -> None:
-    """Refuse gains that are the listed ones times a factor outside a range."""
+    """Refuse gains that differ from the listed ones by a common factor outside a range."""
     common, (low, high) = common_factor(found, listed), allowed
     if not low <= common <= high:
         raise RigError(
@@ -204,7 +204,7 @@ def refuse_common_factor(found: ModalModel, listed: ModalModel, allowed: tuple[f
 
 
 def _refuse_phases(plant: Plant, margin: float) -> None:
-    """Refuse a vibrometer that is not a delay and low-pass, or whose signal comes after the start of the records."""
+    """Refuse a vibrometer that is not a delay and low-pass, or whose signal starts after the records do."""
     vibrometer = plant.vibrometer
     if vibrometer.rest > LARGEST_PHASE:
         raise RigError(
@@ -224,7 +224,7 @@ def refuse_implausible_velocity(recording: Recording) -> None:
     velocity = recording.velocity
     n_records = len(velocity)
     off = velocity - np.median(velocity, axis=0)
-    # Not from the median, which is 0 if most samples agree to within one step of the converter.
+    # A quantile, since the median is 0 if most samples agree to within one step of the converter.
     noise = float(np.quantile(np.abs(off), 0.95)) / NORMAL_95
     power = float(np.mean(velocity**2))
     if n_records < 4 or power == 0:
@@ -252,14 +252,14 @@ def refuse_implausible_velocity(recording: Recording) -> None:
 
 
 def _hums(off: FloatArray, time: FloatArray) -> bool:
-    """Return whether multiples of 50 or 60 Hz are most of what differs between records, (n_records, n_samples)."""
+    """Return whether multiples of 50 or 60 Hz dominate the differences between records, (n_records, n_samples)."""
     turns = 2j * np.pi * np.outer(time, np.arange(1, 6))
     bases = (np.linalg.qr(np.exp(mains * turns).view(float))[0] for mains in (50, 60))
     return any(np.sum((off @ basis) ** 2) > 0.5 * np.sum(off**2) for basis in bases)
 
 
 def refuse_saturation(predicted: FloatArray, measured: FloatArray) -> None:
-    """Refuse drives [V], (n_channels, n_samples) arrays, that are exchanged between outputs or strongly saturated."""
+    """Refuse drives [V], (n_channels, n_samples) arrays, that are swapped between outputs or strongly saturated."""
     likeness = np.abs(measured @ predicted.T) / np.linalg.norm(predicted, axis=1)
     if len(predicted) > 1 and (likeness.argmax(axis=1) != np.arange(len(predicted))).all():
         raise RigError(
@@ -287,7 +287,7 @@ def refuse_disproportion(whole: ModalState, half: ModalState) -> None:
 
 
 def peak_shortfall(predicted: FloatArray, measured: FloatArray) -> FloatArray:
-    """Return the relative shortfall of a drive's peaks [V] compared with its lower half, (n_channels,) array [1]."""
+    """Return the relative shortfall of a drive's peaks [V] with respect to its lower half, (n_channels,) array [1]."""
     lacking = np.zeros(len(predicted))
     for channel, (want, have) in enumerate(zip(predicted, measured, strict=True)):
         size = np.abs(want) / np.abs(predicted).max()
@@ -357,7 +357,7 @@ def _beyond(limit: str, level: float, reached: float, allowed: float) -> Iterato
 def _level_error(level: Level, allowed: float, highest: float) -> float:
     """Return a level's deviation [percent]; 0 if it may be noise, unless the noise is too large for the highest level.
 
-    The noise is that of the vibrometer, so low levels are known less precisely; they are trusted to be proportional.
+    Vibrometer noise makes low levels less precise; they are assumed to be proportional.
     """
     deviation = 100 * abs(level.at_focus / level.velocity - 1)
     noise = 100 * level.spread / level.velocity
@@ -368,7 +368,7 @@ def _level_error(level: Level, allowed: float, highest: float) -> float:
 
 
 def _causes(outcome: CalibrationResult, protocol: Protocol, missed: list[dict[str, Any]]) -> Iterator[str]:
-    """Yield the cause that the records show, with its remedy."""
+    """Yield the cause indicated by the records, with its remedy."""
     limits, last = protocol.calibration.limits, outcome.turns[-1].state
     allowed = min(limits.velocity_mm_s, limits.displacement_mm_s) * 1e-3
     noise = NORMAL_95 * float(outcome.best.state.spread.max())
@@ -381,7 +381,7 @@ def _causes(outcome: CalibrationResult, protocol: Protocol, missed: list[dict[st
             f"but the measured peaks fall short by {outcome.drive_shortfall[output]:.1%}; lower the highest level, or "
             "set amplifier.limit_V to its true value"
         )
-    # What changes the frequencies hardly makes the points disagree: a late record at one of them does both.
+    # Changed frequencies hardly make the points disagree; a late record at one point has both effects.
     elif float(last.significant_slip.max()) > max(allowed / 2, noise, float(last.disagreement.max())):
         yield _changed_frequencies(outcome)
     elif any((s.disagreement > np.maximum(4 * s.spread, allowed / 4)).any() for s in (last, outcome.halfway.state)):
@@ -422,13 +422,13 @@ def _causes(outcome: CalibrationResult, protocol: Protocol, missed: list[dict[st
 
 
 def _changed_frequencies(outcome: CalibrationResult) -> str:
-    """Return whether the natural frequencies drift with time or change with the amplitude, and what to do.
+    """Describe whether the natural frequencies drift with time or change with the amplitude, and the remedy.
 
-    Over all iterations they are fitted by a constant, a term proportional to the number of records taken and one
-    proportional to the voltage squared; the larger of these two is the cause.
+    The frequencies of all iterations are fitted by a constant, a term proportional to the number of records taken and
+    one proportional to the voltage squared; the larger of the last two terms is the cause.
     """
     turns, state = (*outcome.turns, outcome.halfway), outcome.turns[-1].state
-    # Of the modes that show it, the one whose pole moved least against its decay rate: the first order fits it best.
+    # Use the significant mode with the smallest change relative to its decay rate, where first order is most accurate.
     strain = state.slip / np.hypot(state.velocity, state.displacement)
     mode = int(np.argmin(np.where(state.significant_slip > 0, strain, np.inf)))
     taken = np.array([turn.n_taken for turn in turns], dtype=float)
