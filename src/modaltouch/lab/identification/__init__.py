@@ -1,1 +1,1 @@
-"""From a bare beam to its table of modes: section III-B of the paper, on a rig or from files."""
+"""Identification of a bare beam's modes, as in section III-B of the paper, on a rig or from files."""

@@ -1,4 +1,4 @@
-"""``modaltouch identify``: a table of modes from a bare beam or from files of measured responses."""
+"""The command ``modaltouch identify``: a table of modes from a bare beam or from files of measured responses."""
 
 from __future__ import annotations
 
@@ -43,12 +43,12 @@ from modaltouch.protocol import Apparatus, Source
 from modaltouch.report import refuse_other
 
 FEWEST_SHAPE_POINTS = 6
-"""Least number of points in a file for its modes to be identified by their shapes."""
+"""Minimum number of points in a file for identifying its modes by their shapes."""
 
 
 @dataclass(frozen=True)
 class IdentifyOptions:
-    """What is identified, and how it is measured or read.
+    """Options of an identification, and of its measurement or files.
 
     Attributes
     ----------
@@ -78,16 +78,16 @@ class IdentifyOptions:
     modes : str
         Modes of the new table: ``listed`` in the apparatus file, ``all``, or labels such as ``1,3,5``.
     form : ResponseFormat
-        How files are to be read, and what they do not state.
+        How to read the files, and what they do not state.
     seed : int or None
-        Seed of the simulated rig, instead of its own.
+        Seed of the simulated rig, in place of the one in the apparatus file.
     export : Path or None
         File to which the responses and shapes are written for other programs.
     leave_out : tuple of float
-        Positions whose responses are not used [m].
+        Positions of responses to be left out [m].
     rows : int
-        Rows of points across the width to measure, an odd number; three or more reveal torsion. Of earlier scans, every
-        row is read.
+        Number of rows of points to measure across the width, odd; torsion requires three or more. Earlier scans are
+        read with all their rows.
     """
 
     apparatus: Path
@@ -116,14 +116,14 @@ def identify(options: IdentifyOptions, progress: MeasurementProgress = SILENT_PR
     Parameters
     ----------
     options : IdentifyOptions
-        What is identified, and how it is measured or read.
+        Options of the identification, and of its measurement or files.
     progress : MeasurementProgress, optional
         Reports progress and lets the user interrupt.
 
     Returns
     -------
     IdentificationReport
-        Only the scans have been written so far.
+        The result; apart from the scans, nothing has been written yet.
 
     Raises
     ------
@@ -188,7 +188,7 @@ def _fitting(progress: MeasurementProgress) -> Iterator[None]:
 
 
 class _Beam:
-    """The beam of an apparatus file and what is to be identified; checked before anything is opened."""
+    """The beam of an apparatus file and the modes to identify, checked before any instrument is opened."""
 
     def __init__(self, options: IdentifyOptions) -> None:
         self.options = options
@@ -207,7 +207,7 @@ class _Beam:
         self.bandwidth = None if corner is None else corner * 1e3
 
     def _labels(self) -> tuple[int, ...]:
-        """Return the labels that must be found; with ``all``, those listed in the table."""
+        """Return the labels of the required modes; for ``all``, those of the table."""
         modes = self.options.modes
         if modes in ("listed", "all"):
             return tuple(mode.label for mode in self.apparatus.modes)
@@ -220,7 +220,7 @@ class _Beam:
         return labels
 
     def measure(self, progress: MeasurementProgress) -> list[dict[str, Scan]]:
-        """Return the scans of each row, measured now or resumed."""
+        """Take or resume the scans of each row."""
         options, out = self.options, self.options.out
         positions = evenly(self.length, options.points, options.margin)
         check_points(np.array(positions), self.labels, self.length)
@@ -240,7 +240,7 @@ class _Beam:
             return [replace(campaign, across=across).scan(laboratory, self.source, out) for across in rows]
 
     def read(self, folder: Path) -> list[dict[str, Scan]]:
-        """Return the scans of each row in a folder."""
+        """Read the scans of each row from a folder."""
         for name in self.sets:
             if not (folder / f"scan_{name}").is_dir():
                 raise ValueError(
@@ -251,7 +251,7 @@ class _Beam:
         return [{name: read_scan(folder / f"scan_{name}{row}") for name in self.sets} for row in rows]
 
     def chosen(self, responses: FrequencyResponses) -> FrequencyResponses:
-        """Return the responses of a file to the requested actuator sets."""
+        """Select a file's responses to the requested actuator sets."""
         missing = [name for name in self.sets if name not in responses.sets]
         if missing:
             raise ValueError(
@@ -272,7 +272,7 @@ class _Beam:
     def fit(
         self, responses: FrequencyResponses, facts: dict[str, Any], progress: MeasurementProgress
     ) -> IdentificationReport:
-        """Return the modes and the apparatus file with the new table."""
+        """Identify the modes and create the apparatus file with the new table."""
         if self.options.leave_out:
             responses = responses.without(self.options.leave_out)
         if responses.places:

@@ -1,4 +1,4 @@
-"""The results of an identification: every estimate with its 95 % interval."""
+"""Results of an identification, with the 95 % interval of every estimate."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class Estimate:
     Attributes
     ----------
     value, low, high : float
-        In the unit of the quantity.
+        Value and bounds of the interval, in the unit of the quantity.
     """
 
     value: float
@@ -27,11 +27,11 @@ class Estimate:
 
     @classmethod
     def of(cls, value: float, deviation: float) -> Estimate:
-        """Return the estimate with a given value and standard deviation."""
+        """Return an estimate with a given value and standard deviation."""
         return cls(value, value - NORMAL_95 * deviation, value + NORMAL_95 * deviation)
 
     def widened(self, uncertainty: float) -> Estimate:
-        """Return the estimate with a further relative half-width [1] added to its interval in quadrature."""
+        """Add a relative half-width [1] to the interval in quadrature."""
         half = [math.hypot(self.value - end, uncertainty * self.value) for end in (self.low, self.high)]
         return Estimate(self.value, self.value - half[0], self.value + half[1])
 
@@ -48,7 +48,7 @@ REMEDIES = {
     "a missing mode": "measure with finer bins or at more points, or leave that band out",
     "nonlinearity or a missing mode": "drive at half the voltage, and compare, or measure with finer bins",
 }
-"""What to do about each cause."""
+"""Remedies, by cause."""
 
 
 @dataclass(frozen=True)
@@ -58,9 +58,9 @@ class Rest:
     Attributes
     ----------
     share : float
-        Its amplitude beyond the noise, relative to that of the responses [1].
+        Amplitude in excess of the noise, relative to that of the responses [1].
     smooth : float
-        The same for its part that is smooth over frequency, unlike noise [1].
+        The same for the part that is smooth over frequency, unlike noise [1].
     cause : str
         The most probable cause, a key of `REMEDIES`.
     """
@@ -77,30 +77,31 @@ class IdentifiedMode:
     Attributes
     ----------
     label : int or None
-        As in the paper; None for torsion and other motions, or where no shape was measured.
+        Number as in the paper; None for torsion and other motions, or if no shape was measured.
     natural_frequency, damping_ratio : Estimate
         Undamped natural frequency [Hz], damping ratio [1].
     gain : tuple of Estimate
-        Modal acceleration per unit of each excitation [m/s^2 per V]; empty where no shape was measured.
+        Modal acceleration per unit of each excitation [m/s^2 per V]; empty if no shape was measured.
     shape : (n_points,) array or None
-        With unit mean square, positive at the right end; for torsion, at the right end on the positive side [1].
+        Mode shape of unit mean square, positive at the right end; for torsion, at the right end on the positive side
+        [1].
     mac : float
-        MAC of the shape with that of a uniform free-free beam [1]; NaN where no shape was measured.
+        MAC of the shape with that of a uniform free-free beam [1]; NaN if no shape was measured.
     half_power : HalfPower
         Half-power estimates from the largest response.
     half_power_gain : float
-        Gain from the peak and its half-power bandwidth [m/s^2 per V], with sign; NaN without a shape.
+        Signed gain from the peak and its half-power bandwidth [m/s^2 per V]; NaN without a shape.
     coherence : float
         Median over the points at the peak, for the excitation that drives the mode most [1]; NaN if unknown.
     rest : Rest
-        Residual of the fit about the mode.
+        Residual of the fit near the mode.
     residue : (n,) complex array
-        Complex residues at the points for the excitation that drives the mode most, or of all responses where the
-        points are unknown [m/s^2 per V].
+        Complex residues at the points for the excitation that drives the mode most, or of all responses if the points
+        are unknown [m/s^2 per V].
     n_repeats : int
-        Number of measurements whose scatter the intervals include; with one, repeatability is unknown.
+        Number of measurements whose scatter is included in the intervals; with one, repeatability is unknown.
     torsion : int or None
-        Number of the torsional mode, found from rows across the width; None for other modes.
+        Number of the torsional mode, identified from rows across the width; None for other modes.
     """
 
     label: int | None
@@ -119,7 +120,7 @@ class IdentifiedMode:
 
     @property
     def name(self) -> str:
-        """Its label, such as `5`, or `T1` for torsion; its natural frequency if it has neither."""
+        """The label, such as `5`, or `T1` for torsion; the natural frequency if there is neither."""
         torsion = f"T{self.torsion}" if self.torsion else f"{self.natural_frequency.value:.6g} Hz"
         return str(self.label or torsion)
 
@@ -133,9 +134,9 @@ class Identification:
     modes : tuple of IdentifiedMode
         In order of frequency.
     delay : Estimate
-        Delay of the velocity behind the drive, in addition to that of the known low-pass [s].
+        Delay of the velocity relative to the drive, in addition to that of the known low-pass [s].
     misfit : float
-        Mean square of the residual over that of the noise [1].
+        Mean square of the residual divided by that of the noise [1].
     responses : FrequencyResponses
         The responses that were fitted.
     length : float or None
@@ -143,7 +144,7 @@ class Identification:
     fitted : (n_sets, n_points, n_bins) complex array
         The fitted responses; NaN where nothing was fitted.
     poles : Poles or None
-        Poles of the joint fit, including those beyond the band; None where each mode was fitted by itself.
+        Poles of the joint fit, including those beyond the band; None if each mode was fitted separately.
     """
 
     modes: tuple[IdentifiedMode, ...]
@@ -156,21 +157,21 @@ class Identification:
 
     @property
     def shaped(self) -> list[tuple[IdentifiedMode, FloatArray]]:
-        """The modes that have a shape, each with it: bending modes, and torsion if rows across the width show it."""
+        """Modes with their shapes: bending modes, and torsion if it was measured by rows across the width."""
         return [(mode, mode.shape) for mode in self.modes if mode.shape is not None]
 
     def with_sensitivity_uncertainty(self, uncertainty: float) -> Identification:
-        """Return the identification with the uncertainty of the vibrometer's sensitivity in the gains' intervals.
+        """Include the uncertainty of the vibrometer's sensitivity in the intervals of the gains.
 
         Parameters
         ----------
         uncertainty : float
-            Half-width of its 95 % interval, relative to the sensitivity [1].
+            Half-width of the sensitivity's 95 % interval, relative to its value [1].
         """
         modes = (replace(mode, gain=tuple(gain.widened(uncertainty) for gain in mode.gain)) for mode in self.modes)
         return replace(self, modes=tuple(modes))
 
     @property
     def by_label(self) -> dict[int, IdentifiedMode]:
-        """The modes that have a label."""
+        """The labelled modes."""
         return {mode.label: mode for mode in self.modes if mode.label is not None}

@@ -1,10 +1,9 @@
-"""The excitation of an identification, the scans of a beam under it, one per actuator set, and the spectra they keep.
+"""Excitation of an identification, one scan of the beam per actuator set, and the averaged spectra that are kept.
 
-Two excitations are offered, with the same period and the same flat spectrum. A *multisine* with random phases excites
-all modes at once; a *chirp*, used in the paper, sweeps through them one after the other. With an eight-bit scope this
-matters: while the chirp passes a weak mode, one converter step may exceed the whole motion, and averaging cannot
-recover it, because every period is quantised alike. In a multisine the strong modes carry the weak ones across the
-steps.
+Two excitations are available, with the same period and the same flat spectrum. A *multisine* with random phases excites
+all modes at once; a *chirp*, used in the paper, sweeps through them one after the other. This matters with an eight-bit
+scope: while the chirp passes a weak mode, one converter step may exceed the whole motion, and averaging cannot recover
+it, because all periods are quantised identically. In a multisine the strong modes act as dither for the weak ones.
 """
 
 from __future__ import annotations
@@ -26,39 +25,39 @@ from modaltouch.rig import Acquisition, Recording, RigError, instrument_of
 from modaltouch.stimulus import Burst
 
 N_SAMPLES = 131_072
-"""Samples of one period of the excitation: the whole memory of the generator."""
+"""Samples per period of the excitation: the entire memory of the generator."""
 
 RATE = 500e3
-"""Rate at which the generator plays them [Hz]: a period of 0.262 s gives five bins across a mode 20 Hz wide."""
+"""Sampling rate of the generator [Hz]; the period of 0.262 s gives five bins across a mode 20 Hz wide."""
 
 OVERSAMPLING = 6.25
-"""Scope samples per generator sample. The images of the held samples about multiples of their rate alias. With an
-integer ratio they fold onto the drive itself, where they beat as the two clocks drift (0.013 rad and 0.5 % at 88 kHz
+"""Scope samples per generator sample. The spectral images of the held samples, at multiples of their rate, alias. With
+an integer ratio they fold onto the drive itself, where they beat as the two clocks drift (0.013 rad and 0.5 % at 88 kHz
 for a ratio of 5 and 5 ppm); a quarter off, they fold onto other bins, with a phase that changes from bin to bin."""
 
 LOWEST = 40.0
 """Lower end of the excitation's band [Hz]."""
 
 HIGHEST = 120e3
-"""Highest upper end of the band: about four generator samples per cycle [Hz]."""
+"""Highest allowed upper end of the band: about four generator samples per cycle [Hz]."""
 
 N_DRAWS = 30
 """Sets of random phases tried for a multisine; the one with the lowest peak is kept."""
 
 LEVEL = 0.1
-"""Nominal level of the excitation as a burst; no participant feels it [m/s]."""
+"""Nominal level of the excitation as a burst, which is never presented to participants [m/s]."""
 
 Excitation = Literal["multisine", "chirp"]
 
 CLOCK_TOLERANCE = 20e-6
-"""How far the clocks of scope and generator may differ according to their data sheets [1]."""
+"""Largest relative difference between the clocks of scope and generator, from their data sheets [1]."""
 
 HEADROOM = 1.5
-"""Input range for the vibrometer over its expected peak: seen at the end of the beam, or predicted for a probe [1]."""
+"""Input range of the vibrometer relative to the peak measured at the end of the beam or predicted for a probe [1]."""
 
 
 def excite(apparatus: Apparatus, set_name: str, voltage: float, highest: float, kind: Excitation = "chirp") -> Burst:
-    """Return a periodic excitation of one actuator set; the other channel stays silent.
+    """Return a periodic excitation of one actuator set, with the other channel at zero.
 
     Parameters
     ----------
@@ -71,7 +70,7 @@ def excite(apparatus: Apparatus, set_name: str, voltage: float, highest: float, 
     highest : float
         Upper end of its spectrum [Hz].
     kind : str
-        ``chirp`` (linear) or ``multisine`` (random phases, always the same ones).
+        ``chirp`` (linear) or ``multisine`` (random phases with a fixed seed).
 
     Raises
     ------
@@ -98,7 +97,7 @@ def excite(apparatus: Apparatus, set_name: str, voltage: float, highest: float, 
 
 
 def chirp(highest: float) -> NDArray[np.float64]:
-    """Return a linear chirp of peak 1 that ends at the phase at which it begins, (N_SAMPLES,) array."""
+    """Return a linear chirp of peak 1 with equal initial and final phase, (N_SAMPLES,) array."""
     duration = N_SAMPLES / RATE
     cycles = round((LOWEST + highest) / 2 * duration)
     last = 2 * cycles / duration - LOWEST
@@ -112,7 +111,7 @@ def multisine(highest: float) -> NDArray[np.float64]:
     lines = (line >= LOWEST) & (line <= highest)
     rng = np.random.default_rng(0)
     drawn = (np.fft.irfft(lines * np.exp(2j * np.pi * rng.random(line.size)), N_SAMPLES) for _ in range(N_DRAWS))
-    # All have the same power.
+    # All candidates have the same power.
     best = min(drawn, key=lambda wave: float(np.abs(wave).max()))
     return np.asarray(best / np.abs(best).max())
 
@@ -121,8 +120,8 @@ class LowTransform:
     r"""The lowest lines of a Fourier transform, by decimation in time.
 
     With :math:`Y_s` the transform of every r-th sample from s on, :math:`X_k = \sum_s e^{-2\pi i k s/n} Y_s(k)`. The r
-    short transforms fit into the cache and take a quarter of the time of the full one, most lines of which are not
-    needed. Single precision adds a millionth of a converter's noise.
+    short transforms fit into the cache and take a quarter of the time of the full one, of which few lines are needed.
+    Rounding to single precision adds a millionth of the converter's noise.
 
     Parameters
     ----------
@@ -151,7 +150,7 @@ low_transform = lru_cache(maxsize=1)(LowTransform)
 
 
 class Spectra:
-    """Reduces each recording of a periodic excitation to its powers and cross power, averaged over its records.
+    """Reduction of a recording of a periodic excitation to auto- and cross-spectra, averaged over its records.
 
     Parameters
     ----------
@@ -170,7 +169,7 @@ class Spectra:
         frequency = np.fft.rfftfreq(n, 1 / recording.sampling_rate)
         frequency = frequency[1 : int(np.searchsorted(frequency, self.highest, side="right"))]
         transform = low_transform(n, frequency.size)
-        # One record at a time: all of them together would take a hundred megabytes.
+        # Process one record at a time: all together would take a hundred megabytes.
         velocity, drive = (
             np.array([transform(record) for record in records]) / n
             for records in (recording.velocity, recording.drive[:, 0])
@@ -186,7 +185,7 @@ class Spectra:
 
 @dataclass(frozen=True)
 class IdentificationPlan:
-    """What is measured to identify a beam.
+    """Measurement plan of an identification.
 
     Attributes
     ----------
@@ -215,7 +214,7 @@ class IdentificationPlan:
     across: float = 0.0
 
     def scan(self, laboratory: Laboratory, source: Source, folder: Path | None) -> dict[str, Scan]:
-        """Return the scans of all sets, each begun anew or resumed where it was interrupted.
+        """Take the scans of all sets, resuming interrupted ones.
 
         Parameters
         ----------
@@ -224,7 +223,7 @@ class IdentificationPlan:
         source : Source
             The apparatus file.
         folder : Path or None
-            Parent of one folder per set; None to write nothing.
+            Parent folder with one folder per set; None to write nothing.
 
         Raises
         ------
@@ -260,7 +259,7 @@ class IdentificationPlan:
         }
         plan = ScanPlan(burst, burst.velocity, self.positions, asked, about, self.across)
         if place is not None and (place / DESCRIPTION).exists():
-            # A resumed scan keeps the range it was begun with.
+            # A resumed scan keeps its original range.
             recorded = read_facts(place)["settings"]["acquisition"]["velocity_range"]
             return replace(plan, acquisition=replace(asked, velocity_range=recorded))
         return replace(plan, acquisition=_with_range(laboratory, plan, name, self.voltage))
@@ -292,13 +291,13 @@ def _with_range(laboratory: Laboratory, plan: ScanPlan, name: str, voltage: floa
             f"{', '.join(seen.overloaded)} was overloaded at {end * 1e3:g} mm, so its peak is unknown; measure with a "
             "wider range or a lower drive"
         )
-    # Overload is reported for every record, so the vibrometer's full range is always wide enough.
+    # Overload is checked in every record, so the vibrometer's full range is always sufficient.
     widest = laboratory.apparatus.acquisition.range_mm_s * 1e-3
     return replace(asked, velocity_range=min(HEADROOM * highest, widest) if highest > 0 else None)
 
 
 def evenly(length: float, n_points: int, margin: float) -> tuple[float, ...]:
-    """Return evenly spaced positions along a beam, the outermost a margin from its ends [m]."""
+    """Return evenly spaced positions along a beam, with a margin at both ends [m]."""
     if not 0 <= margin < length / 4:
         raise ValueError(f"a margin of {margin * 1e3:g} mm was given: allowed 0 to {length * 250:g} mm")
     if n_points < 2:

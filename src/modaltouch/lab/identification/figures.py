@@ -1,4 +1,4 @@
-"""The figures of an identification: responses and fit, stability diagram, complexity, coherence, shapes (Fig. 4)."""
+"""Figures of an identification: responses and fit, stability diagram, mode complexity, coherence, shapes (Fig. 4)."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from modaltouch.report import CONDITION_COLOURS, FAINT, INK, house_style, quiet_
 from modaltouch.stimulus import mode_shapes
 
 DRAWN_BINS = 1500
-"""Bins per curve: a figure cannot show more."""
+"""Maximum number of bins per curve, limited by the resolution of a figure."""
 
 STABILITIES: tuple[tuple[str, dict[str, Any]], ...] = (
     ("new", {"marker": "x", "ms": 3, "color": FAINT}),
@@ -32,11 +32,11 @@ STABILITIES: tuple[tuple[str, dict[str, Any]], ...] = (
 """Labels and markers for the stability of a pole."""
 
 MOST_SETS = 6
-"""Largest number of excitations drawn, one panel each."""
+"""Maximum number of excitations drawn, one panel each."""
 
 
 def draw_all(identification: Identification) -> dict[str, Figure]:
-    """Return every figure that the responses allow, by file name."""
+    """Draw all figures for which the responses suffice, by file name."""
     drawn = {
         "responses": draw_responses(identification),
         "fits": draw_fits(identification),
@@ -54,7 +54,7 @@ def draw_all(identification: Identification) -> dict[str, Figure]:
 
 
 def draw_responses(identification: Identification) -> Figure:
-    """Draw the responses, root mean square over the points, with the fit and the residual."""
+    """Draw the root mean square of the responses over the points, with the fit and the residual."""
     responses = identification.responses
     curves = (
         (responses.response, "measured", {"lw": 2.4, "alpha": 0.45}),
@@ -79,7 +79,7 @@ def draw_responses(identification: Identification) -> Figure:
 
 
 def draw_fits(identification: Identification) -> Figure:
-    """Draw the worst, the median and the best fitted response: magnitude, residual and phase."""
+    """Draw the responses with the worst, median and best fit: magnitude, residual and phase."""
     responses = identification.responses
     flat = responses.response.reshape(-1, responses.frequency.size)
     fitted = identification.fitted.reshape(flat.shape)
@@ -108,7 +108,7 @@ def draw_fits(identification: Identification) -> Figure:
 def _draw_fit(
     column: NDArray[Any], identification: Identification, measured: ComplexArray, fitted: ComplexArray
 ) -> None:
-    """Draw one response, measured and fitted, with the delay removed from the phase where it is known."""
+    """Draw one measured and fitted response; a known delay is removed from the phase."""
     frequency = identification.responses.frequency
     delay = identification.delay.value - identification.responses.offset
     turn = np.exp(2j * np.pi * frequency * (0.0 if math.isnan(delay) else delay))
@@ -166,7 +166,7 @@ def draw_complexity(identification: Identification) -> Figure:
             straight = straight / np.abs(straight).max()
             axes.axhline(0, color=LIGHT, lw=0.8)
             axes.axvline(0, color=LIGHT, lw=0.8)
-            # One line for all: each from the origin, then a gap.
+            # Draw all with one line: each from the origin, followed by a gap.
             spokes = np.outer(straight, [0, 1, np.nan]).ravel()
             axes.plot(spokes.real, spokes.imag, color=DARK, lw=0.7)
             axes.plot(straight.real, straight.imag, "o", ms=2.2, color=DARK)
@@ -197,7 +197,7 @@ def draw_coherence(identification: Identification) -> Figure:
 
 
 def draw_shapes(identification: Identification) -> Figure:
-    """Draw the measured shapes over those of a uniform free-free beam, as in Fig. 4."""
+    """Draw the measured shapes with those of a uniform free-free beam, as in Fig. 4."""
     modes = [mode for mode in identification.modes if mode.label is not None and mode.shape is not None]
     positions, length = identification.responses.positions, identification.length
     n_rows = math.ceil(len(modes) / 3)
@@ -259,12 +259,12 @@ def _unit(identification: Identification) -> str:
 
 
 def _rounded_down(value: float) -> str:
-    """Format a likeness with four decimals, rounded down so that only an exact 1 prints as 1."""
+    """Format a MAC with four decimals, rounded down so that only an exact 1 is printed as 1."""
     return f"{math.floor(value * 1e4) / 1e4:.4f}"
 
 
 def _thinned(frequency: FloatArray, size: FloatArray) -> NDArray[np.intp]:
-    """Return the bins that a curve over log frequency needs: the extremes of each stretch."""
+    """Return the bins needed for a curve over log frequency: the extremes of each interval."""
     if frequency.size <= DRAWN_BINS:
         return np.arange(frequency.size)
     stretch = np.floor(np.log(frequency / frequency[0]) / np.log(frequency[-1] / frequency[0]) * DRAWN_BINS / 2)
@@ -290,7 +290,7 @@ def _velocity_axis(axes: Axes) -> None:
 
 
 def _plain_ticks(axis: Axis, digits: tuple[float, ...]) -> None:
-    """Write 0.1, 1, 10 instead of powers."""
+    """Label ticks as 0.1, 1, 10 instead of powers of ten."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     axis.set_major_locator(LogLocator(subs=digits))
@@ -299,10 +299,10 @@ def _plain_ticks(axis: Axis, digits: tuple[float, ...]) -> None:
 
 
 HIGHEST_ORDER = 50
-"""Highest order of the denominator, in each band."""
+"""Highest order of the denominator in each band."""
 
 BAND = 16.0
-"""Highest over lowest frequency of a band [1]: one polynomial basis cannot resolve more."""
+"""Ratio of the highest to the lowest frequency of a band, limited by the conditioning of the polynomial basis [1]."""
 
 STABLE_FREQUENCY, STABLE_DAMPING = 0.01, 0.05
 """Largest relative changes of a stable pole from one order to the next [1]."""
@@ -312,13 +312,13 @@ HIGHEST_DAMPING = 0.2
 
 
 def poles_by_order(responses: FrequencyResponses) -> FloatArray:
-    """Return the poles of every model order, fitted to all responses over their noise.
+    """Return the poles of every model order, fitted to all responses weighted by their noise.
 
     Returns
     -------
     (4, n_poles) array
         Order, natural frequency [Hz], damping ratio, and stability: 0 for a new pole, 1 if the previous order has a
-        pole of the same frequency, 2 if of the same damping ratio too.
+        pole of the same frequency, 2 if it has one of the same frequency and damping ratio.
     """
     frequency, white = responses.frequency, responses.response / np.sqrt(responses.noise)[:, None]
     n_bands = max(1, math.ceil(math.log(frequency[-1] / frequency[0]) / math.log(BAND)))

@@ -1,4 +1,4 @@
-"""Frequency responses and time records from files of other programs: UFF, CSV, NPZ, LVM, plain numbers."""
+"""Readers of frequency responses and time records from other programs: UFF, CSV, NPZ, LVM, plain numbers."""
 
 from __future__ import annotations
 
@@ -31,16 +31,16 @@ _FUNCTION, _TIME, _RESPONSE = 58, 1, 4
 _NODES = (15, 2411)
 _UNITS = 164
 _NUMERIC, _GARBLED = b"0123456789+-.eEdD \t", 3
-"""Characters of a line of numbers, and how many others make it one that was garbled."""
+"""Characters of a line of numbers; a line with no more than this number of others is a garbled one."""
 _QUANTITIES: dict[int, Quantity] = {8: "displacement", 11: "velocity", 12: "acceleration"}
 """Quantity of each specific data type of an ordinate's numerator."""
 
 
 def _read_universal(path: Path, how: ResponseFormat) -> Part:
-    """Return the responses in a universal file, or those computed from its time records.
+    """Read the responses in a universal file, or compute them from its time records.
 
-    Places are those of the response nodes, from the middle of all nodes: along the axis with the largest extent of the
-    nodes, and across along the axis with the second largest.
+    Places are those of the response nodes, relative to the middle of all nodes: `along` is the axis of the largest
+    extent of the nodes, `across` that of the second largest.
     """
     sets = _read_sets(path)
     functions = [each for each in sets if each["type"] == _FUNCTION and each["func_type"] in (_TIME, _RESPONSE)]
@@ -57,7 +57,7 @@ def _read_universal(path: Path, how: ResponseFormat) -> Part:
 
     def name(function: dict[str, Any], reference: float) -> Key:
         node, direction = int(function["rsp_node"]), int(function["rsp_dir"])
-        # A single word, like the names of actuator sets in an apparatus file.
+        # A single word, as are the names of actuator sets in an apparatus file.
         told = f"reference_{int(reference)}" + (f"_node_{node}" if node not in places else "")
         return told + (f"_direction_{direction}" if len(directions) > 1 else ""), places.get(node)
 
@@ -82,7 +82,7 @@ def _read_universal(path: Path, how: ResponseFormat) -> Part:
         if _kind(each) not in _QUANTITIES:
             drive = each
         elif drive is not None:
-            # Each motion belongs to the excitation that precedes it.
+            # Each motion belongs to the preceding excitation.
             step = float(each["x"][1] - each["x"][0])
             key = name(each, drive["rsp_node"])
             records.append(TimeRecord(key, np.real(drive["data"]), np.real(each["data"]) / size, step))
@@ -99,7 +99,7 @@ def _kind(function: dict[str, Any]) -> int:
 
 
 def _read_sets(path: Path) -> list[dict[str, Any]]:
-    """Return the data sets of a universal file."""
+    """Read the data sets of a universal file."""
     import pyuff
 
     lines = path.read_bytes().splitlines()
@@ -107,7 +107,7 @@ def _read_sets(path: Path) -> list[dict[str, Any]]:
         raise ValueError(f"{path}: it ends within a data set: it was cut off; export or copy it again")
     try:
         read = pyuff.UFF(str(path)).read_sets()
-    # The library raises bare exceptions, and passes on whatever its parsing raises.
+    # The library raises bare exceptions and any error of its parser.
     except Exception as error:
         strange = (len(text.translate(None, _NUMERIC)) * (text.count(b".") > 1) for text in lines)
         where = next((f":{line}" for line, n in enumerate(strange, start=1) if 0 < n <= _GARBLED), "")
@@ -116,7 +116,7 @@ def _read_sets(path: Path) -> list[dict[str, Any]]:
 
 
 def _places(sets: list[dict[str, Any]], functions: list[dict[str, Any]]) -> dict[int, Place]:
-    """Return the places of the response nodes, from the middle of all nodes; empty without coordinates."""
+    """Return the places of the response nodes relative to the middle of all nodes; empty without coordinates."""
     measured = {int(each["rsp_node"]) for each in functions}
     place = {
         int(number): [float(each[axis][i]) for axis in ("x", "y", "z")]
@@ -133,7 +133,7 @@ def _places(sets: list[dict[str, Any]], functions: list[dict[str, Any]]) -> dict
 
 
 def _size(sets: list[dict[str, Any]]) -> float:
-    """Return how many of the file's units of length make a metre; 1 if it names no unit."""
+    """Return the number of the file's units of length per metre; 1 if it states no unit."""
     factors = [float(each["length"]) for each in sets if each["type"] == _UNITS]
     return factors[0] if factors and factors[0] > 0 else 1.0
 
@@ -143,29 +143,29 @@ CSV_COLUMNS = ("frequency_Hz", "set", "position_mm", "real", "imag")
 each other in one file or come in several files."""
 
 ROUNDING = 1e-3
-"""How far rounding may lift a coherence above 1 [1]."""
+"""Largest excess of a coherence over 1 that is attributed to rounding [1]."""
 
 FEWEST_SIGNED = 6
-"""Number of places from which some response of a beam must have a negative real part."""
+"""Number of places from which at least one response of a beam must have a negative real part."""
 
 LEAST_DECIBELS, ALIKE = 10.0, 3.0
-"""Least median size of numbers that may be decibels, and the ratio of the largest to it, which responses exceed [1]."""
+"""Minimum median magnitude of numbers that may be decibels, and their maximum over it; responses exceed that [1]."""
 
 MOST = 2.5 * np.pi
-"""Largest phase that a response turns by across its highest peak [rad]; a resonance turns by less than pi."""
+"""Largest phase change of a response across its highest peak [rad]; that of a resonance is less than pi."""
 
 TIME_COLUMNS = ("time_s", "set", "position_mm", "drive", "motion")
 """Columns of time records in a CSV file, drive and motion in SI units."""
 
 
 def read_responses(paths: Sequence[Path], how: ResponseFormat | None = None) -> FrequencyResponses:
-    """Return the velocity responses in files with a common frequency axis.
+    """Read velocity responses from files with a common frequency axis.
 
     Parameters
     ----------
     paths : sequence of Path
-        The ending gives the format: ``.uff`` or ``.unv``, ``.csv``, ``.npz``, ``.lvm``, or ``.txt`` with one complex
-        number per line.
+        The extension determines the format: ``.uff`` or ``.unv``, ``.csv``, ``.npz``, ``.lvm``, or ``.txt`` with one
+        complex number per line.
     how : ResponseFormat, optional
         What the files do not state.
 
@@ -193,7 +193,7 @@ def read_responses(paths: Sequence[Path], how: ResponseFormat | None = None) -> 
         _refuse_amplitudes(path, part)
         of_file: dict[Key, list[MeasuredResponse]] = {}
         for key, values, coherence in part.responses:
-            # Without places, responses of the same name in different files may come from different points.
+            # Without places, responses with equal names in different files may belong to different points.
             name = (f"{path.stem} {key[0]}", None) if key[1] is None and key in found else key
             velocity = as_velocity(part.frequency, np.conj(values) if how.conjugated else values, quantity)[:n_bins]
             each = MeasuredResponse(name, velocity, None if coherence is None else coherence[:n_bins])
@@ -228,7 +228,7 @@ def _quantity(path: Path, part: Part, how: ResponseFormat) -> Quantity:
 
 
 def _refuse_amplitudes(path: Path, part: Part) -> None:
-    """Refuse numbers that are no complex responses of a beam."""
+    """Refuse numbers that cannot be complex responses of a beam."""
     values = np.array([each.values for each in part.responses])
     size, places = np.abs(values), {key[1] for key, *_ in part.responses if key[1] is not None}
     typical = float(np.median(size))
@@ -253,7 +253,7 @@ def _refuse_amplitudes(path: Path, part: Part) -> None:
 def _assemble(
     path: Path, frequency: FloatArray, found: dict[Key, list[MeasuredResponse]], repeat: int, n_averages: int
 ) -> FrequencyResponses:
-    """Return one repeat: sets by positions if every set is measured at every place, else one set per response."""
+    """Assemble one repeat: sets by positions if all sets were measured at all places, else one set per response."""
     response = {key: repeats[repeat].values for key, repeats in found.items()}
     coherence = {key: repeats[repeat].coherence for key, repeats in found.items()}
     frequency = _even_axis(path, frequency)
@@ -294,7 +294,7 @@ def _assemble(
 
 
 def _even_axis(path: Path, frequency: FloatArray) -> FloatArray:
-    """Return evenly spaced frequencies, rounding undone; refuse those that are not evenly spaced."""
+    """Return evenly spaced frequencies with their rounding removed; refuse others."""
     if frequency.size < 32:
         raise ValueError(f"{path}: it has {frequency.size} bins; at least 32 are needed")
     even = np.linspace(frequency[0], frequency[-1], frequency.size)
@@ -351,7 +351,7 @@ def _read_csv(path: Path, how: ResponseFormat) -> Part:
             ) from None
     if not read:
         raise ValueError(f"{path}: there is no line below the header")
-    # A repeat begins where the axis jumps back to its start.
+    # A repeat begins where the frequency returns to its first value.
     repeats = [
         (key, *each)
         for key, lines in read.items()
@@ -418,7 +418,7 @@ def _read_npz(path: Path, how: ResponseFormat) -> Part:
 
 
 def _step(path: Path, time: FloatArray) -> float:
-    """Return the time between two samples; rounding may move each sample by less than half of it."""
+    """Return the sampling interval; each time may be rounded by less than half of it."""
     step = float(time[-1] - time[0]) / max(time.size - 1, 1)
     off = np.abs(time - time[0] - step * np.arange(time.size)).max()
     if time.size > 1 and not off < step / 2:

@@ -1,4 +1,4 @@
-"""The joint fit of all responses: the search for poles and delay, and intervals over repeated measurements."""
+"""Joint fit of all responses: search for poles and delay, and intervals over repeated measurements."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def make_problem(responses: FrequencyResponses, poles: Poles, phase_at: float | 
     """Return the least-squares problem for the responses, with bins grouped according to approximate poles."""
     bins = Bins.near(responses.frequency, poles.natural_frequency, poles.damping_ratio)
     noise = responses.noise
-    # All sets have one noise profile over frequency and hence the same columns; a set's level scales its responses.
+    # All sets share a noise profile over frequency and hence the columns; a set's noise level scales its responses.
     level = np.median(noise, axis=1)
     profile = bins.mean(np.median(noise / level[:, None], axis=0))
     weight = np.sqrt(bins.size / profile.real) * np.sqrt(2.0)
@@ -81,7 +81,7 @@ def refine(problem: LeastSquaresProblem, poles: Poles, *, most: int = 60) -> Eva
 
 
 def _unit(evaluation: Evaluation, start: Poles) -> FloatArray:
-    """Return the search's units in those of the kernel's parameters, which change with the damping."""
+    """Return the units of the search relative to those of the kernel's parameters, which change with the damping."""
     n = evaluation.n_modes
     return np.concatenate([start.damping_ratio / evaluation.poles.damping_ratio, np.ones(n), [1.0]])
 
@@ -90,7 +90,7 @@ def find_more(responses: FrequencyResponses, fit: Evaluation, most: int) -> Eval
     """Add poles wherever the residual has a peak that noise does not explain, and return the fit with them."""
     fit = _keep_sound_poles(responses, fit, SURE / 2)
     passed: list[tuple[float, float]] = []
-    # The modes beyond the band come first: a pole inside it would follow their flanks.
+    # Add the modes beyond the band first, otherwise a pole within the band would fit their flanks.
     low, high = float(responses.frequency[0]), float(responses.frequency[-1])
     ends = [(high * FAR_BEYOND, 0.01), (low / FAR_BEYOND, 0.01)]
     for attempt in range(most):
@@ -109,12 +109,12 @@ def find_more(responses: FrequencyResponses, fit: Evaluation, most: int) -> Eval
             fit = after
         elif attempt > 1:
             passed.append(peak)
-    # Only now: while a mode is missing, its residual inflates the deviations of the others.
+    # Not earlier, since the residual of a missing mode inflates the deviations of the others.
     return _keep_sound_poles(responses, fit, SURE)
 
 
 def _sound(fit: Evaluation, frequency: FloatArray, sure: float) -> NDArray[np.bool_]:
-    """Return which poles are modes: their damping differs significantly from zero, unlike a chance peak of few bins."""
+    """Return a mask of modes: poles whose damping differs significantly from zero, unlike that of chance peaks."""
     (low, high), own, ratio = DAMPING_BOUNDS, fit.poles.natural_frequency, fit.poles.damping_ratio
     possible = (ratio > 2 * low) & (ratio < 0.9 * high)
     # A pole beyond either end of the band represents the modes there; only its flank is visible.
@@ -123,7 +123,7 @@ def _sound(fit: Evaluation, frequency: FloatArray, sure: float) -> NDArray[np.bo
 
 
 def _keep_sound_poles(responses: FrequencyResponses, fit: Evaluation, sure: float) -> Evaluation:
-    """Return the fit with the poles that are modes; with all poles if none is, since their intervals then show it."""
+    """Refit with the poles that are modes; keep all if none is, since their intervals then show that."""
     kept = _sound(fit, responses.frequency, sure)
     if kept.all() or not kept.any():
         return fit
@@ -132,11 +132,11 @@ def _keep_sound_poles(responses: FrequencyResponses, fit: Evaluation, sure: floa
 
 
 def _left_over(fit: Evaluation, passed: Sequence[tuple[float, float]]) -> tuple[float, float] | None:
-    """Return frequency and rough damping ratio of the residual's highest peak not passed over before, or None."""
+    """Return frequency and approximate damping ratio of the highest peak of the residual not yet passed, or None."""
     left, frequency = fit.left.T, fit.problem.bins.centre
     best, where = SIGNIFICANT**2, None
     for ratio in (0.004, 0.012, 0.03):
-        # Power that a mode there would explain, summed over the responses.
+        # Power explained by a mode at each candidate, summed over the responses.
         candidate = np.append(frequency[:: max(1, frequency.size // 1500)], frequency[-1] * BEYOND)
         candidate = candidate[[all(abs(own / f - 1) > max(2 * wide, NEAR) for f, wide in passed) for own in candidate]]
         course = _course(fit.problem, candidate, ratio, fit.poles.delay)
@@ -159,32 +159,32 @@ def _course(problem: LeastSquaresProblem, natural_frequency: FloatArray, ratio: 
 
 
 WINDOW, FEWEST_IN_WINDOW = 10.0, 20
-"""Half-width of the window about a single peak, in units of damping ratio times frequency, and its least bins [1]."""
+"""Half-width of the window around a peak in units of damping ratio times frequency, and its minimum number of bins."""
 
 BACKGROUND = 1e-3
 """Half-width of a 95 % interval of a pole fitted in a window, relative to its distance from the imaginary axis [1]."""
 
 SURE = 6.0
-"""Least ratio of a pole's damping ratio to its standard deviation for the pole to count as a mode [1]."""
+"""Minimum ratio of a pole's damping ratio to its standard deviation for the pole to count as a mode [1]."""
 
 FAR_OFF = 100.0
-"""Misfit above which the search restarts from the peaks over a frequency-independent noise [1]."""
+"""Misfit above which the search restarts from the peaks above a frequency-independent noise [1]."""
 
 BEYOND = np.array([1.02, 1.06, 1.15, 1.3])
 """Frequencies at which poles beyond the band are tried, relative to its upper end [1]."""
 
 FAR_BEYOND = 3.0
-"""Where a pole for all modes above the band is tried first, relative to its upper end; below, the lower end over it
-[1]."""
+"""Initial frequency of a pole for all modes above the band, relative to its upper end; the lower end divided by it is
+used below the band [1]."""
 
 NEAR = 0.01
-"""Relative distance from a peak that was no resonance within which no pole is tried again [1]."""
+"""Relative distance from a rejected peak within which no further pole is tried [1]."""
 
 MOST_PASSED = 3
-"""Number of peaks that turn out to be no resonances after which no more are tried."""
+"""Number of rejected peaks after which the search ends."""
 
 MOST_ADDED = 20
-"""Largest number of poles added to those of the first peaks."""
+"""Maximum number of poles added to those of the first peaks."""
 
 
 def identify(
@@ -196,7 +196,7 @@ def identify(
     clock_tolerance: float = 0.0,
     phase_at: float | None = None,
 ) -> Identification:
-    """Return the modes in the responses, from a joint fit of all of them.
+    """Identify the modes by a joint fit of all responses.
 
     Parameters
     ----------
@@ -205,9 +205,9 @@ def identify(
     length : float, optional
         Length of the beam [m], for shapes and labels.
     start : Poles, optional
-        Where the search begins; at the peaks of the responses if not given.
+        Initial poles; at the peaks of the responses if not given.
     most : int
-        Largest number of poles added where the residual has peaks that noise does not explain.
+        Maximum number of poles added where the residual has peaks that noise does not explain.
     clock_tolerance : float
         Relative error of the scope's clock, as the half-width of a 95 % interval [1].
     phase_at : float, optional
@@ -227,17 +227,17 @@ def identify(
 
     fit = fitted(first_poles(responses, length) if start is None else start)
     if start is None and responses.coherence is not None and fit.variance > FAR_OFF:
-        # Leakage is noise that peaks where the responses do: relative to it their peaks vanish or shift.
+        # Leakage counts as noise and peaks with the responses, so the peaks relative to it vanish or shift.
         again = fitted(first_poles(replace(responses, coherence=None), length))
         fit = min(fit, again, key=lambda each: each.variance)
     return ModalParameters(responses, length, fit, clock_tolerance).identification()
 
 
 def identify_each(responses: FrequencyResponses) -> Identification:
-    """Return the modes in the responses, each fitted in a window about its own peak.
+    """Identify the modes separately, each in a window around its peak.
 
-    For files that do not give the positions of their responses and may contain other motions of the structure: no
-    shape distinguishes the modes, and no delay is common to all. Each window has its own phase.
+    For files that do not state the positions of their responses and may contain other motions of the structure: modes
+    cannot be distinguished by shape and have no common delay. Each window has a phase of its own.
 
     Parameters
     ----------
@@ -267,14 +267,14 @@ def identify_each(responses: FrequencyResponses) -> Identification:
         start = Poles(np.array([own]), np.array([ratio]), -phase / (2 * np.pi * float(own)))
         found = identify(window, start=start, most=0, phase_at=float(own))
         mode = found.modes[0]
-        # A pole that leaves its window, or whose damping ratio may be zero, is no resonance.
+        # A pole that leaves its window, or whose damping ratio may be zero, is not a resonance.
         if not low <= mode.natural_frequency.value <= high or mode.damping_ratio.low <= 0:
             continue
         magnitude = np.abs(responses.response).reshape(-1, responses.frequency.size)
         at_peak = int(np.abs(responses.frequency - own).argmin())
         strongest = magnitude[int(magnitude[:, at_peak].argmax())]
         peak = half_power(responses.frequency, strongest, float(own), float(ratio * own))
-        # Modes outside the window are not quite a linear background.
+        # The linear background only approximates the modes outside the window.
         own = mode.natural_frequency.widened(BACKGROUND * mode.damping_ratio.value)
         ratio = mode.damping_ratio.widened(BACKGROUND)
         modes.append(replace(mode, half_power=peak, natural_frequency=own, damping_ratio=ratio))
@@ -287,22 +287,22 @@ def identify_each(responses: FrequencyResponses) -> Identification:
 
 
 SAME_MODE = 0.005
-"""Relative difference in natural frequency below which modes without a label are the same [1]."""
+"""Relative difference in natural frequency below which unlabelled modes are the same [1]."""
 
 
 def over_repeats(found: Identification) -> Identification:
-    """Return the modes with intervals that include their scatter over the repeats of the responses.
+    """Include the scatter over the repeats of the responses in the intervals of the modes.
 
-    Each repeat is fitted by itself, since the mean of responses whose natural frequencies wander is too broad. A
-    parameter's interval is Student's over the repeats, but never narrower than that of the joint fit. A mode found in
-    fewer than two repeats keeps the interval of the joint fit.
+    Each repeat is fitted separately, since the resonances of mean responses are broadened if the natural frequencies
+    vary. A parameter has Student's interval over the repeats or that of the joint fit, whichever is wider. A mode found
+    in fewer than two repeats keeps the interval of the joint fit.
     """
     repeats = [_fit_repeat(found, repeat) for repeat in range(len(found.responses.repeats))]
     return replace(found, modes=tuple(_over(mode, [_same(mode, each) for each in repeats]) for mode in found.modes))
 
 
 def _fit_repeat(found: Identification, repeat: int) -> Sequence[IdentifiedMode]:
-    """Return the modes of one repeat; none if it cannot be fitted."""
+    """Return the modes of one repeat; empty if it cannot be fitted."""
     responses = found.responses.repeats[repeat].aligned()
     try:
         if found.poles is None:
@@ -314,7 +314,7 @@ def _fit_repeat(found: Identification, repeat: int) -> Sequence[IdentifiedMode]:
 
 
 def _same(mode: IdentifiedMode, others: Sequence[IdentifiedMode]) -> IdentifiedMode | None:
-    """Return the same mode among others: by its label, else by its natural frequency."""
+    """Find the same mode among others by its label or else by its natural frequency."""
     own = mode.natural_frequency.value
     alike = [
         (abs(each.natural_frequency.value / own - 1), each)
@@ -325,7 +325,7 @@ def _same(mode: IdentifiedMode, others: Sequence[IdentifiedMode]) -> IdentifiedM
 
 
 def _over(mode: IdentifiedMode, repeats: Sequence[IdentifiedMode | None]) -> IdentifiedMode:
-    """Return a mode with intervals that include the scatter over its repeats."""
+    """Include the scatter over the repeats in the intervals of a mode."""
     known = [each for each in repeats if each is not None]
     if len(known) < 2:
         return mode
@@ -340,7 +340,7 @@ def _over(mode: IdentifiedMode, repeats: Sequence[IdentifiedMode | None]) -> Ide
 
 
 def _widened(joint: Estimate, repeats: Sequence[Estimate]) -> Estimate:
-    """Return the mean of repeats with Student's interval or the joint fit's, whichever is wider."""
+    """Return the mean of repeats with Student's interval or that of the joint fit, whichever is wider."""
     from scipy.stats import t
 
     values, n = [each.value for each in repeats], len(repeats)

@@ -1,6 +1,6 @@
 r"""Least-squares fit of many responses with common poles: linear in the residues, iterative in poles and delay.
 
-A velocity response behind a delay :math:`\tau` and a known low-pass L is
+A velocity response with a delay :math:`\tau` and a known low-pass L is
 
 .. math:: H_r(\omega) = L e^{-i\omega\tau} \Big[\sum_k \frac{i\omega R_{kr}}
           {\omega_k^2 - \omega^2 + 2 i \xi_k \omega_k \omega} + c_r + d_r \omega\Big]
@@ -27,7 +27,7 @@ N_REST = 4
 
 @dataclass(frozen=True)
 class Bins:
-    """Groups of neighbouring bins, wider where the responses are smooth, over which responses and model are averaged.
+    """Groups of neighbouring bins over which responses and model are averaged, wider where the responses are smooth.
 
     Attributes
     ----------
@@ -64,12 +64,11 @@ class Bins:
 
     @cached_property
     def nodes(self) -> FloatArray:
-        r"""Frequencies at which a model is computed instead of at every bin, three per group, (n_nodes,) array [Hz].
+        r"""Frequencies at which a model is evaluated instead of at all bins, three per group, (n_nodes,) array [Hz].
 
         They are the nodes of the Gauss rule for a sum over n bins, exact for polynomials of degree 5, from the moments
-        :math:`\mu_2 = (n^2 - 1)/12` and :math:`\mu_4 = \mu_2 (3 n^2 - 7)/20` of the bins. For a group as wide as an
-        eighth of its distance from a pole it gives the mean to 1e-8. Where every group is a single bin, one node is
-        enough.
+        :math:`\mu_2 = (n^2 - 1)/12` and :math:`\mu_4 = \mu_2 (3 n^2 - 7)/20` of the bins. The mean is accurate to 1e-8
+        for a group as wide as an eighth of its distance from a pole. One node suffices if all groups are single bins.
         """
         if (self.size == 1).all():
             return self.frequency
@@ -111,7 +110,7 @@ class Poles:
     delay: float
 
     def sorted(self) -> Poles:
-        """Return the same in order of frequency."""
+        """Return the poles in order of frequency."""
         order = np.argsort(self.natural_frequency)
         return Poles(self.natural_frequency[order], self.damping_ratio[order], self.delay)
 
@@ -120,7 +119,7 @@ class Poles:
         return int((np.abs(self.natural_frequency / frequency - 1) <= 4 * damping_ratio).sum())
 
     def and_one(self, frequency: float, damping_ratio: float) -> Poles:
-        """Return the poles with one more."""
+        """Add a pole."""
         return Poles(
             np.append(self.natural_frequency, frequency), np.append(self.damping_ratio, damping_ratio), self.delay
         ).sorted()
@@ -128,14 +127,14 @@ class Poles:
 
 @dataclass(frozen=True, eq=False)
 class LeastSquaresProblem:
-    """Responses to be fitted.
+    """Responses to fit.
 
     Attributes
     ----------
     bins : Bins
         Groups of bins at which they are fitted.
     response : (n_groups, n_responses) complex array
-        Responses over their standard deviation, times the square root of the number of bins in the group.
+        Responses divided by their standard deviation, times the square root of the number of bins in the group.
     weight : (n_groups,) array
         The same factor for the model's columns; each set's own noise level is absorbed by its residues.
     bandwidth : float or None
@@ -191,14 +190,14 @@ class Evaluation:
     rest : (2 n_groups, n_responses) array
         Residual, in standard deviations.
     slope : (2 n_groups, 2 n_modes) array
-        Derivatives of the modes' columns by natural frequency in units of its damping, then by the logarithm of the
-        damping ratio, less their projection on all columns.
+        Derivatives of the modes' columns with respect to natural frequency in units of its damping, then to the
+        logarithm of the damping ratio, minus their projection on all columns.
     turned : (2 n_groups, n_modes + 4) array
-        Derivatives of all columns by the delay, likewise.
+        Derivatives of all columns with respect to the delay, minus their projection.
     basis, factor : (2 n_groups, n_modes + 4) and (n_modes + 4, n_modes + 4) array
         Orthonormal and upper triangular factor of the columns.
     lost : (n_modes + 4, 2 n_modes) array
-        Coefficients of the derivatives' projection on the columns: how the residues follow the poles.
+        Coefficients of the derivatives' projection on the columns, hence the change of the residues with the poles.
     lost_turned : (n_modes + 4, n_modes + 4) array
         The same for the delay.
     """
@@ -232,7 +231,7 @@ class Evaluation:
 
     @cached_property
     def _own(self) -> FloatArray:
-        """Residue of the mode that each pole parameter moves, (2 n_modes, n_responses) array."""
+        """Residue of the mode to which each pole parameter belongs, (2 n_modes, n_responses) array."""
         return np.concatenate([self.residue[: self.n_modes]] * 2)
 
     @cached_property
@@ -257,7 +256,7 @@ class Evaluation:
     def scores(self) -> FloatArray:
         """Contribution of each group of bins to the gradient, over all responses, (n_groups, 2 n_modes + 1) array.
 
-        An error common to all points, such as one in the measured drive, adds up here.
+        Errors common to all points, such as those of the measured drive, add up here.
         """
         own = self.slope * (self.rest @ self._own.T)
         delay = (self.turned * (self.rest @ self.residue.T)).sum(axis=1)
@@ -275,14 +274,14 @@ class Evaluation:
 
     @property
     def variance(self) -> float:
-        """Sum of squares of the residual over the degrees of freedom."""
+        """Sum of squares of the residual divided by the degrees of freedom."""
         return 2 * self.cost / max(self.rest.size - self.residue.size - 2 * self.n_modes - 1, 1)
 
     @cached_property
     def deviation(self) -> FloatArray:
         """Standard deviation of the parameters, in the units of the covariance, (2 n_modes + 1,) array.
 
-        The larger of two: for scatter independent between responses, and for scatter common to all responses of a bin.
+        The larger of the values for scatter independent between responses and scatter common to all responses of a bin.
         """
         moved = self.scores @ self.covariance
         return np.asarray(np.sqrt(np.maximum(np.diag(self.covariance) * self.variance, (moved**2).sum(axis=0))))
@@ -343,8 +342,8 @@ def _columns(problem: LeastSquaresProblem, poles: Poles) -> ComplexArray:
     Returns
     -------
     (4 n_modes + 2 N_REST, n_groups) complex array
-        Columns of the modes and of the background; derivatives of the modes' columns by natural frequency, then by
-        damping ratio; derivatives of all columns by the delay times `highest`.
+        Columns of the modes and of the background; derivatives of the modes' columns with respect to natural frequency,
+        then to damping ratio; derivatives of all columns with respect to the delay times `highest`.
     """
     omega = problem.omega
     turn = problem.low_pass * np.exp(-1j * problem.turning * poles.delay)

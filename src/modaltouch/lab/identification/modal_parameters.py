@@ -1,4 +1,4 @@
-"""Modal parameters from a fit: natural frequencies, damping ratios and gains with their intervals, and shapes."""
+"""Modal parameters of a fit: natural frequencies, damping ratios and gains with their intervals, and shapes."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from modaltouch.lab.identification.shapes import (
 
 @dataclass(frozen=True, eq=False)
 class ModalParameters:
-    """A fit and what is needed to compute modal parameters from it."""
+    """A fit and the data needed to compute modal parameters from it."""
 
     responses: FrequencyResponses
     length: float | None
@@ -108,7 +108,7 @@ class ModalParameters:
 
     @property
     def _inside(self) -> NDArray[np.bool_]:
-        """Which poles lie within the band; those beyond it represent all modes there and are no modes themselves."""
+        """Mask of the poles within the band; each pole beyond it represents all modes there."""
         own, frequency = self.fit.poles.natural_frequency, self.responses.frequency
         return np.asarray((own >= frequency[0]) & (own <= frequency[-1]))
 
@@ -122,7 +122,7 @@ class ModalParameters:
         if self.length is None or len(places) < 3:
             return [None] * n_modes, [None] * n_modes, np.full(n_modes, np.nan)
         scaled = residue / np.sqrt(self._level)[None, :, None]
-        # Of two poles within one width only the sum is certain; those beyond the band are no modes.
+        # Only the sum of two poles within one width is certain; poles beyond the band are not modes.
         own = self.fit.poles.natural_frequency[self._inside]
         width = 2 * self.fit.poles.damping_ratio[self._inside] * own
         first = np.append(True, np.diff(own) > width[:-1])
@@ -134,7 +134,7 @@ class ModalParameters:
         return labels, torsion, np.where([order is None for order in torsion], likeness, twisted)
 
     def _gain_deviation(self, k: int, shape: FloatArray) -> FloatArray:
-        """Return the standard deviation of a mode's gains, from its residues and from their change with the poles."""
+        """Return the standard deviation of a mode's gains, from its residues and their dependence on the poles."""
         fit = self.fit
         n_sets, n_points = self.responses.response.shape[:2]
         column = 2 * np.pi * float(fit.poles.natural_frequency[k] * fit.poles.damping_ratio[k])
@@ -156,7 +156,7 @@ class ModalParameters:
 
     @cached_property
     def _local(self) -> FloatArray:
-        """How much larger the residual is about each mode than over the band, rms; 1 where that may be chance [1]."""
+        """Rms ratio of the residual near each mode to that over the band; 1 where a larger one may be chance [1]."""
         square = (np.abs(self.fit.left) ** 2).sum(axis=1)
         frequency = self.fit.problem.bins.centre
         worst = []
@@ -172,7 +172,7 @@ class ModalParameters:
     def _half_power_gain(
         self, peak: HalfPower, residue: FloatArray, shape: FloatArray | None, driver: int, point: int
     ) -> float:
-        r"""Return the gain from a peak: :math:`G = 2 \xi \omega |H| / \varphi` (section III-B, corrected)."""
+        r"""Estimate the gain from a peak: :math:`G = 2 \xi \omega |H| / \varphi` (section III-B, corrected)."""
         if shape is None or shape[point] == 0:
             return float("nan")
         sign = np.sign(residue[driver, point])
@@ -194,14 +194,14 @@ ALIKE = 0.6
 """Squared cosine between two vectors over the responses above which one explains the other [1]."""
 
 FEWEST = 8
-"""Least number of groups of bins about a mode for their correlation to be meaningful."""
+"""Minimum number of groups of bins near a mode for a meaningful correlation."""
 
 
 def rest_about(fit: Evaluation, k: int, n_sets: int) -> Rest:
-    """Return the residual of a fit about its mode `k`, with its most probable cause.
+    """Return the residual of a fit near mode `k`, with its most probable cause.
 
-    For a nonlinear beam the residual over the responses has the mode's own shape; for a beam that drifts while its
-    points are scanned from end to end, that shape times the position; for a missing mode, another shape.
+    Over the responses, the residual of a nonlinear beam has the shape of the mode, that of a beam which drifts while
+    scanned from end to end has this shape times the position, and that of a missing mode has another shape.
     """
     problem = fit.problem
     own = float(fit.poles.natural_frequency[k])

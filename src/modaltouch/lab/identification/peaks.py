@@ -1,4 +1,4 @@
-"""First estimates of the poles: the peaks of the responses, and the delay that makes the responses real there."""
+"""Initial poles from the peaks of the responses, and the delay that makes the responses real at these peaks."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from modaltouch.lab.identification.responses import FrequencyResponses, along
 from modaltouch.stimulus import mode_shapes
 
 FEWEST_BINS = 5.0
-"""Half-power bandwidth, in bins, below which its damping ratio is worthless: up to thirty times too large [1]."""
+"""Half-power bandwidth, in bins, below which its damping ratio is unusable: up to thirty times too large [1]."""
 
 
 @dataclass(frozen=True)
@@ -29,10 +29,10 @@ class HalfPower:
     height : float
         Magnitude of the response there [m/s per unit of excitation].
     damping_ratio : float
-        Half-power bandwidth over twice the frequency [1]; NaN where the response does not fall to half its power on
+        Half-power bandwidth divided by twice the frequency [1]; NaN if the response does not fall to half its power on
         both sides before it rises again.
     n_bins : float
-        Half-power bandwidth over the bin spacing [1].
+        Half-power bandwidth divided by the bin spacing [1].
     """
 
     peak_frequency: float
@@ -42,7 +42,7 @@ class HalfPower:
 
     @property
     def verdict(self) -> str:
-        """What is wrong with the damping ratio; empty if nothing is."""
+        """Reason why the damping ratio is unreliable; empty if it is reliable."""
         if math.isnan(self.damping_ratio):
             return "the peak does not fall to half its power on both sides"
         if self.n_bins < FEWEST_BINS:
@@ -56,7 +56,7 @@ def half_power(frequency: FloatArray, magnitude: FloatArray, near: float, reach:
     Parameters
     ----------
     frequency : (n_bins,) array
-        Evenly spaced [Hz].
+        Evenly spaced frequencies [Hz].
     magnitude : (n_bins,) array
         Magnitude of one response.
     near, reach : float
@@ -65,7 +65,7 @@ def half_power(frequency: FloatArray, magnitude: FloatArray, near: float, reach:
     from scipy.signal import peak_widths
 
     spacing = float(frequency[1] - frequency[0])
-    # A pole may lie beyond the band, in which case only the end of the band shows it.
+    # A pole may lie beyond the band; the peak is then at the end of the band.
     near = float(np.clip(near, frequency[0], frequency[-1]))
     inside = np.flatnonzero(np.abs(frequency - near) <= max(reach, 1.5 * spacing))
     peak = int(inside[magnitude[inside].argmax()])
@@ -84,7 +84,7 @@ def half_power(frequency: FloatArray, magnitude: FloatArray, near: float, reach:
 
 
 SIGNIFICANT = 7.0
-"""Least height of a peak above its noise [standard deviations of the averaged quantity]."""
+"""Minimum height of a peak above its noise [standard deviations of the averaged quantity]."""
 
 FIRST_DAMPING = 0.01
 """Largest initial damping ratio of a peak that is too narrow for its half-power bandwidth to be used [1]."""
@@ -93,20 +93,20 @@ SAME_PEAK = 0.7
 """Distance below which two peaks count as one [half the larger of their half-power bandwidths]."""
 
 FEWEST_LABELS = 6
-"""Least number of shapes that the points must distinguish for the responses to be separated by shape."""
+"""Minimum number of shapes that the points must distinguish to separate the responses by shape."""
 
 FEWEST_PHASES = 3
-"""Least number of resonances whose phases reveal the measured quantity."""
+"""Minimum number of resonances needed to determine the measured quantity from their phases."""
 
 LEAST_ROTATION = 0.8
-"""Least phase change of a resonance across its half-power bandwidth; without noise it is pi/2 [rad]."""
+"""Minimum phase change of a resonance across its half-power bandwidth; without noise it is pi/2 [rad]."""
 
 RESONANCE_REST, CLEARLY_LESS = 0.1, 0.6
-"""Largest residual power of a resonance fitted to a peak, relative to the power about the peak and to the residual of
+"""Largest residual power of a resonance fitted to a peak, relative to the power near the peak and to the residual for
 the opposite sense of rotation [1]."""
 
 WRONG_QUANTITY = 0.15
-"""How much better the phases must fit another quantity than a velocity [mean cosine of twice the phase]."""
+"""Difference by which the phases must fit another quantity better than velocity [mean cosine of twice the phase]."""
 
 DAMPING_BOUNDS = (1e-5, 0.3)
 """Bounds of the damping ratio of a mode [1]."""
@@ -117,8 +117,8 @@ MOST_POLES = 60
 def first_poles(responses: FrequencyResponses, length: float | None) -> Poles:
     """Return poles at the peaks of the responses, and the delay that makes the responses real there.
 
-    Where the positions are known, the responses are first separated by the shapes of a uniform free-free beam: each
-    share then shows one peak, with the noise averaged over all points.
+    If the positions are known, the responses are first separated by the shapes of a uniform free-free beam: each share
+    then has one peak, with the noise averaged over all points.
 
     Parameters
     ----------
@@ -134,7 +134,7 @@ def first_poles(responses: FrequencyResponses, length: float | None) -> Poles:
         peaks += _several_peaks(responses, share) if alone else _highest_peak(responses.frequency, share)
     kept: list[_Peak] = []
     for peak in sorted(peaks, key=lambda each: -each.height):
-        # A peak on the flank of a higher one is that one's leakage into another share.
+        # A peak on the flank of a higher one is leakage from that one into another share.
         apart = (abs(peak.frequency - each.frequency) / max(each.width, peak.width) for each in kept)
         if all(distance > SAME_PEAK for distance in apart):
             kept.append(peak)
@@ -168,12 +168,12 @@ class _Peak:
 
     @property
     def rotates(self) -> bool:
-        """Whether the phase turns as through a resonance, in either direction; that of a mere bump does not."""
+        """Whether the phase changes as through a resonance, in either direction."""
         return abs(self.rotation) > LEAST_ROTATION
 
 
 def _shares(responses: FrequencyResponses, length: float | None) -> list[ComplexArray]:
-    """Return the responses over their noise, separated by shape if possible: a list of (n, n_bins) arrays."""
+    """Return the responses divided by their noise, separated by shape if possible: a list of (n, n_bins) arrays."""
     white = responses.response / np.sqrt(responses.noise)[:, None, :]
     n_labels = along(responses.places)[0].size * 2 // 3 if responses.places else 0
     if responses.positions is None or length is None or n_labels < FEWEST_LABELS:
@@ -186,15 +186,15 @@ def _shares(responses: FrequencyResponses, length: float | None) -> list[Complex
 
 
 def _highest_peak(frequency: FloatArray, share: ComplexArray) -> list[_Peak]:
-    """Return the highest peak in the power of a share over its noise, if it stands out."""
+    """Return the highest peak in the power of a share relative to its noise, if it is significant."""
     power = (np.abs(share) ** 2).mean(axis=0)
     return _found(frequency, share, power, prominence=0.7, least=1 + SIGNIFICANT**2)[:1]
 
 
 def _several_peaks(responses: FrequencyResponses, share: ComplexArray) -> list[_Peak]:
-    """Return all peaks in the power of all responses through which the phase turns as through a resonance."""
+    """Return all peaks in the power of all responses across which the phase changes as through a resonance."""
     flat = responses.response.reshape(share.shape)
-    # Each response has equal weight, whatever its level.
+    # All responses have equal weight, independent of their level.
     curve = (np.abs(flat) ** 2 / np.median(np.abs(flat) ** 2, axis=1)[:, None]).mean(axis=0)
     least = 1 + 3 * SIGNIFICANT / np.sqrt(share.shape[0])
     found = _found(responses.frequency, share, curve, prominence=0.9, least=0.0)
@@ -204,7 +204,7 @@ def _several_peaks(responses: FrequencyResponses, share: ComplexArray) -> list[_
 def _found(
     frequency: FloatArray, share: ComplexArray, curve: FloatArray, *, prominence: float, least: float
 ) -> list[_Peak]:
-    """Return the peaks of a curve, highest first, with a least height and a least prominence of the logarithm."""
+    """Return the peaks of a curve, highest first, with a minimum height and a minimum prominence of the logarithm."""
     from scipy.signal import find_peaks, peak_widths
 
     curve = np.maximum(curve, 1e-12)
@@ -229,7 +229,7 @@ def _found(
 
 
 def _rotation(share: ComplexArray, place: int, reach: int) -> float:
-    """Return the phase change through a peak, from `reach` bins before it to as many after it [rad]."""
+    """Return the phase change across a peak, from `reach` bins before it to `reach` bins after it [rad]."""
     band = share[:, max(0, place - reach) : place + reach + 1]
     return float(np.angle((np.conj(band[:, :-1]) * band[:, 1:]).sum(axis=0)).sum())
 
@@ -242,9 +242,9 @@ def _ratio(width: float, frequency: float, spacing: float) -> float:
 
 
 def _rises(responses: FrequencyResponses, peaks: Sequence[_Peak]) -> bool:
-    """Return whether the highest peaks are resonances only if the responses are conjugated; noise is neither.
+    """Return whether the highest peaks are resonances only after conjugation; noise is not a resonance either way.
 
-    A resonance of either sense of rotation and a straight line are fitted about each peak.
+    A resonance of either sense of rotation and a straight line are fitted around each peak.
     """
     left = np.zeros(2)
     whole = 0.0
@@ -266,9 +266,9 @@ def _rises(responses: FrequencyResponses, peaks: Sequence[_Peak]) -> bool:
 
 
 def _refuse_rising(responses: FrequencyResponses, peaks: Sequence[_Peak], straight: float) -> None:
-    """Refuse responses whose phase rises through their resonances.
+    """Refuse responses whose phase increases through their resonances.
 
-    Conjugated responses are real at resonance (`straight` is 1), and imaginary (-1) with their parts exchanged.
+    Conjugated responses are real at resonance (`straight` is 1), those with swapped parts imaginary (-1).
     """
     turning = sum(np.sign(peak.rotation) * np.sqrt(peak.height) for peak in peaks if peak.rotates)
     if turning > 0 and _rises(responses, peaks):
@@ -286,8 +286,8 @@ def _refuse_rising(responses: FrequencyResponses, peaks: Sequence[_Peak], straig
 def first_delay(responses: FrequencyResponses, peaks: Sequence[_Peak]) -> float:
     """Return the delay that makes the responses real at their peaks [s].
 
-    Twice the phase is used, since a shape has both signs. Over a band about a peak the phases before and after it
-    cancel, so its frequency need not be known well.
+    Twice the phase is used, since a shape has both signs. Over a band around a peak, the phases before and after it
+    cancel, so its frequency need not be known accurately.
     """
     spacing = responses.spacing
     resolved = [peak for peak in peaks if peak.rotates and 2 * peak.width >= FEWEST_BINS * spacing]

@@ -1,4 +1,4 @@
-"""Points of a scan whose responses or positions are wrong, as the shapes of a free-free beam show."""
+"""Detection of points with wrong responses or positions by comparison with the shapes of a free-free beam."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from modaltouch.lab.identification.shapes import label_shapes, mac
 from modaltouch.stimulus import mode_shapes
 
 FEWEST_MODES = 3
-"""Least number of modes with a shape for a point to be judged."""
+"""Minimum number of modes with a shape for the check of a point."""
 
 OFF = 0.2
-"""Least deviation of a faulty point's factor from 1 [1]."""
+"""Minimum deviation of a faulty point's factor from 1 [1]."""
 
 EXPLAINED, STANDS_OUT = 0.25, 3.0
-"""Largest fraction of a faulty point's misfit left by its factor, and least ratio of that misfit to the median [1]."""
+"""Largest fraction of a faulty point's misfit that its factor leaves, and minimum ratio of misfit to median [1]."""
 
 
 def refuse_odd_point(residue: FloatArray, places: Sequence[Place], length: float, sets: Sequence[str]) -> None:
     """Refuse responses in which one point is inverted, too large or too small compared with the others.
 
-    Each point is predicted from the other points by means of the shapes of a uniform free-free beam. One least-squares
-    factor per set then relates its residues in all modes to the prediction.
+    Each point is predicted from the others with the shapes of a uniform free-free beam. One least-squares factor per
+    set then relates its residues in all modes to the prediction.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ def refuse_odd_point(residue: FloatArray, places: Sequence[Place], length: float
     Raises
     ------
     ValueError
-        With the point, its factor and the remedy.
+        If a point is faulty; the message states the point, its factor and the remedy.
     """
     if len(residue) < FEWEST_MODES:
         return
@@ -51,7 +51,7 @@ def refuse_odd_point(residue: FloatArray, places: Sequence[Place], length: float
     factor, before, after = (np.array(column) for column in zip(*seen, strict=True))
     typical = np.median(before)
     odd = (np.abs(factor - 1) > OFF) & (after < EXPLAINED * before) & (before > STANDS_OUT * typical)
-    # Drift of the beam spoils many points, one of which may look scaled.
+    # Drift of the beam affects many points, one of which may appear scaled.
     odd &= before == before.max(axis=0)
     if not odd.any():
         return
@@ -71,7 +71,7 @@ def refuse_odd_point(residue: FloatArray, places: Sequence[Place], length: float
 
 
 def _several(measured: FloatArray, places: Sequence[Place], length: float) -> str:
-    """Describe what is wrong with several points, of which the odd one is only the worst; empty if nothing is."""
+    """Describe an error of several points, of which the faulty one is only the worst; empty if there is none."""
     if mixed := in_two_units(measured.reshape(-1, len(places)), places, length):
         return mixed
     common = np.array([np.linalg.svd(each, full_matrices=False)[2][0] for each in measured])
@@ -101,13 +101,13 @@ def _without(
 
 
 def unevenness(shapes: FloatArray, labels: Sequence[int], positions: FloatArray, length: float) -> float:
-    """Return the rms deviation of the points' factors from each other that two halves of the modes have in common [1].
+    """Return the rms deviation of the points' factors from each other that is common to two halves of the modes [1].
 
-    Noise, and what distinguishes a beam's shapes from theory, differ from mode to mode; a sensor's angle does not.
+    Noise and deviations of the shapes from theory differ between modes; the effect of a sensor's angle does not.
     """
     theory = mode_shapes(labels, positions, length)
     gain = (shapes * theory).sum(axis=1, keepdims=True) / (theory**2).sum(axis=1, keepdims=True)
-    # Two modes in each half in turn, so that symmetric and antisymmetric ones are in both.
+    # Assign modes to the halves in alternating pairs, so that both contain symmetric and antisymmetric ones.
     second = np.arange(len(labels)) // 2 % 2 == 1
     weight = np.array([(theory[half] ** 2).sum(axis=0) for half in (~second, second)])
     off = np.array([(theory * (shapes / gain - theory))[half].sum(axis=0) for half in (~second, second)])
@@ -116,21 +116,21 @@ def unevenness(shapes: FloatArray, labels: Sequence[int], positions: FloatArray,
 
 
 STRETCH, SHIFT = 0.02, 0.01
-"""Least error of all positions that is told: of their scale, and of their origin relative to the length [1]."""
+"""Minimum reported errors of all positions: of their scale, and of their origin relative to the length [1]."""
 
 
 def misplaced(shapes: FloatArray, labels: Sequence[int], places: Sequence[Place], length: float) -> str:
-    """Describe the error of all positions, or of the length, that explains shapes of a free-free beam; else nothing.
+    """Describe an error of all positions, or of the length, that explains shapes of a free-free beam; else empty.
 
-    The shapes of several modes determine factor and shift, since nodes lie closer together the higher a mode is. They
-    are told only if they explain most of the difference between the shapes and theory.
+    The shapes of several modes determine factor and shift, since nodes are closer together in higher modes. They are
+    reported only if they explain most of the difference between the shapes and theory.
 
     Parameters
     ----------
     shapes : (n_modes, n_points) array
         Shapes of bending modes.
     labels : sequence of int
-        Their labels.
+        Labels of the modes.
     places : sequence of Place
         Places of the points as given.
     length : float
@@ -164,22 +164,22 @@ GRAVITY = 9.80665
 """Standard acceleration of free fall [m/s^2]."""
 
 SPREAD = 0.1
-"""Relative tolerance about a factor between units that are often confused [1]."""
+"""Relative tolerance of a factor between units that are often confused [1]."""
 
 APART = 3.0
-"""Least factor between the sizes of two groups of points, with none between them, for their units to differ [1]."""
+"""Minimum factor between the magnitudes of two separate groups of points for different units [1]."""
 
 USUAL = (1, 2, 3, 4, 5, 6)
-"""Modes that tell how much larger all shapes are near the ends of a beam."""
+"""Modes from which the larger amplitude of all shapes near the ends of a beam is computed."""
 
 
 def in_two_units(shapes: FloatArray, places: Sequence[Place], length: float) -> str:
-    """Describe points that are all far larger than the others in most modes; empty if there are not several of each.
+    """Describe points with far larger values than the others in most modes; empty unless both groups have several.
 
     Parameters
     ----------
     shapes : (n_modes, n_points) array
-        Shapes of any size.
+        Shapes of any scale.
     places : sequence of Place
         Places of the points.
     length : float

@@ -1,6 +1,6 @@
-"""An identification as Table I, as plain values and as files, including the apparatus file with the new table.
+"""Output of an identification: Table I, plain values and files, including the apparatus file with the new table.
 
-Responses and mode shapes are exported for other programs: a universal file (data sets 164, 2411, 58 and 55) or CSV.
+Responses and mode shapes are exported for other programs as a universal file (data sets 164, 2411, 58 and 55) or CSV.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def as_dict(identification: Identification) -> dict[str, Any]:
     """Return the identification as plain values, as ``modaltouch identify --json`` prints it."""
     responses = identification.responses
     known = not math.isnan(identification.delay.value)
-    # Without shapes to label the modes, their natural frequencies may reveal a free-free beam.
+    # Without shapes to label the modes, their natural frequencies may identify a free-free beam.
     labelled = any(mode.label for mode in identification.modes)
     beam = None if labelled else recognise([mode.natural_frequency.value for mode in identification.modes])
     return {
@@ -108,7 +108,7 @@ _ENDS = (("", "value"), ("_low", "low"), ("_high", "high"))
 
 
 def shape_rows(identification: Identification) -> list[dict[str, str]]:
-    """Return the measured shapes as the stimulus reads them, each the mean over the rows of points."""
+    """Return the measured shapes in the format read for a stimulus, each the mean over the rows of points."""
     places = identification.responses.places
     shapes = {mode.label: over_width(shape, places) for mode, shape in identification.shaped if mode.label}
     return [
@@ -129,7 +129,7 @@ def map_rows(identification: Identification) -> list[dict[str, str]]:
 
 @dataclass(frozen=True, eq=False)
 class IdentificationReport:
-    """The modes found, and the apparatus file that lists them.
+    """The identified modes, and the apparatus file that lists them.
 
     Attributes
     ----------
@@ -138,13 +138,13 @@ class IdentificationReport:
     mode : str
         ``simulated``, ``real`` or ``file``.
     sources : str or list of str
-        Files or folders the responses come from.
+        Files or folders from which the responses were read.
     folder : Path
         Folder for the results.
     labels : tuple of int
         Modes of the new table.
     apparatus : (str, str) or None
-        Name and text of the apparatus file; None where there are no shapes and hence no gains.
+        Name and text of the apparatus file; None if there are no shapes and hence no gains.
     export : Path or None
         File to which the responses and shapes are written for other programs.
     """
@@ -192,7 +192,7 @@ def _pair(estimate: Estimate, scale: float = 1.0) -> dict[str, float | None]:
 
 
 def _number(value: float) -> float | None:
-    """Return a number rounded to nine digits; None if it is not finite, since JSON has no such number."""
+    """Round a number to nine digits; None if it is not finite, which JSON cannot represent."""
     return float(f"{value:.9g}") if math.isfinite(value) else None
 
 
@@ -204,8 +204,8 @@ def identified_apparatus(
 ) -> tuple[str, str]:
     """Return name and text of the apparatus file with the identified modes in its table.
 
-    The apparatus gets a new name and a section ``identified``, and modes now in the table are removed from the twin's
-    unlisted ones; the rest is kept.
+    The apparatus has a new name and a section ``identified``, and modes in the new table are removed from the unlisted
+    modes of the twin; everything else is kept.
 
     Parameters
     ----------
@@ -223,7 +223,7 @@ def identified_apparatus(
     name : str
         Name of the file.
     text : str
-        Its contents, which `modaltouch.protocol.Apparatus` reads.
+        Contents of the file, as read by `modaltouch.protocol.Apparatus`.
 
     Raises
     ------
@@ -237,7 +237,7 @@ def identified_apparatus(
     yaml.width = 120
     document = yaml.load(source.text)
     name = str(document["apparatus"])
-    # A second identification keeps the name.
+    # A repeated identification keeps the name.
     document["apparatus"] = name if name.endswith(SUFFIX) else f"{name[: 64 - len(SUFFIX)]}{SUFFIX}"
     document["modes"] = [_mode(identification.by_label[label], identification.responses.sets) for label in labels]
     document.pop("identified", None)
@@ -300,7 +300,7 @@ def _round(value: float, digits: int = 7) -> float:
 
 
 def _flow(values: Any) -> Any:
-    """Return values that YAML writes on one line."""
+    """Mark values to be written on one line in YAML."""
     from ruamel.yaml.comments import CommentedMap, CommentedSeq
 
     made = CommentedSeq(values) if isinstance(values, list) else CommentedMap(values)
@@ -309,16 +309,16 @@ def _flow(values: Any) -> Any:
 
 
 ENDINGS = (".uff", ".unv", ".csv")
-"""Endings of an export, which select its format."""
+"""File extensions of an export, which determine its format."""
 
 
 def check_export(path: Path) -> None:
-    """Refuse, before anything is measured, a file whose ending is not one of `ENDINGS`.
+    """Refuse, before any measurement, a file whose extension is not in `ENDINGS`.
 
     Raises
     ------
     InputError
-        With the allowed endings.
+        If the extension is not allowed; the message lists the allowed ones.
     """
     if path.suffix.lower() not in ENDINGS:
         given = f"--export with the ending '{path.suffix}'"
@@ -328,14 +328,14 @@ def check_export(path: Path) -> None:
 
 
 def export(identification: Identification, path: Path) -> None:
-    """Write the measured responses and, in a universal file, the mode shapes; all or nothing.
+    """Write the measured responses and, in a universal file, the mode shapes, atomically.
 
     Parameters
     ----------
     identification : Identification
         The responses and the modes found.
     path : Path
-        The file; its ending is one of `ENDINGS`.
+        The file; its extension is one of `ENDINGS`.
 
     Raises
     ------
@@ -352,7 +352,7 @@ def export(identification: Identification, path: Path) -> None:
             import pyuff
 
             with catch_warnings():
-                # pyuff does not close the file object that it uses for binary data.
+                # pyuff does not close its file object for binary data.
                 simplefilter("ignore", ResourceWarning)
                 pyuff.UFF(str(part)).write_sets(list(_sets(identification)), mode="overwrite")
         part.replace(path)
@@ -379,7 +379,7 @@ def _lines(identification: Identification) -> Iterator[str]:
 
 
 def _sets(identification: Identification) -> Iterator[dict[str, Any]]:
-    """Yield the data sets in the order in which they refer to each other, all in SI units."""
+    """Yield the data sets in the order of their references to each other, in SI units."""
     responses = identification.responses
     nodes, origin = np.arange(1, responses.n_points + 1), np.zeros(responses.n_points)
     yield {

@@ -30,13 +30,13 @@ class Place(NamedTuple):
 
 
 Key = tuple[str, Place | None]
-"""Excitation and place of a response; no place where the file does not give it."""
+"""Excitation and place of a response; the place is None if the file does not state it."""
 
 NOISE_WINDOW = 33
-"""Bins over which the noise is pooled: like the excitation, it varies slowly with frequency [1]."""
+"""Number of bins over which the noise is pooled; like the excitation, it varies slowly with frequency."""
 
 LONGEST_OFFSET = 20e-3
-"""Longest time offset between excitation and response that is searched for [s]."""
+"""Longest time offset between excitation and response in the search [s]."""
 
 CLEAR_LINE = 0.5
 """Fraction of the phases that must agree on a time offset [1]."""
@@ -45,10 +45,10 @@ SAME_PLACE = 5e-6
 """Distance within which a given position counts as a measured one [m]."""
 
 ROWS_APART = 0.2e-3
-"""Least distance across the width between two rows of points; smaller distances are scatter within one row [m]."""
+"""Minimum distance across the width between two rows of points; smaller ones are scatter within a row [m]."""
 
 LIKE_THE_FIRST = 0.5
-"""Least share of a repeat's power that is like the first, and least factor between the two [1]."""
+"""Minimum share of a repeat's power that matches the first repeat, and minimum factor between the two [1]."""
 
 FEW_POINTS = 5
 """Number of points below which their mean is used instead of their median."""
@@ -56,7 +56,7 @@ FEW_POINTS = 5
 
 @dataclass(frozen=True)
 class ResponseFormat:
-    """What a file does not state about its own contents, and how it is to be read.
+    """Properties that a file does not state, and options for reading it.
 
     Attributes
     ----------
@@ -67,9 +67,9 @@ class ResponseFormat:
     spacing : float or None
         Bin spacing of a file of bare numbers [Hz].
     n_averages : int
-        Records behind each response that has a coherence; number of segments of a record without impacts.
+        Number of records per response with a coherence; number of segments of a record without impacts.
     use_clipped : bool
-        Whether the free decay after the last saturated sample of a motion is used.
+        Whether to use the free decay after the last saturated sample of a motion.
     """
 
     quantity: Quantity | None = None
@@ -80,7 +80,7 @@ class ResponseFormat:
 
 
 class MeasuredResponse(NamedTuple):
-    """One response, in SI units of its quantity; another one with the same key is a repeat."""
+    """A response in SI units of its quantity; another with the same key is a repeat."""
 
     key: Key
     values: ComplexArray
@@ -88,7 +88,7 @@ class MeasuredResponse(NamedTuple):
 
 
 class Part(NamedTuple):
-    """The responses of one file, and their quantity where it states one."""
+    """The responses of one file, with their quantity if it is stated."""
 
     frequency: FloatArray
     responses: list[MeasuredResponse]
@@ -107,21 +107,21 @@ class FrequencyResponses:
     response : (n_sets, n_points, n_bins) complex array
         Velocity per unit of excitation [m/s per V, or per N for a hammer].
     positions : (n_points,) array or None
-        Where the velocity was measured, origin at mid-beam [m]; None if unknown.
+        Measurement points, origin at mid-beam [m]; None if unknown.
     sets : tuple of str
-        What excited the beam: actuator sets, or the references of a file.
+        Excitations of the beam: actuator sets, or the references of a file.
     coherence : (n_sets, n_points, n_bins) array or None
         Ordinary coherence [1]; None for a single record, or if unknown.
     n_averages : int
         Number of records averaged.
     bandwidth : float or None
-        Corner of the vibrometer's first-order low-pass, which the responses still contain [Hz].
+        Corner of the vibrometer's first-order low-pass, which is not removed from the responses [Hz].
     offset : float
         Time offset between excitation and response that has been removed [s].
     marks : tuple of str
-        Warnings that go with any result from these responses, a sentence each.
+        Warnings that apply to any result from these responses, a sentence each.
     repeats : tuple of FrequencyResponses
-        The measurements of which these are the mean, or the responses of each file; empty if there was only one.
+        The measurements of which these are the mean, or the responses of each file; empty for a single one.
     across : (n_points,) array or float
         Distance of each point from the beam's mid-line [m].
     """
@@ -153,12 +153,12 @@ class FrequencyResponses:
 
     @classmethod
     def of_repeats(cls, repeats: Sequence[FrequencyResponses]) -> FrequencyResponses:
-        """Return the mean of repeated measurements; without coherences of their own, with that between the repeats.
+        """Average repeated measurements; those without coherences get the coherence between the repeats.
 
         Raises
         ------
         ValueError
-            If a repeat is not like the first one.
+            If a repeat does not match the first one.
         """
         first = repeats[0]
         if len(repeats) == 1:
@@ -203,8 +203,8 @@ class FrequencyResponses:
     def noise(self) -> FloatArray:
         r"""Variance of the estimated responses, pooled over points and neighbouring bins, (n_sets, n_bins) array.
 
-        For n averaged records it is :math:`|H|^2 (1 - \gamma^2) / (\gamma^2 (n - 1))`. Without a coherence it follows
-        from the second difference from bin to bin and is taken as equal over the band.
+        For n averaged records it is :math:`|H|^2 (1 - \gamma^2) / (\gamma^2 (n - 1))`. Without a coherence it is
+        estimated from the second differences over the bins, and assumed to be constant over the band.
         """
         if self.coherence is not None and self.n_averages > 1:
             gamma = np.clip(self.coherence, 1e-9, 1.0)
@@ -218,19 +218,19 @@ class FrequencyResponses:
         pooled = np.median(variance, axis=1) if self.n_points >= FEW_POINTS else variance.mean(axis=1)
         smooth = np.array([_running_median(row, NOISE_WINDOW) for row in pooled])
         if self.coherence is None or self.n_averages < 2:
-            # At a resonance the second difference is that of the response itself: the quiet parts of the band count.
+            # At a resonance the response itself dominates the second difference, so use the rest of the band.
             smooth[:] = np.percentile(smooth, 25, axis=1)[:, None]
-        # Mean over median of a gamma distribution of shape n_free: 1/ln 2 for one.
+        # Ratio of mean to median of a gamma distribution of shape n_free: 1/ln 2 for one.
         scale = n_free / (n_free - 1 / 3 + 0.024 / n_free)
         floor = (1e-7 * np.abs(self.response).max(axis=(1, 2))) ** 2
         return np.asarray(np.maximum(smooth * scale, floor[:, None]))
 
     def aligned(self) -> FrequencyResponses:
-        r"""Return the responses without the time offset between motion and excitation that their phase slope shows.
+        r"""Remove the time offset between motion and excitation, estimated from the slope of the phase.
 
         Away from resonances the square of a response with real residues and an offset has the phase
-        :math:`\pi - 2\omega\tau`, whatever the sign of the shape: the Fourier transform over the band has a line at
-        :math:`2\tau`. An offset that turns the phase less than half a cycle over the band is left to the fit's delay.
+        :math:`\pi - 2\omega\tau`, for either sign of the shape, so its Fourier transform over the band has a line at
+        :math:`2\tau`. An offset of less than half a cycle of phase over the band is left to the delay of the fit.
         """
         power = np.abs(self.response) ** 2
         squares = (self.response**2 / np.maximum(power + self.noise[:, None], 1e-300)).sum(axis=1)
@@ -261,7 +261,7 @@ class FrequencyResponses:
         return replace(self, response=turned, offset=self.offset + offset)
 
     def without(self, places: Sequence[float]) -> FrequencyResponses:
-        """Return the responses except those at given positions [m], with a mark that says so."""
+        """Leave out the responses at given positions [m], and note it in the marks."""
         positions = np.array([]) if self.positions is None else self.positions
         left_out, across = np.zeros(positions.size, dtype=bool), np.broadcast_to(self.across, positions.shape)
         for place in places:
@@ -308,7 +308,7 @@ def _running_median(values: FloatArray, width: int) -> FloatArray:
 
 
 def responses_of(scans: Mapping[str, Scan], bandwidth: float | None = None) -> FrequencyResponses:
-    r"""Return the H1 responses of scans of spectra: :math:`H_1 = S_{vu} / S_{uu}` with the *measured* drive u.
+    r"""Estimate H1 responses from scans of spectra: :math:`H_1 = S_{vu} / S_{uu}` with the *measured* drive u.
 
     Parameters
     ----------
@@ -320,7 +320,7 @@ def responses_of(scans: Mapping[str, Scan], bandwidth: float | None = None) -> F
     Raises
     ------
     RecordInputError
-        If a scan is incomplete, contains overloaded records, or has other positions than the first.
+        If a scan is incomplete, contains overloaded records, or has different positions from the first.
     """
     response: list[ComplexArray] = []
     coherence: list[FloatArray] = []
@@ -357,8 +357,8 @@ def responses_of(scans: Mapping[str, Scan], bandwidth: float | None = None) -> F
 def along(places: Sequence[Place]) -> tuple[FloatArray, NDArray[np.intp]]:
     """Return the distinct positions along a beam, common to all its rows, and the index of each point's position.
 
-    Points of different rows share a position if they lie within a quarter of the least spacing in a row, since the
-    positions of a scanned grid scatter.
+    Since the positions of a scanned grid scatter, points of different rows share a position if they are within a
+    quarter of the smallest spacing in a row.
     """
     x, y = np.array(places).T
     row = _grouped(y, ROWS_APART)
@@ -370,7 +370,7 @@ def along(places: Sequence[Place]) -> tuple[FloatArray, NDArray[np.intp]]:
 
 
 def _grouped(values: FloatArray, apart: float) -> NDArray[np.intp]:
-    """Return a group number for each value, in increasing order; values further apart begin a new group."""
+    """Return a group number for each value, in increasing order; a larger distance begins a new group."""
     order = np.argsort(values)
     group = np.empty(values.size, dtype=np.intp)
     group[order] = np.cumsum(np.diff(values[order], prepend=values[order[0]]) > apart)
@@ -378,14 +378,14 @@ def _grouped(values: FloatArray, apart: float) -> NDArray[np.intp]:
 
 
 def as_velocity(frequency: FloatArray, response: ComplexArray, quantity: Quantity) -> ComplexArray:
-    r"""Return velocity responses: those of a displacement times :math:`i\omega`, those of an acceleration over it.
+    r"""Convert responses to velocity: displacement is multiplied by :math:`i\omega`, acceleration divided by it.
 
     Parameters
     ----------
     frequency : (n_bins,) array
         Frequencies [Hz]; the result at 0 Hz must not be used.
     response : (..., n_bins) complex array
-        In SI units.
+        Responses in SI units.
     quantity : str
         ``velocity``, ``displacement`` or ``acceleration``.
     """
@@ -397,7 +397,7 @@ def as_velocity(frequency: FloatArray, response: ComplexArray, quantity: Quantit
 
 
 def turns(values: ComplexArray, size: FloatArray) -> float:
-    """Return the median phase that responses, a row each, turn by across their peaks, apart from a delay [rad]."""
+    """Return the median phase change of responses, a row each, across their peaks, excluding a delay [rad]."""
     turned = []
     for row, amplitude in zip(values, size, strict=True):
         turn = np.angle(row[1:] * row[:-1].conj())

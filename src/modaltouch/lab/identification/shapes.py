@@ -15,7 +15,7 @@ ALIKE = 0.5
 """MAC of two shapes above which the points cannot distinguish them [1]."""
 
 BELONGS = 0.8
-"""Least MAC between a measured shape and the theoretical one of the same mode [1]."""
+"""Minimum MAC between a measured shape and the theoretical one of the same mode [1]."""
 
 
 def mac(one: FloatArray, other: FloatArray) -> FloatArray:
@@ -50,12 +50,12 @@ def phase_deviation(residue: ComplexArray) -> float:
 
 
 def check_points(positions: FloatArray, labels: Sequence[int], length: float) -> None:
-    """Refuse points on which two modes look alike, or too few points to draw the highest mode.
+    """Refuse points on which two modes have similar shapes, or too few points to draw the highest mode.
 
     Parameters
     ----------
     positions : (n_points,) array
-        Where along the beam the shapes are to be measured [m].
+        Measurement positions along the beam [m].
     labels : sequence of int
         Modes to be distinguished.
     length : float
@@ -64,7 +64,7 @@ def check_points(positions: FloatArray, labels: Sequence[int], length: float) ->
     Raises
     ------
     ValueError
-        With the pair that looks alike, and the number of points that suffices.
+        If the points do not suffice; the message states the similar pair and a sufficient number of points.
     """
     highest = max(labels)
     needed = int(np.ceil(1.5 * highest))
@@ -86,8 +86,8 @@ def check_points(positions: FloatArray, labels: Sequence[int], length: float) ->
 def label_shapes(shapes: FloatArray, places: Sequence[Place], length: float) -> tuple[list[int | None], FloatArray]:
     """Return the label of each shape among the modes of a uniform free-free beam, and its MAC with that mode.
 
-    Labels increase with frequency, which excludes a torsional mode that looks like a low bending mode on the mid-line;
-    a shape that fits no label gets none.
+    Labels increase with frequency, which excludes a torsional mode that resembles a low bending mode on the mid-line;
+    a shape that fits no label has None.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ def label_shapes(shapes: FloatArray, places: Sequence[Place], length: float) -> 
 
 
 def bending_likeness(shapes: FloatArray, places: Sequence[Place], length: float) -> FloatArray:
-    """Return the MAC of shapes with the modes of a uniform free-free beam that the points can show, from label 1 on."""
+    """Return the MAC of shapes with all modes of a uniform free-free beam that the points resolve, from label 1 on."""
     n_labels = along(places)[0].size * 2 // 3
     return mac(shapes, mode_shapes(range(1, n_labels + 1), np.array(places)[:, 0], length))
 
@@ -110,9 +110,9 @@ def bending_likeness(shapes: FloatArray, places: Sequence[Place], length: float)
 def label_torsion(
     shapes: FloatArray, labels: Sequence[int | None], places: Sequence[Place], length: float
 ) -> tuple[list[int | None], FloatArray]:
-    """Return the torsional mode of a uniform free-free beam that each shape without a label is, and its MAC with it.
+    """Return the number of the torsional mode of a uniform free-free beam for each unlabelled shape, and its MAC.
 
-    On a single row torsion looks like bending, so no shape is named.
+    Torsion cannot be distinguished from bending on a single row, so no shape is assigned there.
 
     Parameters
     ----------
@@ -146,7 +146,7 @@ def torsion_shapes(orders: Sequence[int], places: Sequence[Place], length: float
 
 def _in_order(likeness: FloatArray) -> tuple[list[int | None], FloatArray]:
     """Return labels in increasing order, and the likeness of each shape to that of its label."""
-    # Dynamic programming: the largest total likeness that labels in increasing order can have.
+    # Dynamic programming: maximise the total likeness over all labels in increasing order.
     gain = np.where(likeness >= BELONGS, likeness**4, 0.0)
     n_modes, n_labels = likeness.shape
     best = np.zeros((n_modes + 1, n_labels + 1))
@@ -167,14 +167,14 @@ def _in_order(likeness: FloatArray) -> tuple[list[int | None], FloatArray]:
 
 
 def unit_shape(residue: FloatArray, places: Sequence[Place], label: int, length: float) -> FloatArray:
-    """Return the common shape in the residues of several excitations: unit mean square, positive at the right end [1].
+    """Return the common shape of several excitations' residues, of unit mean square, positive at the right end [1].
 
     Parameters
     ----------
     residue : (n_sets, n_points) array
-        Residues of one mode: gain of each set times the shape, with equal noise.
+        Residues of one mode: gain of each set times the shape, all with equal noise.
     places : sequence of Place
-        Places of the points; the unit mean square is that of the mean over the rows.
+        Places of the points; the mean over the rows has unit mean square.
     label : int
         Label of the mode.
     length : float
@@ -191,8 +191,8 @@ def unit_shape(residue: FloatArray, places: Sequence[Place], label: int, length:
 def shape_scatter(shape: FloatArray, places: Sequence[Place], label: int, length: float) -> float:
     """Return the relative standard deviation of a mode's gain due to the scatter of its shape's points [1].
 
-    The difference between a measured shape and theory is smooth along the beam; points that are misplaced, exchanged or
-    read too high or low scatter about it, and its second difference shows by how much. A position offset common to all
+    The difference between a measured shape and theory is smooth along the beam. Points with wrong positions, order or
+    amplitude scatter about it, by an amount estimated from its second difference. A position offset common to all
     points does not count as scatter.
 
     Parameters
@@ -225,12 +225,12 @@ WITHIN = 0.005
 """Largest relative deviation of a natural frequency from that of a free-free beam [1]."""
 
 FEWEST = 3
-"""Natural frequencies needed to recognise a beam; one more if shear and rotary inertia are fitted."""
+"""Number of natural frequencies needed to recognise a beam; one more if shear and rotary inertia are fitted."""
 
 
 @dataclass(frozen=True)
 class FreeFree:
-    """The free-free beam that fits given natural frequencies best.
+    """The free-free beam with the best fit to given natural frequencies.
 
     Attributes
     ----------
@@ -241,7 +241,7 @@ class FreeFree:
     bending_modes : tuple of (int or None)
         Bending mode of each natural frequency, from 1; None for other motions.
     shear : float
-        How much shear and rotary inertia lower its natural frequencies, of order (h/L)^2; 0 for Euler-Bernoulli [1].
+        Parameter of shear and rotary inertia, which lower natural frequencies, ~(h/L)^2; 0 for Euler-Bernoulli [1].
     deviation : float
         Largest relative deviation of the natural frequencies of bending modes [1].
     """
@@ -254,7 +254,7 @@ class FreeFree:
 
 
 def recognise(natural_frequency: Sequence[float]) -> FreeFree | None:
-    r"""Return the free-free beam that fits given natural frequencies best; None for fewer than three.
+    r"""Return the free-free beam with the best fit to given natural frequencies; None for fewer than three.
 
     For an Euler-Bernoulli beam :math:`f_n \propto \lambda_n^2`. Shear and rotary inertia lower it by a factor that is
     :math:`1/\sqrt{1 + s \lambda_n^2}` to first order in s, which is (h/L)^2 times a constant of the cross-section. Each
@@ -264,7 +264,7 @@ def recognise(natural_frequency: Sequence[float]) -> FreeFree | None:
     Parameters
     ----------
     natural_frequency : sequence of float
-        Increasing [Hz].
+        Natural frequencies, increasing [Hz].
     """
     measured = np.asarray(natural_frequency, dtype=float)
     if measured.size < FEWEST:
@@ -280,11 +280,11 @@ def recognise(natural_frequency: Sequence[float]) -> FreeFree | None:
 
 
 def _fit(measured: FloatArray, first: int, mode: int, shear: float, square: FloatArray) -> FreeFree:
-    """Return the free-free beam for which one of the measured frequencies is a given bending mode."""
+    """Fit a free-free beam with one of the measured frequencies assigned to a given bending mode."""
     course = square / np.sqrt(1 + shear * square)
     ratio = measured[:, None] / measured[first] * course[mode] / course
     nearest = np.abs(np.log(ratio)).argmin(axis=1)
-    # Rescale by all frequencies that fit, instead of by a single one.
+    # Rescale by all frequencies that fit rather than a single one.
     fits = np.abs(ratio[np.arange(measured.size), nearest] - 1) <= WITHIN
     scale = float(np.median(measured[fits] / course[nearest[fits]]))
     off = np.abs(measured / (scale * course[nearest]) - 1)
@@ -292,7 +292,7 @@ def _fit(measured: FloatArray, first: int, mode: int, shear: float, square: Floa
     labels = [int(k) + 1 if fit else None for k, fit in zip(nearest, fits, strict=True)]
     found = [label for label in labels if label is not None]
     enough = FEWEST if shear == 0 else FEWEST + 1
-    # Successive modes (one may be missing), each once: a selection from many high modes would match anything.
+    # Allow successive modes only (one may be missing), each once: a selection from many high modes fits any data.
     successive = len(set(found)) == len(found) and bool(found) and max(found) - min(found) + 1 <= len(found) + 1
     deviation = float(off[fits].max()) if fits.any() else 1.0
     recognised = successive and len(found) >= enough and 2 * len(found) > measured.size
@@ -300,6 +300,6 @@ def _fit(measured: FloatArray, first: int, mode: int, shear: float, square: Floa
 
 
 def _worth(tried: FreeFree) -> tuple[bool, int, float]:
-    """Rank a fit: recognised, then many modes, then a small deviation; shear and inertia only if they are needed."""
+    """Rank a fit by recognition, number of modes, and deviation; shear and inertia are included only if needed."""
     n_found = sum(mode is not None for mode in tried.bending_modes)
     return tried.recognised, n_found, -tried.deviation - (WITHIN / 2 if tried.shear > 0 else 0.0)

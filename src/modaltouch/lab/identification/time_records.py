@@ -1,4 +1,4 @@
-"""Frequency responses from time records: one per impact, or an average over a record without impacts."""
+"""Frequency responses from time records: one for each impact, or the average over a record without impacts."""
 
 from __future__ import annotations
 
@@ -34,48 +34,48 @@ UNITS: dict[str, tuple[Quantity, float]] = {
     "mm": ("displacement", 1e-3),
     "um": ("displacement", 1e-6),
 }
-"""Units of motion: the quantity and the unit's size in SI."""
+"""Units of motion: quantity and conversion factor to SI."""
 
 DRIVES = {"v": 1.0, "volt": 1.0, "volts": 1.0, "mv": 1e-3, "n": 1.0, "newton": 1.0, "newtons": 1.0, "kn": 1e3}
-"""Units of excitation, in lower case, and their size in SI."""
+"""Units of excitation, in lower case, and their conversion factors to SI."""
 
 MOST_AT_END = 3
-"""Number of samples that may share the extreme value of a record that was not saturated."""
+"""Maximum number of samples at the extreme value of an unsaturated record."""
 
 CUT = 4
-"""Samples at a record's extreme, relative to those at the next value, above which the record is saturated [1]."""
+"""Ratio of samples at a record's extreme to those at the next value, above which the record is saturated [1]."""
 
 STEEP = 0.8
-"""Value beside equal samples, relative to theirs, below which they are saturated and no round peak [1]."""
+"""Value next to equal samples, relative to theirs, below which they are saturated rather than a rounded peak [1]."""
 
 STILL_MOVES = "still moves at the end of a record: record until it rests"
 COARSE = "different values, so that its converter's steps are coarse: choose the smallest range that covers it"
 WINDOWED = "an exponential window, which makes damping ratios too large, was applied: record without it"
-"""Endings of the marks about truncated decays, coarse converters and windows, which explain what a fit leaves."""
+"""Endings of the marks on truncated decays, coarse converters and windows, which explain the residual of a fit."""
 
 FEWEST_VALUES, FADED = 300, 0.2
-"""Least number of values of a motion that is not coarse, and noise at the end of a decay, relative to that before the
-blow, below which a window was applied [1]."""
+"""Minimum number of distinct values of a motion that is not coarse, and noise at the end of a decay, relative to that
+before the impact, below which a window was applied [1]."""
 
 FEWEST_SAMPLES = 64
-"""Least number of samples of a record."""
+"""Minimum number of samples of a record."""
 
 HIT = 0.1
-"""Excitation relative to its maximum above which it is a hit [1]."""
+"""Excitation above which it is a hit, relative to its maximum [1]."""
 
 IMPULSIVE = 0.1
-"""Largest fraction of samples within hits for a record to count as one of impacts [1]."""
+"""Largest fraction of samples within hits in a record of impacts [1]."""
 
 APART = 0.5
-"""Time between two hits, relative to the median, from which they are separate impacts and not a double hit [1]."""
+"""Time between two hits, relative to the median, from which they are separate impacts rather than a double hit [1]."""
 
 
 def read_lvm(path: Path, how: ResponseFormat) -> Part:
-    """Return the responses of a LabVIEW measurement: one motion and one excitation, in one or more segments."""
+    """Read the responses of a LabVIEW measurement: one motion and one excitation, in one or more segments."""
     pieces = path.read_text(encoding="utf-8-sig").split("***End_of_Header***")
     if len(pieces) < 2:
         raise ValueError(f"{path}: there is no ***End_of_Header***; export a LabVIEW measurement (LVM) with its header")
-    # After the file's header each segment has its own, which follows the numbers of the segment before it.
+    # After the header of the file, each segment has a header, which follows the numbers of the previous segment.
     n_heads = min(2, len(pieces) - 1)
     head = "".join(pieces[:n_heads])
     comma = re.search(r"^Decimal_Separator\t,", head, re.MULTILINE) is not None
@@ -113,7 +113,7 @@ def read_lvm(path: Path, how: ResponseFormat) -> Part:
 
 
 def part_of(path: Path, records: Sequence[TimeRecord], quantity: Quantity | None, how: ResponseFormat) -> Part:
-    """Return the responses of time records, up to the frequency to which all of them are excited.
+    """Compute the responses of time records, up to the highest frequency at which all of them are excited.
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ def part_of(path: Path, records: Sequence[TimeRecord], quantity: Quantity | None
     records : sequence of TimeRecord
         Records with the same sampling rate.
     quantity : str or None
-        Quantity of the motion, where the file states it.
+        Quantity of the motion, if the file states it.
     how : ResponseFormat
         Number of averages, and whether the free decay of a saturated record is used.
 
@@ -140,7 +140,7 @@ def part_of(path: Path, records: Sequence[TimeRecord], quantity: Quantity | None
         if last_drive >= 0:
             raise ValueError(f"{path}: its excitation was saturated, so no response can be computed: measure again")
         if last >= 0:
-            # Only natural frequencies and damping ratios are read from it, so each mode's phase is free.
+            # Only natural frequencies and damping ratios are identified from it, so the phase of each mode is free.
             decay = np.where(np.arange(motion.size) > last, motion - motion[: _quiet(motion)].mean(), 0.0)
             frequency, _ = transfer(motion, drive, step)
             found.append((key, frequency, np.fft.rfft(np.roll(decay, -last - 1))[: frequency.size], None))
@@ -175,7 +175,7 @@ def part_of(path: Path, records: Sequence[TimeRecord], quantity: Quantity | None
 
 
 def _spoilt(name: str, drive: FloatArray, motion: FloatArray) -> list[str]:
-    """Return marks about a motion of few values, and about one whose noise fades from before a blow to the end."""
+    """Return marks on a motion of few values, and on one with less noise at its end than before the impact."""
     size, n_values = np.abs(drive - np.median(drive)), np.unique(motion).size
     if n_values < min(FEWEST_VALUES, motion.size // 8):
         return [f"the motion of {name} has only {n_values} {COARSE}"]
@@ -200,17 +200,18 @@ def _refuse_unusable(path: Path, drive: FloatArray, motion: FloatArray) -> None:
 
 
 def impacts(drive: FloatArray, motion: FloatArray) -> tuple[list[slice] | None, int]:
-    """Return each single impact of a record with its decay, all of equal length, and the number of hits left out.
+    """Return the single impacts of a record with their decays, of equal length, and the number of hits left out.
 
     A hit less than half the median interval after another, or before another or the end, is left out: it belongs to a
-    double impact, or its decay is cut off. A burst with its decay is one impact; a record that never rests gives None.
+    double impact, or its decay is truncated. A burst with its decay is one impact; the impacts of a record that never
+    comes to rest are None.
     """
     size = np.abs(drive - np.median(drive))
     high = np.flatnonzero(size > HIT * size.max())
     if high.size > IMPULSIVE * drive.size:
         return ([slice(0, drive.size)] if _rests(drive) and _rests(motion) else None), 0
     widest = max(part.size for part in np.split(high, np.flatnonzero(np.diff(high) > 1) + 1))
-    # An excitation that returns within the duration of a hit still belongs to that hit.
+    # Excitation that rises again within the duration of a hit belongs to that hit.
     start = np.append(high[0], high[1:][np.diff(high) > max(3, widest)])
     if start.size == 1:
         return [slice(0, drive.size)], 0
@@ -231,7 +232,7 @@ def _rests(row: FloatArray) -> bool:
 def averaged(
     motion: FloatArray, drive: FloatArray, step: float, n_averages: int
 ) -> tuple[FloatArray, ComplexArray, FloatArray]:
-    """Return frequencies, H1 and coherence of a record without impacts, from Hann windows that overlap by half."""
+    """Return frequencies, H1 and coherence of a record without impacts, with half-overlapping Hann windows."""
     from scipy.signal import csd, welch
 
     how = {"fs": 1 / step, "nperseg": 2 * drive.size // (n_averages + 1)}
@@ -246,9 +247,9 @@ def _last_cut(path: Path, name: str, row: FloatArray, step: float, how: Response
     cut = []
     for end in (each for each in (row.max(), row.min()) if abs(each) > 0.5 * np.abs(row).max()):
         at = np.flatnonzero(row == end)
-        # Without saturation a converter's level holds about as many samples as the level next to it.
+        # Without saturation, adjacent levels of a converter have similar numbers of samples.
         below = np.abs(row[(row != end) & (row / end > 0.9)])
-        # Three equal samples and a fall right beside them make no round peak, unless a converter has only a few steps.
+        # Three equal samples next to a steep fall are not a rounded peak, unless the converter has only a few steps.
         beside = np.abs(row[[max(at[0] - 1, 0), min(at[-1] + 1, row.size - 1)]]).max()
         flat = at.size == at[-1] - at[0] + 1 >= MOST_AT_END and beside < STEEP * abs(end)
         if flat or at.size > max(MOST_AT_END, CUT * int((below == below.max(initial=0.0)).sum())):
@@ -264,24 +265,25 @@ def _last_cut(path: Path, name: str, row: FloatArray, step: float, how: Response
 
 
 def _quiet(record: FloatArray) -> int:
-    """Return the number of initial samples that define zero."""
+    """Return the number of initial samples used to determine zero."""
     return max(8, record.size // 2500)
 
 
 def transfer(motion: FloatArray, drive: FloatArray, step: float) -> tuple[FloatArray, ComplexArray]:
-    """Return the response of one record that begins and ends at rest.
+    """Compute the response of a record that begins and ends at rest.
 
     Parameters
     ----------
     motion, drive : (n_samples,) array
-        Time series; the mean of their first samples, before the blow, is subtracted.
+        Time series; the mean of their first samples, before the impact, is subtracted.
     step : float
         Time between samples [s].
 
     Returns
     -------
     frequency : (n_bins,) array
-        Up to where the drive's amplitude spectrum, smoothed over 25 bins, falls below 5 % of its maximum [Hz].
+        Frequencies below the point where the drive's amplitude spectrum, smoothed over 25 bins, falls below 5 % of its
+        maximum [Hz].
     response : (n_bins,) complex array
         Spectrum of the motion over that of the drive.
     """

@@ -1,4 +1,4 @@
-"""Verdicts on an identification: what is refused, with its most probable cause, and what is only reported."""
+"""Checks of an identification: faults that are refused, with their most probable cause, and warnings."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from modaltouch.lab.identification.time_records import STILL_MOVES
 from modaltouch.protocol import Apparatus
 
 LEAST_COHERENCE = 0.5
-"""Median coherence below which a mode is refused, at its peak, or a warning is given, over the band [1]."""
+"""Median coherence below which a mode is refused (at its peak) or a warning is given (over the band) [1]."""
 
 MOST_LEFT = 0.1
-"""Amplitude of the residual about a mode, relative to that of the responses, above which the mode is refused [1]."""
+"""Amplitude of the residual near a mode, relative to that of the responses, above which the mode is refused [1]."""
 
 AS_HIGH = 0.1
 """Height of a peak, relative to the median peak, above which it is more than weak torsion or noise [1]."""
 
 FEWEST_GAINS = 3
-"""Least number of listed gains, or natural frequencies, for a common factor to be recognised."""
+"""Minimum number of listed gains, or natural frequencies, to recognise a common factor."""
 
 MARKED = {"nonlinearity": 0.004, "drift": 0.004}
 """Amplitude of the residual's smooth part, relative to the responses, above which a warning is given, by cause [1]."""
@@ -31,10 +31,10 @@ MARKED = {"nonlinearity": 0.004, "drift": 0.004}
 REMEDY = "; drive harder, average more, look higher with --highest-kHz, or name with --modes those to be found"
 
 WELL_FITTED = 3.0
-"""Misfit up to which the residual is noise alone [1]."""
+"""Misfit up to which the residual consists of noise alone [1]."""
 
 MARKED_ELSE = 0.02
-"""The value in place of `MARKED` for any other cause [1]."""
+"""The same as `MARKED` for any other cause [1]."""
 
 
 def check_modes(identification: Identification, labels: Sequence[int]) -> None:
@@ -45,18 +45,18 @@ def check_modes(identification: Identification, labels: Sequence[int]) -> None:
     identification : Identification
         The modes found.
     labels : sequence of int
-        Modes that are required.
+        Required modes.
 
     Raises
     ------
     ValueError
-        With every mode that is missing, incoherent or badly fitted, and what to do.
+        If a mode is missing, incoherent or badly fitted; the message lists all of them and the remedy.
     """
     found = identification.by_label
     spoilt = identification.misfit > WELL_FITTED or any(mode.rest.share > MARKED_ELSE for mode in identification.modes)
     missing = [label for label in labels if label not in found]
     faulty = [label for label, mode in found.items() if label in labels and _faults(f"mode {label}", mode)]
-    # If the beam drifts, a missing mode is split; if points are exchanged, it has one resonance of a strange shape.
+    # A missing mode is split if the beam drifts, and has a single resonance of another shape if points are exchanged.
     split = _split(identification, missing, faulty)
     strange = split
     if missing:
@@ -80,10 +80,11 @@ def check_modes(identification: Identification, labels: Sequence[int]) -> None:
 
 
 def _split(identification: Identification, missing: Sequence[int] | None = None, faulty: Sequence[int] = ()) -> str:
-    """Describe two resonances within one half-power bandwidth that are a single mode which moved; empty if none are.
+    """Describe two resonances within one half-power bandwidth that are a single drifting mode; empty if there are none.
 
-    Between sets both have its shape; while the points were measured in turn, only their sum has it. Bending and torsion
-    that happen to lie so close have neither. With missing or faulty labels, only two that may stand for one of those.
+    If the mode drifted between sets, both resonances have its shape; if it drifted during a scan, only their sum has
+    it. Neither is true of bending and torsion with close natural frequencies. If missing or faulty labels are given,
+    only resonances of these modes are considered.
     """
     for one, other in pairwise(identification.modes):
         apart = other.natural_frequency.value - one.natural_frequency.value
@@ -101,7 +102,7 @@ def _split(identification: Identification, missing: Sequence[int] | None = None,
 
 
 def _is_one(identification: Identification, one: IdentifiedMode, other: IdentifiedMode) -> int | None:
-    """Return the mode whose shape two resonances have both, or only in their sum; None if they are two modes."""
+    """Return the label of the mode whose shape two resonances have, both or in their sum; None for two modes."""
     places, parts = identification.responses.places, np.stack([one.residue.real, other.residue.real])
     length = identification.length or np.ptp(np.array(places)[:, 0])
     likeness = bending_likeness(np.stack([*parts, parts.sum(axis=0)]), places, length)
@@ -111,18 +112,18 @@ def _is_one(identification: Identification, one: IdentifiedMode, other: Identifi
 
 
 def _in_two_units(identification: Identification) -> str:
-    """Describe points that are all far larger than the others; empty if there are none."""
+    """Describe points with far larger values than the others; empty if there are none."""
     places, residue = identification.responses.places, np.array([mode.residue.real for mode in identification.modes])
     return in_two_units(residue, places, identification.length) if places and identification.length else ""
 
 
 UNEVEN, LIKE_THEORY = 0.01, 0.97
-"""Deviation of the points' factors from each other above which a warning is given, and the least MAC of a mode by which
-they are judged [1]."""
+"""Deviation of the points' factors from each other above which a warning is given, and the minimum MAC of the modes
+used to determine them [1]."""
 
 
 def _uneven(identification: Identification) -> str:
-    """Say how much the points differ in all modes alike; empty if they hardly do."""
+    """Describe a difference between the points that is common to all modes; empty if it is small."""
     known = [(mode.label, shape) for mode, shape in identification.shaped if mode.label and mode.mac > LIKE_THEORY]
     if len(known) < 4 or identification.length is None:
         return ""
@@ -138,7 +139,7 @@ def _uneven(identification: Identification) -> str:
 
 
 def _misplaced(identification: Identification) -> str:
-    """Describe the error of all positions, or of the length, that the shapes show; empty if they show none."""
+    """Describe an error of all positions, or of the length, found from the shapes; empty if there is none."""
     known = [(mode.label, shape) for mode, shape in identification.shaped if mode.label]
     if not known or identification.length is None:
         return ""
@@ -186,30 +187,30 @@ FACTORS = {
     GRAVITY: "an acceleration in g was taken for m/s^2, or the other way round, or a 10 : 1 probe for 1 : 1",
     1e3: "a thousandth was taken for a whole unit",
 }
-"""Factors between units that are often confused, and what they mean."""
+"""Factors between units that are often confused, and their meaning."""
 
 ROUGHLY = 1.0
-"""Relative tolerance of gains about a thousand [1]."""
+"""Relative tolerance of gains for a factor of a thousand [1]."""
 
 MOST_GAINS = 0.75
-"""Fraction of the gains that must lie within it: at the end of the band a label may be that of another mode [1]."""
+"""Minimum fraction of the gains within the tolerance; labels at the end of the band may belong to other modes [1]."""
 
 
 AXES = {
     2 * np.pi: "angular frequencies [rad/s] taken for frequencies [Hz]",
     1e3: "milli or kilo taken for a whole unit",
 }
-"""Factors between frequency units that are often confused, and what they mean."""
+"""Factors between frequency units that are often confused, and their meaning."""
 
 
 MOVED, FASTER = 0.05, 2.5
-"""Relative change of a natural frequency, and factor of a gain, from which a warning is given [1]."""
+"""Relative change of a natural frequency, and factor of a gain, above which a warning is given [1]."""
 
 
 def check_gains(identification: Identification, apparatus: Apparatus, labels: Sequence[int] | None = None) -> list[str]:
     """Refuse natural frequencies, or gains of one set or all, that differ from the listed ones by a factor of units.
 
-    Other values far from the listed ones may be right: they are returned as warnings.
+    Other large differences from the listed values may be real and are returned as warnings.
 
     Parameters
     ----------
@@ -228,7 +229,7 @@ def check_gains(identification: Identification, apparatus: Apparatus, labels: Se
     Raises
     ------
     ValueError
-        With the factor and the units that were probably confused.
+        If such a factor is found; the message states it and the units that were probably confused.
     """
     found, sets = identification.by_label, identification.responses.sets
     listed = {
@@ -291,7 +292,7 @@ def _refuse_factor(listed: Sequence[tuple[float, float]], sets: Sequence[str], a
         if power and abs(factor - 1) < SPREAD:
             meaning = "the motion is not the one that --quantity says"
         for size, units in FACTORS.items():
-            # For a factor of a thousand a roughly correct table is enough.
+            # An approximately correct table suffices for a factor of a thousand.
             wide = ROUGHLY if size > 1 / SPREAD**2 and not power else SPREAD
             if abs(abs(np.log(factor)) - np.log(size)) < np.log1p(wide):
                 meaning, spread = units, wide
@@ -318,11 +319,11 @@ def _faults(name: str, mode: IdentifiedMode) -> list[str]:
 
 
 MAINS, FEW = (50.0, 60.0), 0.4
-"""Frequencies of the mains [Hz], and the largest fraction of bins near their multiples for hum to stand out [1]."""
+"""Mains frequencies [Hz], and the largest fraction of bins near their multiples at which hum is detectable [1]."""
 
 
 def _hum(identification: Identification) -> str:
-    """Say that most of the residual lies at multiples of a frequency of the mains; empty if it does not."""
+    """Describe mains hum if most of the residual lies at multiples of a mains frequency; else empty."""
     responses = identification.responses
     left = (np.abs(responses.response - identification.fitted) ** 2 / responses.noise[:, None] - 1).sum(axis=(0, 1))
     for mains in MAINS:
@@ -337,12 +338,12 @@ def _hum(identification: Identification) -> str:
 
 
 OF_ALL, STRAY = 0.5, 100.0
-"""Least fraction of the residual beyond the noise that a single value must be to explain it, and its least square in
+"""Minimum fraction of the residual in excess of the noise for a single value to explain it, and its minimum square in
 units of the noise [1]."""
 
 
 def _digit(identification: Identification) -> str:
-    """Name the single value that is most of the residual; empty if none is."""
+    """Describe a single value that accounts for most of the residual; empty if there is none."""
     responses = identification.responses
     left = np.abs(responses.response - identification.fitted) ** 2 / responses.noise[:, None]
     most = np.unravel_index(int(left.argmax()), left.shape)
@@ -365,7 +366,7 @@ def _cause(modes: Sequence[IdentifiedMode]) -> str:
 
 
 def warnings(identification: Identification) -> list[str]:
-    """Return the warnings about a result that is not refused, a sentence each."""
+    """Return the warnings for an accepted result, a sentence each."""
     responses, said = identification.responses, list(identification.responses.marks)
     if responses.offset:
         said.append(
@@ -399,14 +400,14 @@ def warnings(identification: Identification) -> list[str]:
 
 
 def misfit_verdict(identification: Identification) -> str:
-    """Return the meaning of the misfit, in words."""
+    """Describe the misfit in words."""
     left = max(mode.rest.share for mode in identification.modes)
     means = "the noise alone" if identification.misfit <= WELL_FITTED else "more than the noise"
     return f"misfit {identification.misfit:.3g}, {means}; at most {left:.1%} of the response around a mode is left"
 
 
 def repeatability(identification: Identification) -> str:
-    """Return what the intervals say about repeating the measurement on the same beam, in words."""
+    """Describe in words whether the intervals include the repeatability of the measurement on the same beam."""
     n = [mode.n_repeats for mode in identification.modes]
     if max(n) < 2:
         return "repeatability is unknown: the intervals come from one measurement; repeat it, and give all measurements"
