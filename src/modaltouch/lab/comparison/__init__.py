@@ -1,1 +1,1 @@
-"""The laws of this program and their rivals: the same beam, the same voltage limit, the same recordings."""
+"""Comparison of the drive laws with other methods, on the same beam, voltage limit and recordings."""

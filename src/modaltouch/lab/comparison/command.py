@@ -1,4 +1,4 @@
-"""``modaltouch compare``: the drive laws and their rivals on one page."""
+"""The command ``modaltouch compare``: the drive laws and other methods on one page."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Criterion:
     unit : str
         Empty for a dimensionless number.
     best : str
-        ``low``, ``high``, ``level`` (close to the level) or ``none``.
+        The best value: ``low``, ``high``, ``level`` (close to the level) or ``none``.
     digits : int
         Number of decimals printed.
     """
@@ -59,7 +59,7 @@ class Criterion:
     digits: int = 1
 
     def winners(self, rows: Sequence[Row], level: float) -> list[Row]:
-        """Return the best rows, several if their printed values are equal."""
+        """Return the rows with the best printed value."""
         known = [row for row in rows if row[self.key] is not None]
         if self.best == "none" or not known:
             return []
@@ -72,12 +72,12 @@ class Criterion:
         return value if self.best == "low" else -value
 
     def printed(self, row: Row) -> str:
-        """Return a row's printed value."""
+        """Return the printed value of a row."""
         return format_number(row[self.key], decimals=self.digits)
 
 
 def criteria(rows: Sequence[Row]) -> list[Criterion]:
-    """Return the criteria of the comparison; the contrasts are those of the protocol's pairs."""
+    """Return the criteria of the comparison, with a contrast for each pair of the protocol."""
     pairs = [(key, "") for key in rows[0] if key.startswith("contrast_")]
     pairs += [(key, " under fingers 10 mm wide") for key in rows[0] if key.startswith("finger_contrast_")]
     return [
@@ -105,12 +105,12 @@ def criteria(rows: Sequence[Row]) -> list[Criterion]:
 
 
 def _pair(key: str) -> str:
-    """Return the pair of zones at the end of a contrast's key, as printed."""
+    """Return the printed pair of zones from the end of a contrast's key."""
     return f"({', '.join(key.split('_')[-2:])})"
 
 
 def _wanted(rows: Sequence[Row], key: str) -> str:
-    """Return which contrast is best: a high one if either zone is the focus; other pairs are not ranked."""
+    """Return the best contrast: a high one if either zone is the focus; other pairs are not ranked."""
     return "high" if rows[0]["focus"] in key.split("_")[-2:] else "none"
 
 
@@ -182,7 +182,7 @@ def draw_fields(contest: Contest) -> Figure:
 
 
 def draw_drives(contest: Contest) -> Figure:
-    """Draw the voltages of every method, each on its own scale; their sizes are in the table."""
+    """Draw the voltages of every method on individual scales; the table states their peaks."""
     timing = contest.known.timing
     n_channels = contest.designed[0].voltage.shape[0]
     every = max(1, timing.n_samples // 12_500)
@@ -207,7 +207,7 @@ def draw_drives(contest: Contest) -> Figure:
 
 
 def draw_price(rows: Sequence[Row], limit: float) -> Figure:
-    """Draw the distance from the target field over peak voltage, and the contrast over energy, of every method."""
+    """Draw the error of the field over peak voltage, and the contrast over energy, for every method."""
     pairs = [key for key in rows[0] if key.startswith("contrast_")]
     with house_style(7.6, 3.1, 1, 2) as (figure, [[left, right]]):
         for row, marker in zip(rows, MARKERS * 2, strict=False):
@@ -229,7 +229,7 @@ def draw_price(rows: Sequence[Row], limit: float) -> Figure:
 
 
 def draw_robustness(contest: Contest) -> Figure:
-    """Draw the effects of every drive on other beams: a dot for each beam, a line for the measured one."""
+    """Draw the effects of every drive on other beams, a dot for each beam and a line for the measured one."""
     names = [each.method.name for each in contest.designed]
     with house_style(7.6, 0.42 * len(names) + 1.1, 1, 3, sharey=True) as (figure, [panels]):
         pair = contest.preflight.experiment.protocol.conditions.pairs[0]
@@ -258,7 +258,7 @@ def _draw_dots(axes: Axes, place: int, others: Sequence[float], learned: float) 
 
 @dataclass(frozen=True, eq=False)
 class ComparisonReport:
-    """The methods side by side.
+    """Report of the comparison.
 
     Attributes
     ----------
@@ -293,7 +293,7 @@ class ComparisonReport:
 
     @property
     def level(self) -> float:
-        """Level: the target velocity at the focus [mm/s]."""
+        """Target velocity at the focus [mm/s]."""
         return self.contest.known.target_field.velocity * 1e3
 
     def as_dict(self) -> dict[str, Any]:
@@ -362,33 +362,32 @@ def compare(
     seed: int = 1,
     progress: MeasurementProgress = SILENT_PROGRESS,
 ) -> ComparisonReport:
-    """Design a drive by every method from the same recordings, and judge all drives by the twin's true beam.
+    """Design a drive with every method from the same recordings, and evaluate all drives on the twin's true beam.
 
     Parameters
     ----------
     protocol : Path
         A YAML file, or the name of a shipped protocol.
     out, scan : Path, optional
-        Folder for page, figures and tables (``comparison/<protocol>`` by default), and one for the recordings, in which
-        an interrupted comparison continues.
+        Folder for page, figures and tables (``comparison/<protocol>`` by default), and folder for the recordings, from
+        which an interrupted comparison is resumed.
     points, averages : int
         Control points along the beam, and records at each.
     beams, seed : int
-        Other beams on which the drives are played, and the seed of the first; the others follow.
+        Number of other beams on which the drives are played, and the seed of the first; the others have the next seeds.
     progress : MeasurementProgress, optional
         Reports progress and lets the user interrupt.
 
     Raises
     ------
     InputError
-        If the protocol has faults, or no pairs of zones.
+        If the protocol has faults or no pairs of zones.
     RecordError
         If a folder holds something else, or cannot be written.
     RigError
         If the twin's generator does not confirm a drive.
     ValueError
-        If the points are too few to distinguish the modelled modes, or a mode of the table was not found, or is not
-        fitted well.
+        If the points are too few to distinguish the modelled modes, or a mode of the table was not found or fits badly.
     """
     preflight = examine(protocol).of_untouched_beam()
     experiment = preflight.experiment
@@ -414,7 +413,7 @@ def compare(
 
 
 def _table_rows(rows: Sequence[Row]) -> Any:
-    # The computing time depends on the machine and would make the file different each time.
+    # The computing time depends on the machine, so the file would not be reproducible.
     left_out = ("computing_time_s", "zone_peak_mm_s")
     flat = [
         {key: value for key, value in row.items() if key not in left_out}

@@ -1,6 +1,6 @@
-"""The comparison: measure the beam, design every drive, play it, and judge it by the twin's true beam.
+"""The comparison: measurement of the beam, design of all drives, and their evaluation on the twin's true beam.
 
-No method has access to the true values by which it is judged.
+No method has access to the true values used for the evaluation.
 """
 
 from __future__ import annotations
@@ -28,19 +28,19 @@ from modaltouch.rig import RigError, Simulator
 from modaltouch.stimulus import ModalModel
 
 POINTS = 201
-"""Points along the beam at which a field is judged."""
+"""Number of points along the beam at which a field is evaluated."""
 
 REST = 0.02
-"""Fraction of the level below which the target counts as rest, since a Gaussian never reaches zero [1]."""
+"""Fraction of the level below which the target is treated as rest, since a Gaussian never reaches zero [1]."""
 
 FINGER = 0.01
 """Width of a finger's contact area [m]."""
 
 FINGER_POINTS = 5
-"""Points under a finger among which the highest speed is found."""
+"""Number of points under a finger at which the highest speed is evaluated."""
 
 PLACES = 41
-"""Points along the beam among which the highest speed anywhere is found."""
+"""Number of points along the beam at which the highest speed is evaluated."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +52,7 @@ class DriveAssessment:
     position, field : (POINTS,) arrays
         The true field at the focusing instant [m, m/s].
     row : dict
-        The key figures by their names in the tables; plain values.
+        Plain key figures by their names in the tables.
     """
 
     position: FloatArray
@@ -61,19 +61,19 @@ class DriveAssessment:
 
 
 def judge(rig: Simulator, preflight: Preflight, *, everywhere: bool = True) -> DriveAssessment:
-    """Return the effect on a beam of what a generator sends, in the steady state of repeated bursts.
+    """Evaluate the effect of a generator's output on a beam, in the steady state of repeated bursts.
 
-    The field is taken later than the focusing instant by the amplifier's true delay and lag. No method knows these,
-    they delay every drive alike, and no participant feels a microsecond.
+    The field is evaluated after the focusing instant by the amplifier's true delay and lag. These are unknown to all
+    methods, delay all drives equally, and amount to imperceptible microseconds.
 
     Parameters
     ----------
     rig : Simulator
-        True beam, amplifier, and what the generator sends.
+        True beam and amplifier, with the generator's output.
     preflight : Preflight
-        The protocol, whose stimulus, zones and pairs the drive is judged by.
+        The protocol, with the stimulus, zones and pairs used for the evaluation.
     everywhere : bool
-        Whether to find the highest speed along the whole beam and under the fingers, which takes longest.
+        Whether to evaluate the highest speed along the whole beam and under the fingers, the slowest part.
     """
     twin, playbacks = rig.twin, rig.playbacks
     stimulus, target, zones = preflight.stimulus, preflight.stimulus.target_field, _centres(preflight)
@@ -136,20 +136,20 @@ VOLTAGE = 10.0
 
 @dataclass(frozen=True, eq=False)
 class Contest:
-    """The methods on one beam, and on others that differ from it.
+    """Results of the methods on one beam, and on others that differ from it.
 
     Attributes
     ----------
     preflight : Preflight
         The protocol.
     known : TrainingData
-        The data that each was given.
+        The data available to each method.
     delay : float
-        Identified delay of the recordings, removed from the responses given to the rivals [s].
+        Identified delay of the recordings, removed from the responses for the other methods [s].
     identification : tuple of str
-        How well the modes were identified, a sentence each.
+        Quality of the identified modes, a sentence each.
     designed : tuple of MethodDrive
-        Their drives.
+        Drives of the methods.
     verdicts : tuple of DriveAssessment
         Effect of each drive on the measured beam.
     changed : tuple of tuple of DriveAssessment
@@ -173,14 +173,14 @@ def contest(
     seed: int = 1,
     progress: MeasurementProgress = SILENT_PROGRESS,
 ) -> Contest:
-    """Identify the modes from responses, and return the comparison.
+    """Identify the modes from responses, and compare the methods.
 
     Parameters
     ----------
     preflight : Preflight
         The protocol, examined.
     responses : FrequencyResponses
-        Responses from which every method learns, as `learn` returns them.
+        Training data of every method, as returned by `learn`.
     n_beams : int
         Number of further beams on which the drives are played.
     seed : int
@@ -193,7 +193,8 @@ def contest(
     RigError
         If the twin's generator does not confirm a drive.
     ValueError
-        If a mode of the table was not found or is not fitted well; the table's values would be those of the true beam.
+        If a mode of the table was not found or fits badly; the values of the table are those of the true beam and must
+        not be used instead.
     """
     apparatus, stimulus = preflight.experiment.apparatus, preflight.stimulus
     progress.show("modes identified", 0, 1)
@@ -224,7 +225,7 @@ def run_contest(
     seed: int = 1,
     progress: MeasurementProgress = SILENT_PROGRESS,
 ) -> Contest:
-    """Design a drive by every method from the training data, play it on the twin, and judge it."""
+    """Design a drive with every method from the training data, play it on the twin, and evaluate it."""
     apparatus, stimulus = preflight.experiment.apparatus, preflight.stimulus
     centre = without_mismatch(apparatus)
     designed = design_all(known, stimulus.release, stimulus.load_factor)
@@ -262,10 +263,10 @@ def learn(
     folder: Path | None = None,
     progress: MeasurementProgress = SILENT_PROGRESS,
 ) -> FrequencyResponses:
-    """Return the responses from which every method learns, measured with a multisine on each actuator set.
+    """Measure the responses used as training data by every method, with a multisine on each actuator set.
 
     The measured beam is the centre of the others: the apparatus without the mismatch of its ``twin``, but with its
-    unlisted modes, amplifier, vibrometer and scope. So no method has an advantage on the other beams.
+    unlisted modes, amplifier, vibrometer and scope. Hence no method has an advantage on the other beams.
 
     Parameters
     ----------
@@ -288,7 +289,7 @@ def learn(
 
 
 def identified_model(found: Identification, apparatus: Apparatus) -> ModalModel:
-    """Return the modes of the table, all of which must have been found, with the identified values."""
+    """Return the modes of the table with the identified values; all must have been found."""
     table = apparatus.modal_model()
     frequency, ratio = np.empty(len(table.label)), np.empty(len(table.label))
     gain = table.modal_gain.copy()
@@ -301,7 +302,7 @@ def identified_model(found: Identification, apparatus: Apparatus) -> ModalModel:
 
 
 def for_rivals(responses: FrequencyResponses, delay: float, apparatus: Apparatus) -> TransferFunctions:
-    """Return the responses by generator output, windowed to the band of the listed modes, with their delay removed."""
+    """Return the responses by generator output, limited to the band of the listed modes, with their delay removed."""
     table = apparatus.modal_model()
     frequencies = table.natural_frequency
     window = band(responses.frequency, float(frequencies.min()) / 2, 1.1 * float(frequencies.max()))
@@ -317,7 +318,7 @@ def for_rivals(responses: FrequencyResponses, delay: float, apparatus: Apparatus
 def _play(
     apparatus: Apparatus, designed: list[MethodDrive], velocity: float, progress: MeasurementProgress
 ) -> list[Simulator]:
-    """Play every drive at the level through the driver, and return for each a twin that sends it likewise."""
+    """Play every drive at the level through the driver, and return a twin with this output for each."""
     sent: list[Simulator] = []
     with open_laboratory(apparatus) as laboratory:
         if laboratory.simulator is None:

@@ -1,4 +1,4 @@
-r"""The methods compared; each turns the same training data into the voltages of a burst.
+r"""The compared methods, each of which computes the voltages of a burst from the same training data.
 
 **Time reversal.** Each output plays its own impulse response at the focus backwards. With :math:`h_c(x_0, t)` the
 velocity at the focus after an impulse from output c, the drive :math:`v_c(t) = A\, h_c(x_0, t_F - t)` produces
@@ -7,13 +7,12 @@ velocity at the focus after an impulse from output c, the drive :math:`v_c(t) = 
 
 at the focusing instant: at the focus all contributions add up as an autocorrelation, elsewhere they do not. It is the
 matched filter: no drive of equal energy produces more velocity there. The other points are not constrained. The 1-bit
-variant plays only the sign: more velocity per volt of peak, at the price of a coarser field.
+variant plays only the sign, for more velocity per volt of peak but a less accurate field.
 
 **Inverse filter.** At every frequency the responses of the M control points to the C outputs form a matrix H, the
 target velocities a vector U. The drives are given by the Tikhonov-regularised inverse,
 :math:`V = (H^* H + \beta I)^{-1} H^* U`, transformed back into time. The target is a pulse in the shape of the target
-field at the focusing instant, and rest at every other time; a few outputs cannot achieve all of that, and the result is
-a compromise.
+field at the focusing instant, and rest at every other time; a few outputs can only approximate this.
 
 **Inverse filter at one instant.** With R the recorded responses at the focusing instant to a volt in each step before
 it, the drive :math:`v = R^T (R R^T + \beta I)^{-1} f` produces the target field at the control points with the least
@@ -51,7 +50,7 @@ from modaltouch.stimulus import (
 
 
 def time_reversal(known: TrainingData) -> FloatArray:
-    """Return the recorded impulse responses at the focus, reversed, as voltages at the level or the limit [V]."""
+    """Return the time-reversed impulse responses at the focus as voltages at the level or the limit [V]."""
     return known.to_level(known.towards[:, known.focus, ::-1])
 
 
@@ -61,16 +60,16 @@ def one_bit_reversal(known: TrainingData) -> FloatArray:
 
 
 PULSES = (44e-6, 88e-6, 176e-6, 352e-6)
-"""Widths of the raised-cosine target pulse that are tried; 88 us stay above 90 % as long as the paper's focus [s]."""
+"""Trial widths of the raised-cosine target pulse; at 88 us it is above 90 % for as long as the paper's focus [s]."""
 
 STRENGTHS = 10.0 ** np.arange(-5.0, 0.01, 0.5)
-"""Regularisations that are tried, relative to the largest squared singular value [1]."""
+"""Trial regularisations, relative to the largest squared singular value [1]."""
 
 ABOVE_NOISE = 10.0
-"""Least strength of a direction used by the inverse filter at one instant, relative to the noise [1]."""
+"""Minimum strength of a direction used by the inverse filter at one instant, relative to the noise [1]."""
 
 STRONGER = 8
-"""Number of values tried for that threshold, each ten times the last."""
+"""Number of trial values for that threshold, each ten times the previous one."""
 
 ENDS = 1e-3
 """Length of the taper at either end of a burst [s]."""
@@ -79,9 +78,9 @@ ENDS = 1e-3
 def inverse_filter(known: TrainingData) -> FloatArray:
     """Return the drives of the inverse filter at the level or the limit, (n_channels, n_samples) array at the beam [V].
 
-    Of the pulses in `PULSES` and the regularisations in `STRENGTHS`, those are used that according to the recordings
-    come closest to the target field at the focusing instant within the voltage limit; if none stays within the limit,
-    those that need the lowest voltage.
+    The pulse from `PULSES` and the regularisation from `STRENGTHS` are those for which the recordings predict the
+    field closest to the target at the focusing instant within the voltage limit; if none is within the limit, those
+    with the lowest voltage.
     """
     from scipy.signal.windows import tukey
 
@@ -131,15 +130,15 @@ def regularised_inverse(response: ComplexArray, target: ComplexArray, strength: 
 def inverse_filter_at_instant(known: TrainingData) -> FloatArray:
     r"""Return the least-energy drives for the target field at the focusing instant, at the level or the limit.
 
-    On average, noise adds to :math:`R R^T` only on its diagonal; its size, known from the scatter of the records, is
-    the regularisation. Directions not above the noise by the factor `ABOVE_NOISE` are left out, since a drive that
-    relies on them relies on noise; more of them are left out while the drive exceeds the voltage limit.
+    On average, noise adds only to the diagonal of :math:`R R^T`; its variance, known from the scatter of the records,
+    is the regularisation. Directions below `ABOVE_NOISE` times the noise are left out, since a drive
+    that uses them depends on noise; further ones are left out while the drive exceeds the voltage limit.
     """
     noise = float(known.responses.noise_towards(known.step).sum()) * known.n_before
     target, towards = known.target(), known.towards
     strength, direction = np.linalg.eigh(np.einsum("cmj,cnj->mn", towards, towards, optimize=True))
     for floor in noise * ABOVE_NOISE * 10.0 ** np.arange(STRONGER):
-        # The strongest direction is always kept.
+        # Always keep the strongest direction.
         kept = direction[:, (strength > floor) | (strength == strength.max())]
         steps = least_energy(towards, target, noise, kept)[:, ::-1]
         reached = float(known.expected(steps)[known.focus])
@@ -180,10 +179,10 @@ class Method:
     name : str
         Printed name.
     idea : str
-        What it does and where it comes from, in a sentence.
+        Principle and origin, in a sentence.
     needs : str
-        ``modes`` (an identification, once for every focus), ``focus`` (recordings at each focus) or ``field``
-        (recordings at all control points).
+        Required data: ``modes`` (one identification for all focuses), ``focus`` (recordings at each focus) or
+        ``field`` (recordings at all control points).
     design : callable
         Returns the voltages at the beam, (n_channels, n_samples) array [V].
     """
@@ -208,7 +207,7 @@ def _by_law(law: Law) -> Callable[[TrainingData, Release], FloatArray]:
         stimulus = design_stimulus(
             known.model, known.target_field, known.timing, known.amplifier, law=law, release=release, rounding="plain"
         )
-        # As for the rivals, a drive beyond the voltage limit is scaled down to it.
+        # As for the other methods, a drive above the voltage limit is scaled down to it.
         return stimulus.voltage * min(1.0, known.amplifier.limit / float(stimulus.peak_voltage.max()))
 
     return design
@@ -267,7 +266,7 @@ METHODS = (
 
 @dataclass(frozen=True, eq=False)
 class MethodDrive:
-    """A method's drive.
+    """The drive of a method.
 
     Attributes
     ----------
@@ -299,19 +298,19 @@ class MethodDrive:
 
 
 def design_all(known: TrainingData, release: Release, load_factor: float) -> list[MethodDrive]:
-    """Return the drive of every method.
+    """Design the drive of every method.
 
     Parameters
     ----------
     known : TrainingData
-        The data given to each of them.
+        The data available to each method.
     release : str
-        What the drive laws do after the focusing instant; it does not affect the rivals.
+        Behaviour of the drive laws after the focusing instant; it does not affect the other methods.
     load_factor : float
         Fraction of the generator's open-circuit voltage that reaches the amplifier's input [1].
     """
     timing, to_beam, level = known.timing, known.amplifier.gain * load_factor, known.target_field.velocity
-    # Shared by the rivals and part of the recordings, so computed before the timing starts.
+    # Part of the recordings and shared by the methods, so not included in the computing time.
     _ = known.towards
     designed = []
     for method in METHODS:

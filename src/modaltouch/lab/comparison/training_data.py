@@ -1,4 +1,4 @@
-"""What every method may know about the beam: the recorded responses, and the modes identified from them."""
+"""Data on the beam available to every method: the recorded responses, and the modes identified from them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from scipy.signal import CZT
 
 STEP = 0.8e-6
-"""Approximate time for which rivals hold a voltage: 14 steps per period of the highest mode of Table I [s]."""
+"""Approximate time step of the model-free methods: 14 steps per period of the highest mode of Table I [s]."""
 
 
 @lru_cache(maxsize=4)
@@ -80,7 +80,7 @@ class TransferFunctions:
 
 @dataclass(frozen=True, eq=False)
 class TrainingData:
-    """All the data that a method is given.
+    """All data available to a method.
 
     Attributes
     ----------
@@ -104,12 +104,12 @@ class TrainingData:
 
     @property
     def stride(self) -> int:
-        """Samples for which rivals hold a voltage; one of these steps ends at the focusing instant."""
+        """Number of samples per step of the model-free methods; one step ends at the focusing instant."""
         return max(1, round(STEP / self.timing.hold))
 
     @property
     def step(self) -> float:
-        """Time for which rivals hold a voltage [s]."""
+        """Time step of the model-free methods [s]."""
         return self.stride * self.timing.hold
 
     @property
@@ -137,7 +137,7 @@ class TrainingData:
         return self.target_field.velocity * self.target_field.profile(self.responses.position)
 
     def expected(self, steps: FloatArray) -> FloatArray:
-        """Return the field at the focusing instant that the recordings predict for voltages, (n_points,) array [m/s].
+        """Predict the field at the focusing instant from the recordings for given voltages, (n_points,) array [m/s].
 
         Parameters
         ----------
@@ -147,14 +147,14 @@ class TrainingData:
         return np.asarray(np.einsum("cmj,cj->m", self.towards, steps[:, ::-1]))
 
     def to_level(self, steps: FloatArray, after: FloatArray | None = None) -> FloatArray:
-        """Scale voltages to reach the level at the focus according to the recordings, or else the voltage limit.
+        """Scale voltages to the level at the focus predicted from the recordings, or else to the voltage limit.
 
         Parameters
         ----------
         steps : (n_channels, n_before) array
             Voltages before the focusing instant, of arbitrary scale [V].
         after : (n_channels, n_after) array, optional
-            Voltages after it, of the same scale; 0 V if not given [V].
+            Voltages after the focusing instant, of the same scale; 0 V if not given [V].
 
         Returns
         -------
@@ -170,7 +170,7 @@ class TrainingData:
         factor = float(np.sign(factor)) * min(abs(factor), self.amplifier.limit / highest)
         voltage = np.zeros((whole.shape[0], self.timing.n_samples))
         held = np.repeat(whole * factor, self.stride, axis=1)[:, : self.timing.n_samples]
-        # The steps end at the focusing instant; any remaining samples come before the first.
+        # The steps end at the focusing instant; any remaining samples precede the first step.
         start = max(0, self.timing.samples_until(self.timing.focusing_instant)[0] - self.n_before * self.stride)
         held = held[:, : self.timing.n_samples - start]
         voltage[:, start : start + held.shape[1]] = held
