@@ -1,4 +1,4 @@
-"""``modaltouch validate``: records the drive of both laws, evaluates it, and shows it on one page."""
+"""The command ``modaltouch validate``: recordings of both drive laws, their evaluation, and a page of results."""
 
 from __future__ import annotations
 
@@ -52,11 +52,10 @@ class ValidationReport:
     evidences : sequence of Evidence
         The evidence for each law.
     pairs : sequence of (str, str)
-        Zones that two fingers touch together.
+        Pairs of zones touched by two fingers.
     context : dict
-        Plain values on what was validated: ``title`` and ``protocol`` (its file), ``apparatus``, ``mode``,
-        ``generator``, ``scope``, ``limit`` (highest voltage at the beam [V]), ``calibration`` (its file or None) and
-        ``commit``.
+        Plain values on the validation: ``title`` and ``protocol`` (its file), ``apparatus``, ``mode``, ``generator``,
+        ``scope``, ``limit`` (highest voltage at the beam [V]), ``calibration`` (its file or None) and ``commit``.
     folder : Path
         Folder for the results.
     """
@@ -73,11 +72,11 @@ class ValidationReport:
 
     @property
     def table(self) -> list[dict[str, Any]]:
-        """The laws side by side: a quantity, its unit, and one cell per law."""
+        """Table of the laws; each row has a quantity, its unit, and one cell per law."""
         return summary(self.figures)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return everything as plain values."""
+        """Return the report as plain values."""
         shown = ("protocol", "apparatus", "mode", "generator", "scope", "calibration")
         values = {
             **{key: self.context[key] for key in shown},
@@ -137,20 +136,20 @@ def validate(
     protocol : Path
         A YAML file, or the name of a shipped protocol.
     calibration : Path, optional
-        Calibration file to use instead of the one that the protocol names.
+        Calibration file to use instead of the one named in the protocol.
     rig : str
         ``simulated``, or the generator's VISA address.
     out : Path, optional
         Folder for page, figures and tables; ``validation/<protocol>`` if not given.
     scan : Path, optional
-        Folder for the recordings: an interrupted scan is resumed there, a complete one needs no rig.
+        Folder for the recordings; an interrupted scan is resumed from it, a complete one needs no rig.
     points, averages : int
         Points along the beam, and records at each.
     rows : int
-        Rows of points across the width to measure, an odd number; three or more reveal torsion. Of a complete scan,
-        every row is read.
+        Number of rows of points to measure across the width, odd; torsion requires three or more. A complete scan is
+        read with all its rows.
     record : Path, optional
-        Folder into which another scope saves its records as files; without it a PicoScope is used.
+        Folder into which another scope saves its records as files; a PicoScope is used if not given.
     progress : MeasurementProgress, optional
         Reports progress and lets the user interrupt.
 
@@ -186,7 +185,7 @@ def _observe(
     record: Path | None,
     progress: MeasurementProgress,
 ) -> list[Observation]:
-    """Return the recordings, made now or earlier."""
+    """Take the recordings, or read earlier ones."""
     experiment, (inputs, stimulus) = preflight.experiment, preflight.sound
     if folder is not None and complete(folder, rows):
         return read_laws(inputs, folder)
@@ -221,7 +220,7 @@ def _context(preflight: Preflight, protocol: Path, field: Scan) -> dict[str, Any
 
 
 def _draw(evidences: Sequence[Evidence], limit: float) -> dict[str, tuple[Figure, str]]:
-    """Return each figure with its caption, by file name."""
+    """Draw the figures, each with its caption, by file name."""
     drawn = {
         "fig_2": (
             draw_decomposition(evidences[0]),
@@ -266,7 +265,7 @@ def _draw(evidences: Sequence[Evidence], limit: float) -> dict[str, tuple[Figure
 
 
 def _tables(evidences: Sequence[Evidence]) -> dict[str, list[dict[str, Any]]]:
-    """Return the numbers behind the figures, by file name."""
+    """Return the data of the figures, by file name."""
     first = evidences[0]
     wished = [
         {"mode": label, "wished_mm_s": _round(value), "selected": label in first.observation.stimulus.selected}
@@ -344,5 +343,5 @@ def _spectrum_lines(evidence: Evidence) -> list[dict[str, Any]]:
 
 
 def _round(value: float) -> float | None:
-    """Return a velocity in mm/s, rounded to 1 um/s; None if it is unknown."""
+    """Round a velocity in mm/s to 1 um/s; None if it is unknown."""
     return None if not np.isfinite(value) else round(float(value) * 1e3, 3)

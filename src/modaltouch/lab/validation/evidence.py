@@ -1,4 +1,4 @@
-"""What the recordings of one drive law show: coefficients, field, spot width, duration, speeds, contrast."""
+"""Evaluation of the recordings of one drive law: coefficients, field, spot width, duration, speeds, contrast."""
 
 from __future__ import annotations
 
@@ -33,7 +33,8 @@ def spot_width(position: FloatArray, field: FloatArray, centre: float, fraction:
     Returns
     -------
     float
-        NaN if the field is zero at the centre; measured to the end of the field if it does not fall so far.
+        The width; NaN if the field is zero at the centre. If the field does not fall to the fraction, the width extends
+        to the end of the field.
     """
     at_centre = float(np.interp(centre, position, field))
     if at_centre == 0:
@@ -46,7 +47,7 @@ def spot_width(position: FloatArray, field: FloatArray, centre: float, fraction:
 
 
 def _first_below(place: FloatArray, height: FloatArray, fraction: float) -> float:
-    """Return where a linearly interpolated height, followed from the first point, first falls to a fraction."""
+    """Return the place, from the first point on, at which a linearly interpolated height falls to a fraction."""
     below = np.flatnonzero(height < fraction)
     if below.size == 0:
         return float(place[-1])
@@ -73,15 +74,15 @@ def mean_velocity(scan: Scan) -> FloatArray:
 
 
 LAGS = np.arange(-5e-6, 25e-6, 0.25e-6)
-"""Delays of the measurement that are tried [s]."""
+"""Trial delays of the measurement [s]."""
 
 COMPARED = 0.25e-3
-"""Time before and after the focusing instant, where a delay shows most, over which they are compared [s]."""
+"""Time before and after the focusing instant for this comparison, where a delay has the largest effect [s]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """Velocities of the identified beam under the codes as played.
+    """Velocities predicted for the identified beam and the codes as played.
 
     Attributes
     ----------
@@ -99,7 +100,7 @@ class Prediction:
 
     @classmethod
     def of(cls, observation: Observation) -> Prediction:
-        """Return the prediction at the positions of an observation."""
+        """Predict the velocities at the positions of an observation."""
         stimulus, timing = observation.stimulus, observation.stimulus.timing
         places = observation.field.positions
         played = stimulus.velocity_history([*places, *observation.course.positions], observation.velocity)
@@ -107,7 +108,7 @@ class Prediction:
         return cls(time, played[: places.size], played[places.size :])
 
     def around(self, first: float, last: float) -> Callable[[FloatArray], FloatArray]:
-        """Return a function that gives the field, (n_positions, n_instants) [m/s], at instants in an interval [s]."""
+        """Return a function from instants in an interval [s] to the field, (n_positions, n_instants) array [m/s]."""
         from scipy.interpolate import CubicSpline
 
         near = (self.time >= first) & (self.time <= last)
@@ -116,10 +117,10 @@ class Prediction:
 
 
 def measurement_delay(observations: Sequence[Observation], predictions: Sequence[Prediction]) -> float:
-    """Return the delay at which the measurement fits the prediction best, by least squares [s].
+    """Return the delay of the measurement with the least-squares fit to the prediction [s].
 
-    Vibrometer, amplifier and trigger each add microseconds, a large part of the period of the highest selected mode:
-    unless the delay is removed, the field at the focusing instant cannot be determined.
+    Vibrometer, amplifier and trigger each add microseconds, a large part of the period of the highest selected mode,
+    so the field at the focusing instant can only be determined once the delay is removed.
     """
     missed = np.zeros(LAGS.size)
     for observation, prediction in zip(observations, predictions, strict=True):
@@ -140,15 +141,15 @@ def measurement_delay(observations: Sequence[Observation], predictions: Sequence
 
 
 FINE = 401
-"""Points at which smooth fields are drawn and their widths taken."""
+"""Number of points at which smooth fields are drawn and their widths evaluated."""
 
 FURTHER_LABELS = 2
-"""Modes fitted beyond the highest modelled one, so that their motion is not attributed to others."""
+"""Number of modes fitted beyond the highest modelled one, so that their motion is not attributed to others."""
 
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """The measured effect of one drive law, with target and prediction; all at the level that was played.
+    """The measured effect of one drive law, with target and prediction, at the level as played.
 
     Attributes
     ----------
@@ -157,7 +158,7 @@ class Evidence:
     prediction : Prediction
         The prediction for the identified beam.
     lag : float
-        Delay of the measurement behind the prediction, subtracted from all times here [s].
+        Delay of the measurement relative to the prediction, subtracted from all times here [s].
     """
 
     observation: Observation
@@ -264,13 +265,13 @@ class Evidence:
 
     @cached_property
     def fitted_labels(self) -> tuple[int, ...]:
-        """Labels of the modes fitted to the measured field: the modelled ones and as many more as the points allow."""
+        """Labels of the modes fitted to the measured field: the modelled ones and further ones if the points allow."""
         stimulus = self.observation.stimulus
         most = min(max(stimulus.model.label) + FURTHER_LABELS, self.observation.field.positions.size * 2 // 3)
         return tuple(sorted({*stimulus.model.label, *range(1, most + 1)}))
 
     def _shapes(self, position: FloatArray) -> FloatArray:
-        """Return the shapes of the fitted modes: those of the model where it has them, else theoretical ones."""
+        """Return the shapes of the fitted modes, from the model or else from theory."""
         model = self.observation.stimulus.model
         shapes = mode_shapes(self.fitted_labels, position, model.length)
         shapes[[self.fitted_labels.index(label) for label in model.label]] = model.shapes(position)
@@ -288,7 +289,7 @@ class Evidence:
 
     @property
     def achieved_coefficient(self) -> FloatArray:
-        """Coefficients of the measured field on the modelled modes by least squares, (n_modes,) array [m/s]."""
+        """Least-squares coefficients of the measured field on the modelled modes, (n_modes,) array [m/s]."""
         return np.asarray(self._projections.mean(axis=0)[self._modelled])
 
     @property
@@ -298,7 +299,7 @@ class Evidence:
 
     @property
     def unmodelled_motion(self) -> float:
-        """Largest coefficient of the measured field on a fitted mode that is not modelled [m/s]."""
+        """Largest coefficient of the measured field on a fitted but not modelled mode [m/s]."""
         others = np.delete(self._projections.mean(axis=0), self._modelled)
         return float(np.abs(others).max(initial=0.0))
 
@@ -308,7 +309,7 @@ class Evidence:
         return np.asarray(self._projections.mean(axis=0) @ self._shapes(self.position))
 
     def times(self, scan: Scan) -> FloatArray:
-        """Return the times of a scan, less the lag [s]."""
+        """Return the times of a scan minus the lag [s]."""
         return scan.time - self.lag
 
     @cached_property
@@ -344,7 +345,7 @@ class Evidence:
 
     @property
     def zone_peak(self) -> dict[str, dict[str, float]]:
-        """Highest speeds at the centre of each zone throughout the burst, ``measured`` and ``predicted`` [m/s]."""
+        """Highest speed at the centre of each zone throughout the burst, ``measured`` and ``predicted`` [m/s]."""
         peaks = (np.abs(course).max(axis=1).tolist() for course in (self.course, self.prediction.course))
         both = zip(*peaks, strict=True)
         return {
@@ -364,7 +365,7 @@ def standard_error(records: FloatArray) -> FloatArray:
 
 
 def evaluate(observations: Sequence[Observation]) -> list[Evidence]:
-    """Return the evidence from recordings, with their common measurement delay removed.
+    """Evaluate recordings after removal of their common measurement delay.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The paper's Fig. 2 and 5 to 8, the zones and the drive, for both laws; readable without colour."""
+"""Fig. 2 and 5 to 8 of the paper, the zones and the drive, for both laws; readable in greyscale."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from modaltouch.report import FAINT, INK, house_style, quiet_grid
 LAW_TITLES = {"exact": "law “exact”", "paper": "law “paper”, eq. (6) and (7)"}
 
 PAPER_WORST = 6.0
-"""Largest modal error that the paper reports, section IV-B [mm/s]."""
+"""Largest modal error reported in the paper, section IV-B [mm/s]."""
 
 
 def draw_decomposition(evidence: Evidence) -> Figure:
-    """Draw the coefficients of the target field as in Fig. 2: which modes it contains, and which are selected."""
+    """Draw the coefficients of the target field, with the selected modes marked, as in Fig. 2."""
     stimulus, wished = evidence.observation.stimulus, evidence.target_coefficient * 1e3
     labels = np.arange(1, wished.size + 1)
     kinds: tuple[tuple[str, Any, dict[str, Any]], ...] = (
@@ -177,7 +177,7 @@ WINDOW = 4e-3
 """Length of the Hann window: about one period of a mode at 229 Hz [s]."""
 
 FINER = 4
-"""Factor of zero padding, which makes the picture smooth along frequency."""
+"""Factor of zero padding, for a smooth figure along frequency."""
 
 STEP = 0.2e-3
 """Time between two windows [s]."""
@@ -227,7 +227,7 @@ def spectrogram(time: FloatArray, velocity: FloatArray, highest: float) -> tuple
 
 
 MAP_STEP = 2e-6
-"""Time step of a drawn map: a sixth of the shortest period [s]."""
+"""Time step of a map in a figure: a sixth of the shortest period [s]."""
 
 LOWEST = 150.0
 """Lowest frequency of the spectrogram [Hz]."""
@@ -260,7 +260,7 @@ def draw_maps(evidences: Sequence[Evidence]) -> Figure:
 
 
 def around_focus(evidence: Evidence, step: float) -> tuple[FloatArray, FloatArray]:
-    """Return times around the focusing instant, about a step apart [s], and the velocities, (n_positions, n_times)."""
+    """Return times around the focusing instant, about one step apart [s], and velocities, (n_positions, n_times)."""
     time = evidence.times(evidence.observation.field)
     every = max(1, round(step / (time[1] - time[0])))
     near = np.flatnonzero(np.abs(time - evidence.instant) <= AROUND)[::every]
@@ -279,7 +279,7 @@ def draw_spectrograms(evidences: Sequence[Evidence]) -> Figure:
     top = 20 * np.log10(max(float(amplitude.max()) for *_, amplitude in found) * 1e3)
     with house_style(7.6, 3.6, 1, len(evidences), sharex=True, sharey=True) as (figure, [panels]):
         for axes, evidence, (time, frequency, amplitude) in zip(panels, evidences, found, strict=True):
-            # Logarithmically spaced: further rows would fall onto the same lines of the picture.
+            # Use logarithmically spaced rows, since more rows would coincide in the figure.
             wanted = np.searchsorted(frequency, np.geomspace(LOWEST, frequency[-1], 400))
             rows = np.unique(wanted.clip(1, frequency.size - 1))
             decibels = 20 * np.log10(np.maximum(amplitude[rows] * 1e3, 1e-9))
@@ -310,7 +310,7 @@ def _mark_modes(axes: Axes, evidence: Evidence) -> None:
 
 
 def draw_zones(evidence: Evidence) -> Figure:
-    """Draw the velocity at every zone over time: its envelope throughout the burst, and in detail around the focus."""
+    """Draw the velocity at every zone over time: the envelope throughout the burst, and details around the focus."""
     observation, time = evidence.observation, evidence.times(evidence.observation.course)
     reach = 1.12 * float(np.abs(evidence.course).max()) * 1e3
     with house_style(
@@ -342,7 +342,7 @@ def draw_zones(evidence: Evidence) -> Figure:
 
 
 def _envelope(time: FloatArray, course: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the centres of intervals of 0.2 ms [s], and the lowest and the highest velocity within each."""
+    """Return the centres of intervals of 0.2 ms [s], and the lowest and highest velocity within each."""
     n = max(1, round(0.2e-3 / (time[1] - time[0])))
     n_parts = time.size // n
     parts = course[:, : n_parts * n].reshape(len(course), n_parts, n)

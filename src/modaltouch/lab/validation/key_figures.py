@@ -1,4 +1,4 @@
-"""The evidence as plain values with units in their keys, as a table, and in sentences."""
+"""The evidence as plain values with units in their keys, as a table, and as sentences."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def key_figures(evidence: Evidence, pairs: Sequence[tuple[str, str]]) -> dict[st
     evidence : Evidence
         The evidence for the law.
     pairs : sequence of (str, str)
-        Zones that two fingers touch together.
+        Pairs of zones touched by two fingers.
     """
     observation = evidence.observation
     stimulus = observation.stimulus
@@ -66,7 +66,7 @@ def key_figures(evidence: Evidence, pairs: Sequence[tuple[str, str]]) -> dict[st
 
 
 def coefficients(evidence: Evidence) -> list[dict[str, Any]]:
-    """Return the coefficients of the modelled modes: of the target field, selected, predicted and achieved [mm/s]."""
+    """Return the target, selected, predicted and achieved coefficients of the modelled modes [mm/s]."""
     labels = evidence.observation.stimulus.model.label
     columns = zip(
         labels,
@@ -110,7 +110,7 @@ def _distance(one: FloatArray, other: FloatArray) -> dict[str, float]:
 
 
 def _torsion(evidence: Evidence) -> dict[str, float | None]:
-    """Return the torsion on the outer rows at the focusing instant, and that expected from noise alone [mm/s]."""
+    """Return the torsion on the outer rows at the focusing instant, and its expectation from noise alone [mm/s]."""
     measured, noise = evidence.torsion.mean(axis=0), standard_error(evidence.torsion)
     return {"rms": root_mean_square(measured) * 1e3, "noise": finite(root_mean_square(noise) * 1e3)}
 
@@ -142,7 +142,7 @@ Figures = dict[str, Any]
 
 
 def summary(figures: Sequence[Figures]) -> list[dict[str, Any]]:
-    """Return the table of `key_figures`: each row has a quantity, its unit, and one cell per law."""
+    """Return the table of `key_figures`; each row has a quantity, its unit, and one cell per law."""
     rows: list[tuple[str, str, Callable[[Figures], str]]] = [
         ("velocity at the focus, at the focusing instant", "mm/s", lambda f: f"{f['velocity_at_focus_mm_s']:.1f}"),
         (
@@ -188,7 +188,7 @@ def summary(figures: Sequence[Figures]) -> list[dict[str, Any]]:
 
 
 def findings(figures: Sequence[Figures]) -> list[str]:
-    """Return the findings from the `key_figures` of the laws, in sentences."""
+    """Describe the findings from the `key_figures` of the laws, a sentence each."""
     said = [_reached(f) for f in figures]
     if len(figures) > 1:
         said.append(_compared(figures))
@@ -223,7 +223,7 @@ def _compared(figures: Sequence[Figures]) -> str:
 
 def _implausible_drives(f: Figures) -> Iterator[str]:
     for output, peak in f["peak_drive_V"].items():
-        # An output without drive shows only the noise of its probe.
+        # The record of an output without drive contains only the noise of its probe.
         if not GAINS[0] * peak["predicted"] <= peak["measured"] <= GAINS[1] * max(peak["predicted"], 1.0):
             yield (
                 f"The drive of output {output} with law “{f['law']}” was measured as {peak['measured']:.0f} V, and "

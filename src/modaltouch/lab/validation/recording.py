@@ -1,4 +1,4 @@
-"""Plays the drive of each law and records, as in the paper, the field around the focus and the zones throughout."""
+"""Recordings of each law as in the paper: the field around the focusing instant, and the zones throughout a burst."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from modaltouch.stimulus import Law, Stimulus
 LAWS: tuple[Law, ...] = ("exact", "paper")
 
 WHAT = ("field", "course")
-"""The scans of each law, in this order; each has a folder ``<law>_<what>``, with its row if off the mid-line."""
+"""Scans of each law, in this order; each has a folder ``<law>_<what>``, with a suffix for rows off the mid-line."""
 
 AROUND = 1.0e-3
 """Time shown before and after the focusing instant: 24 to 26 ms in Fig. 5 [s]."""
 
 MARGIN = 0.05e-3
-"""Additional time recorded at either end, since the measurement lags [s]."""
+"""Additional time recorded at either end to allow for the delay of the measurement [s]."""
 
 FIELD_RATE = 2.5e6
 """Sampling rate of the field around the focus: 28 samples per period of the highest mode of Table I [Hz]."""
@@ -36,7 +36,7 @@ COURSE_RATE = 1.25e6
 """Sampling rate of the whole burst at the zones [Hz]."""
 
 HEADROOM = 1.3
-"""Range of the measurement over the highest predicted speed [1]."""
+"""Range of the measurement relative to the highest predicted speed [1]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +73,7 @@ class Observation:
 def plans(
     inputs: DesignInputs, stimulus: Stimulus, velocity: float, n_points: int, n_records: int
 ) -> tuple[ScanPlan, ScanPlan]:
-    """Return the scans of a stimulus: the field around the focusing instant, and the zones throughout the burst.
+    """Plan the scans of a stimulus: the field around the focusing instant, and the zones throughout the burst.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ def plans(
 
 
 def keep_velocities(recording: Recording) -> dict[str, NDArray[Any]]:
-    """Keep every record of the velocity [m/s], but only the mean over the records of the drive [V]."""
+    """Keep all records of the velocity [m/s], but only the mean of the drive over the records [V]."""
     return {
         "time": recording.time,
         "velocity": recording.velocity.astype(np.float32),
@@ -142,9 +142,9 @@ def record_laws(
     n_points, n_records : int
         Points along the beam, and records at each.
     rows : sequence of float
-        Distances from the mid-line of the further rows on which the field is scanned [m].
+        Distances from the mid-line of further rows on which the field is scanned [m].
     folder : Path, optional
-        Parent of one folder per scan; an interrupted scan is resumed.
+        Parent folder with one folder per scan; an interrupted scan is resumed.
     source : Source, optional
         The apparatus file.
     """
@@ -169,14 +169,14 @@ def record_laws(
 
 
 def read_laws(inputs: DesignInputs, folder: Path) -> list[Observation]:
-    """Return the recordings of each law from the scans in a folder, with all rows found there, without a rig.
+    """Read the recordings of each law from the scans in a folder, with all rows found there; no rig is needed.
 
     Parameters
     ----------
     inputs : DesignInputs
         Inputs from which the stimuli were designed.
     folder : Path
-        Folder in which `record_laws` kept the scans.
+        Folder of the scans written by `record_laws`.
 
     Raises
     ------
@@ -208,7 +208,7 @@ def _folders(folder: Path, law: Law, rows: Sequence[str]) -> list[Path]:
 
 
 def complete(folder: Path, rows: Sequence[float] = ()) -> bool:
-    """Return whether a folder holds every scan in full, so that no rig is needed."""
+    """Return whether a folder holds all scans in full, so that no rig is needed."""
     try:
         beside = [row_name("", across) for across in rows]
         return all(read_scan(place).complete for law in LAWS for place in _folders(folder, law, beside))
