@@ -2,7 +2,7 @@
 
 People are drawn from a population and answer by the very model that is fitted; what is told of one is a row by itself.
 A mean is certified by experiments that draw participants from 2,000 such people: against their true mean, and "as
-estimated" against the mean of what as many trials tell of all of them, however biased that is.
+estimated" against the mean of the estimates from as many trials over all of them, including its bias.
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ REASONS = {
     "threshold of one": MANY, "PSE of one": MANY, "JND of one": MANY,
     "run of one, forced choice": RUNS, "run of one, felt": RUNS,
     "mean threshold": BIASED, "mean PSE": BIASED, "mean of runs, forced choice": BIASED, "mean of runs, felt": BIASED,
-    "mean of runs, forced choice, as estimated": "Student's interval ignores how skewed thresholds of short runs are",
+    "mean of runs, forced choice, as estimated": "Student's interval ignores the skew of thresholds from short runs",
     "mean JND": "spreads fitted to few trials are too small, which biases every JND downwards",
-    "mean d'": "the correction that keeps every d' finite biases it towards zero, the more so the fewer the trials",
+    "mean d'": "the correction that keeps every d' finite biases it towards zero, more so with fewer trials",
     "mean criterion": "the correction that keeps every criterion finite biases it towards zero",
     "exponent of one": "participants round their numbers, so the residuals are not normal",
 }  # fmt: skip

@@ -39,15 +39,15 @@ CROWD = 40_000
 """Participants whose mean is taken for the truth."""
 
 LIMITS = {
-    "a1, a2, b, c, d, leaning": "hold where nobody differs, the null they name; not where people differ about zero",
-    "means, share, paired difference": "coverage is proven for scores at both ends of the scale, else shown here alone",
-    "agreement": "coverage is shown here alone",
-    "time, rank": "hold where differences are as likely with either sign about their centre",
-    "d'": "is of the difference of two rates; that its sign is as likely either way is shown here alone",
-    "together": "hold where a participant's levels, or finger conditions as a whole, could have been exchanged",
-    "group, friedman": "hold where groups, or a participant's ratings, could have been exchanged",
-    "of one, of runs, mean d' to mean exponent": "people answer by the very model that is fitted",
-    "as estimated": "the truth is the mean of what as many trials tell of everybody, biased as that may be",
+    "a1, a2, b, c, d, leaning": "hold under their null, that no participant differs; not if they differ around zero",
+    "means, share, paired difference": "coverage is proven for scores at both ends of the scale, else only shown here",
+    "agreement": "coverage is only shown here",
+    "time, rank": "hold if differences are symmetric about their centre",
+    "d'": "tests the difference of two rates; the symmetry of its sign is only shown here",
+    "together": "hold if a participant's levels, or finger conditions as a whole, are exchangeable",
+    "group, friedman": "hold if groups, or a participant's ratings, are exchangeable",
+    "of one, of runs, mean d' to mean exponent": "participants answer by the model that is fitted",
+    "as estimated": "the truth is the population mean of estimates from as many trials, including their bias",
     "all": "an interval that inverts a test errs as often; answers are missing by chance; mixed models have none",
 }
 BATCH = 500

@@ -625,7 +625,7 @@ def test_a_measure_that_nobody_has_is_told_as_such() -> None:
     both = pd.concat([frame, frame.assign(finger_condition="two_hands")], ignore_index=True)
     findings, _ = found(take(both, design))
     compared = findings["detection threshold compared", "one_hand - two_hands A-C"]
-    assert (compared.family, compared.note) == ("", "described, not tested: nobody has a value in both")
+    assert (compared.family, compared.note) == ("", "described, not tested: no participant has a value in both")
     assert math.isnan(compared.p) and math.isnan(compared.low)
 
 

@@ -60,7 +60,7 @@ def test_a_p_that_can_just_reach_the_level_is_within_reach() -> None:
     """Significant is p of 0.05 at most: 0.05 alone, and 0.025 as the smallest of two, hold information."""
     assert finding(0.05, 0.05).note == ""
     assert correct([finding(0.025, 0.025), finding(0.5)])[0].note == ""
-    assert "cannot pass Holm's correction as smallest p of 3" in correct([finding(0.02, 0.02)] * 3)[0].note
+    assert "cannot pass Holm's correction, even as the smallest of 3" in correct([finding(0.02, 0.02)] * 3)[0].note
 
 
 def test_what_the_data_cannot_say_comes_first_among_the_notes() -> None:
@@ -69,8 +69,7 @@ def test_what_the_data_cannot_say_comes_first_among_the_notes() -> None:
     test, interval = ExactTest(2, 0.25, 0.25, 3), Interval(0.5, 0.1, 0.9, 10)
     row = finding_of("b", "a test", "everywhere", test, "share", interval, 10, family="f", notes=notes)
     assert row.note == (
-        "no information: only 3 could move the statistic, and in either direction p could not fall below 0.25; "
-        "first; second"
+        "no information: only 3 can affect the statistic, so p cannot be below 0.25 in either direction; first; second"
     )
     expected = Finding("b", "a test", "everywhere", "share", 0.5, 0.1, 0.9, 10, 2.0, 0.25, 0.25, "f", row.note)
     assert repr(row) == repr(expected)  # by repr, since p_holm is not a number

@@ -298,8 +298,8 @@ class TestMissingAnswers:
 def test_the_normal_law_is_named_where_it_is_used(paper_frame) -> None:
     """By the answers given, as the test goes: 4 a participant of 800 asked for are shuffled exactly, 404 are not."""
     few, many = count_answers(paper_frame, asked=200), count_answers(pd.concat([paper_frame] * 101))
-    assert not any("normal law" in note for note in level_tests(few).notes(0))
-    assert any("normal law" in note for note in level_tests(many).notes(0))
+    assert not any("normal approximation" in note for note in level_tests(few).notes(0))
+    assert any("normal approximation" in note for note in level_tests(many).notes(0))
 
 
 def test_equivalence_is_said_where_it_is_shown_and_where_it_is_not(paper_frame) -> None:

@@ -106,7 +106,7 @@ def _prevalence(answers: AnswerCounts, first: IntArray, second: IntArray, scope:
     note = f"no information: {answers.n_answers} answers of one participant cannot give p below {least:.2g}"
     if least <= ALPHA:
         shown = int(shows_dominance(first, second).sum())
-        share, note = clopper_pearson(shown, n), f"{shown} of {n} have a significant sign test by themselves; "
-        note += f"likeliest prevalence {prevalence(shown, n):.2f} (Ince 2021)"
+        share, note = clopper_pearson(shown, n), f"{shown} of {n} are significant in their own sign test; "
+        note += f"maximum-likelihood prevalence {prevalence(shown, n):.2f} (Ince 2021)"
     name, quantity = "prevalence of dominance", f"share showing {zone}"
     return finding_of("e", name, scope, None, quantity, share, n, notes=[note])

@@ -103,8 +103,8 @@ def finding_of(
     """Return a finding from an interval and an optional test; its note says if the data are uninformative."""
     words = [note for note in notes if note]
     if test is not None and test.p_min > ALPHA:
-        whose = f"only {int(test.n_informative)} could move the statistic" if test.n_informative else "nothing varies"
-        words.insert(0, f"no information: {whose}, and in either direction p could not fall below {test.p_min:.2g}")
+        whose = f"only {int(test.n_informative)} can affect the statistic" if test.n_informative else "nothing varies"
+        words.insert(0, f"no information: {whose}, so p cannot be below {test.p_min:.2g} in either direction")
     values = (interval.estimate, interval.low, interval.high)
     # Round numerical noise to zero.
     estimate, low, high = (0.0 if abs(each) < 1e-12 else float(each) for each in values)
@@ -126,7 +126,7 @@ def correct(findings: Iterable[Finding]) -> list[Finding]:
         for i, p in zip(members, adjusted, strict=True):
             row = rows[i]
             out_of_reach = p > ALPHA and row.p_min <= ALPHA < row.p_min * len(members)
-            reach = f"{OUT_OF_REACH} as smallest p of {len(members)}: p is at least {row.p_min:.2g}"
+            reach = f"{OUT_OF_REACH}, even as the smallest of {len(members)}: p is at least {row.p_min:.2g}"
             note = "; ".join(part for part in (reach if out_of_reach else "", row.note) if part)
             rows[i] = replace(row, p_holm=p, note=note)
     return rows

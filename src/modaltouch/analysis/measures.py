@@ -211,7 +211,7 @@ def _compared(measure: Measure, name: str, scope: str, numbers: FloatArray) -> F
     """Test the participants' differences between two conditions; without any difference, there is no test."""
     quantity = f"{_difference(measure)} of {measure.quantity}"
     if not numbers.size:
-        notes = ["described, not tested: nobody has a value in both"]
+        notes = ["described, not tested: no participant has a value in both"]
         return finding_of(measure.question, name, scope, None, quantity, Interval.point(math.nan, 0), 0, notes=notes)
     test, interval = (by_ranks if measure.is_ranked else by_flips)(numbers)
     ends = measure.is_ranked and 0 in (interval.low, interval.high) and test.p <= ALPHA

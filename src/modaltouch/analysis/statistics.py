@@ -182,7 +182,7 @@ def level_tests(answers: AnswerCounts) -> FamilyResult | None:
     scopes, labels, shares = _levels_of(answers)
     test = trend_test(shares.given, answers.levels, shares.answered if shares.is_short else shares.asked)
     n_most = shares.answered.sum(axis=-1).max()
-    many = f"p by the normal law of the sum, as there are more than {MOST_EXACT} answers of each participant"
+    many = f"p by the normal approximation, since there are more than {MOST_EXACT} answers per participant"
     return FamilyResult(
         scopes,
         [f"change of P({label}) with the level" for label in labels],
