@@ -81,8 +81,8 @@ def ask_for(words: str) -> None:
         input()
     except EOFError:
         raise typer.BadParameter(
-            "nobody can aim the vibrometer or place fingers (standard input is closed); allowed: a terminal; start "
-            "the command from one"
+            "standard input is closed, but someone must aim the vibrometer and place fingers; start the command in a "
+            "terminal"
         ) from None
 
 

@@ -277,7 +277,7 @@ def test_decay_that_is_cut_off_is_marked(tmp_path: Path) -> None:
     motion = np.exp(-2 * time) * np.sin(2 * np.pi * 120 * time)
     path = blow(tmp_path / "a.npz", time=time, drive=drive[None, None], motion=motion[None, None])
     assert read_responses([path]).marks == (
-        "the motion of a.npz still moves at the end of a record: record until it rests",
+        "the motion of a.npz has not died out at the end of a record: record for longer",
     )
 
 
@@ -314,13 +314,13 @@ def test_an_axis_one_bin_too_high_is_refused(tmp_path: Path, frequency: np.ndarr
 @pytest.mark.parametrize(
     ("made", "said"),
     [
-        (lambda h: np.abs(h) + 1j * np.degrees(np.angle(h)), "amplitudes were taken for it"),
+        (lambda h: np.abs(h) + 1j * np.degrees(np.angle(h)), "magnitudes were exported in its place"),
         (lambda h: np.abs(h) * np.exp(1j * np.degrees(np.angle(h))), "degrees were taken for radians"),
         (lambda h: h.real + 0j, "the imaginary part is zero throughout"),
         (lambda h: 1j * h.imag, "the real part is zero throughout"),
         (
             lambda h: (20 * np.log10(np.maximum(np.abs(h), 1e-6)) - 100) * np.exp(1j * np.angle(h)),
-            "as alike as decibels",
+            "they are decibels",
         ),
     ],
     ids=["amplitude and phase", "degrees", "real part", "imaginary part", "decibels"],

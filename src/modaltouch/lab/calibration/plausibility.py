@@ -115,7 +115,7 @@ def refuse_changing_beam(decays: Sequence[Decay], shapes: FloatArray) -> None:
 
 HUM = (
     "mains hum (multiples of 50 or 60 Hz) or a swinging beam: connect vibrometer, scope and amplifier to one "
-    "earth, keep cables away from transformers, calm the suspension, and calibrate again"
+    "earth, keep cables away from transformers, let the beam come to rest, and calibrate again"
 )
 
 

@@ -235,8 +235,8 @@ def _refuse_amplitudes(path: Path, part: Part) -> None:
     faults = {
         "the imaginary part is zero throughout": not values.imag.any(),
         "the real part is zero throughout": not values.real.any(),
-        "the real part of no response is ever negative: amplitudes were taken for it": bool((values.real >= 0).all()),
-        "the numbers are as large and as alike as decibels": typical > LEAST_DECIBELS and size.max() < ALIKE * typical,
+        "no response has a negative real part: magnitudes were exported in its place": bool((values.real >= 0).all()),
+        "the values are large and alike: they are decibels": typical > LEAST_DECIBELS and size.max() < ALIKE * typical,
         "the phase turns several times within each peak: degrees were taken for radians": turns(values, size) > MOST,
     }
     fault = next((fault for fault, found in faults.items() if found), None)

@@ -171,8 +171,8 @@ class FrequencyResponses:
         if odd.any():
             number = int(odd.argmax())
             raise ValueError(
-                f"measurement {number + 1} is no repeat of the first: {likeness[number]:.0%} of its power is like the "
-                f"first, which it contains {factor[number]:.3g} times; check positions, sign, units and trigger of "
+                f"measurement {number + 1} does not repeat the first: {likeness[number]:.0%} of its power matches the "
+                f"first, scaled {factor[number]:.3g} times; check positions, sign, units and trigger of "
                 "both, and give only repeats of one measurement"
             )
         mean, n_averages = each.mean(axis=0), sum(repeat.n_averages for repeat in repeats)
@@ -252,7 +252,7 @@ class FrequencyResponses:
         if known and self.positions is not None and max(known.values()) - min(known.values()) > resolution:
             said = ", ".join(f"{name} {each * 1e3:.4g} ms" for name, each in known.items())
             raise ValueError(
-                f"the motion is late by another time for each set ({said}): start all records at their excitation, "
+                f"the delay of the motion differs between the sets ({said}): start all records at their excitation, "
                 "check the trigger, and export them again"
             )
         if not offset:

@@ -48,7 +48,7 @@ CUT = 4
 STEEP = 0.8
 """Value next to equal samples, relative to theirs, below which they are saturated rather than a rounded peak [1]."""
 
-STILL_MOVES = "still moves at the end of a record: record until it rests"
+STILL_MOVES = "has not died out at the end of a record: record for longer"
 COARSE = "different values, so that its converter's steps are coarse: choose the smallest range that covers it"
 WINDOWED = "an exponential window, which makes damping ratios too large, was applied: record without it"
 """Endings of the marks on truncated decays, coarse converters and windows, which explain the residual of a fit."""

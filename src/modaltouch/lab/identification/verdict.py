@@ -185,7 +185,7 @@ def check_all(identification: Identification) -> None:
 
 FACTORS = {
     GRAVITY: "an acceleration in g was taken for m/s^2, or the other way round, or a 10 : 1 probe for 1 : 1",
-    1e3: "a thousandth was taken for a whole unit",
+    1e3: "a prefix, milli or kilo, was missed",
 }
 """Factors between units that are often confused, and their meaning."""
 
@@ -198,7 +198,7 @@ MOST_GAINS = 0.75
 
 AXES = {
     2 * np.pi: "angular frequencies [rad/s] taken for frequencies [Hz]",
-    1e3: "milli or kilo taken for a whole unit",
+    1e3: "a prefix, milli or kilo, was missed",
 }
 """Factors between frequency units that are often confused, and their meaning."""
 
@@ -268,7 +268,7 @@ def check_gains(identification: Identification, apparatus: Apparatus, labels: Se
 
 
 def _refuse_axis(ratios: Sequence[float], apparatus: Apparatus) -> None:
-    """Refuse ratios of natural frequencies to the listed ones that are a factor between units."""
+    """Refuse ratios of natural frequencies to the listed ones that equal a factor between units."""
     for factor, meaning in AXES.items():
         for size in (factor, 1 / factor):
             near = np.abs(np.array(ratios) / size - 1) < SPREAD
@@ -281,7 +281,7 @@ def _refuse_axis(ratios: Sequence[float], apparatus: Apparatus) -> None:
 
 
 def _refuse_factor(listed: Sequence[tuple[float, float]], sets: Sequence[str], apparatus: Apparatus) -> None:
-    """Refuse ratios of gains to the listed ones, each with its natural frequency, that are a factor between units."""
+    """Refuse ratios of gains to the listed ones, each with its natural frequency, that equal a factor between units."""
     if len(listed) < FEWEST_GAINS:
         return
     ratio, frequency = np.abs(np.array(listed)).T
@@ -290,7 +290,7 @@ def _refuse_factor(listed: Sequence[tuple[float, float]], sets: Sequence[str], a
         factor = float(np.median(each))
         meaning, spread = "", SPREAD
         if power and abs(factor - 1) < SPREAD:
-            meaning = "the motion is not the one that --quantity says"
+            meaning = "the motion is not the quantity given with --quantity"
         for size, units in FACTORS.items():
             # An approximately correct table suffices for a factor of a thousand.
             wide = ROUGHLY if size > 1 / SPREAD**2 and not power else SPREAD
@@ -312,7 +312,7 @@ def _faults(name: str, mode: IdentifiedMode) -> list[str]:
         )
     if mode.rest.share > MOST_LEFT:
         lines.append(
-            f"{name} is not fitted well: {mode.rest.share:.0%} of the response around it is left, at most "
+            f"{name} is not fitted well: the residual is {mode.rest.share:.0%} of the response around it, at most "
             f"{MOST_LEFT:.0%} is allowed"
         )
     return lines
@@ -331,7 +331,7 @@ def _hum(identification: Identification) -> str:
         on = off <= 0.51 * responses.spacing
         if on.mean() < FEW and left[on].sum() > 0.5 * left.sum():
             return (
-                f"the most probable cause is mains hum: most of what is left lies at multiples of {mains:g} Hz; "
+                f"the most probable cause is mains hum: most of the residual lies at multiples of {mains:g} Hz; "
                 "connect all instruments to one earth, keep cables away from transformers, and measure again"
             )
     return ""
@@ -351,7 +351,7 @@ def _digit(identification: Identification) -> str:
         return ""
     where = f" at {responses.places[most[1]]}" if responses.places else ""
     return (
-        f"most of what is left is one value, that of the response to {responses.sets[most[0]]}{where} at "
+        f"most of the residual is in one value, the response to {responses.sets[most[0]]}{where} at "
         f"{responses.frequency[most[2]]:.6g} Hz: look for a wrong digit in the file, or measure that point again"
     )
 
@@ -384,7 +384,7 @@ def warnings(identification: Identification) -> list[str]:
             names = ", ".join(each.name for each in chosen)
             left = max(max(each.rest.smooth, each.rest.share) for each in chosen)
             said.append(
-                f"up to {left:.1%} of the response around {names} is left, and the intervals may not cover it: "
+                f"the residual is up to {left:.1%} of the response around {names}, and the intervals may not cover it: "
                 f"{known or _cause(chosen)}"
             )
     if of_points := _misplaced(identification) or _uneven(identification):
@@ -403,7 +403,7 @@ def misfit_verdict(identification: Identification) -> str:
     """Describe the misfit in words."""
     left = max(mode.rest.share for mode in identification.modes)
     means = "the noise alone" if identification.misfit <= WELL_FITTED else "more than the noise"
-    return f"misfit {identification.misfit:.3g}, {means}; at most {left:.1%} of the response around a mode is left"
+    return f"misfit {identification.misfit:.3g}, {means}; residual at most {left:.1%} of the response around a mode"
 
 
 def repeatability(identification: Identification) -> str:

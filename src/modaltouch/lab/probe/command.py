@@ -169,7 +169,7 @@ class _Plan:
         for number, (condition, expected) in enumerate(self.conditions.items(), start=1):
             bench.progress.show("probes", number, 1 + len(self.conditions))
             words = " and ".join(f"the {name} finger on {zone}" for name, (zone, _) in expected.items())
-            self.lay(bench, expected, lay, f"Lay {words} ({condition.replace('_', ' ')}), and keep still")
+            self.lay(bench, expected, lay, f"Place {words} ({condition.replace('_', ' ')}) and keep still")
             found = prober.hands_on(expected)
             for name, values in found["fingers"].items():
                 hand, which = name.split()
