@@ -661,7 +661,7 @@ def test_a_contact_of_any_width_is_averaged(uneven_beam, width):
         ({"mass": float("nan")}, "the mass of a finger is nan"),
         ({"damping": float("inf")}, "the damping of a finger is inf"),
         ({"stiffness": float("nan")}, "the stiffness of a finger is nan"),
-        ({"position": float("nan")}, "the place of a finger is nan"),
+        ({"position": float("nan")}, "the position of a finger is nan"),
         ({"width": 0.0}, "the width of a contact is 0"),
         ({"width": float("nan")}, "the width of a contact is nan"),
         ({"maxwell": ((0.0, 1e-3),)}, "the stiffness of a Maxwell term is 0"),

@@ -187,9 +187,7 @@ def test_weak_probe_is_refused(table, beam):
 @pytest.mark.parametrize(("there", "absent"), [((), -40), (TRUE[:1], 0), (TRUE[1:], -40)])
 def test_finger_that_is_not_on_the_beam_is_said(beam, free, there, absent):
     """Neither or one of the two: without the other one nothing is left but noise, whose mean square is 1."""
-    said = (
-        rf"no finger is detected at \{absent:+d} mm .*\(misfit (0\.[89]|1\.[01])\); lay the finger on, and probe again"
-    )
+    said = rf"no finger is detected at \{absent:+d} mm .*\(misfit (0\.[89]|1\.[01])\); place the finger there"
     with pytest.raises(ValueError, match=said):
         measured(beam.touched(there), seed=4).touched(free, EXPECTED)
 

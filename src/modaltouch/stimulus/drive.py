@@ -44,7 +44,7 @@ Design = Literal["least_energy", "norm_4", "norm_8", "least_peak"]
 
 Priority = Literal["field", "level"]
 
-MEANT = "the paper has 0.08 to 0.2 m/s"
+MEANT = "the paper uses 0.08 to 0.2 m/s"
 """Typical levels, for the error messages on levels."""
 
 RISE = 1.0e-3

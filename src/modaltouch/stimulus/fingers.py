@@ -73,8 +73,8 @@ class Finger:
 
     def __post_init__(self) -> None:
         """Reject unphysical values."""
-        require_finite("the place of a finger", self.position, "m", "give a point of the beam")
-        require_positive("the width of a contact", self.width, "m", "a fingertip has 10 mm")
+        require_finite("the position of a finger", self.position, "m", "give a point of the beam")
+        require_positive("the width of a contact", self.width, "m", "that of a fingertip is 10 mm")
         for name, unit in (("mass", "kg"), ("damping", "N s/m"), ("stiffness", "N/m")):
             require_finite(f"the {name} of a finger", getattr(self, name), unit, "measure it, or take the typical one")
             if getattr(self, name) < 0:

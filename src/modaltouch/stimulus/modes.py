@@ -119,7 +119,7 @@ class ModalModel:
             if abs(finger.position) > self.length / 2:
                 raise ValueError(
                     f"a finger lies at {finger.position * 1e3:g} mm, off the beam, which spans "
-                    f"-{self.length * 500:g} to {self.length * 500:g} mm: lay it on the beam"
+                    f"-{self.length * 500:g} to {self.length * 500:g} mm: place it on the beam"
                 )
 
     @property

@@ -300,7 +300,7 @@ class Probe:
             if without <= _FELT * max(found.misfit, 1.0):
                 raise ValueError(
                     f"no finger is detected at {expected.position * 1e3:+.0f} mm from mid-beam: the beam moves as "
-                    f"without it (misfit {without:.1f}); lay the finger on, and probe again"
+                    f"without it (misfit {without:.1f}); place the finger there and probe again"
                 )
         return found
 

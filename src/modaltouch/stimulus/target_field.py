@@ -71,10 +71,10 @@ class TargetField:
         """Reject a field that is not well defined."""
         if self.shape not in get_args(Shape):
             raise ValueError(f"the field shape {self.shape!r} is unknown; allowed: {', '.join(get_args(Shape))}")
-        require_positive("the base of the field", self.base, "m", "the shipped field has 56 mm")
+        require_positive("the base of the field", self.base, "m", "the shipped field is 56 mm wide")
         for centre in self.centres:
             require_finite("the centre of the field", centre, "m", "give a point of the beam")
-        require_positive("the velocity level", self.velocity, "m/s", "the paper has 0.08 to 0.2 m/s")
+        require_positive("the velocity level", self.velocity, "m/s", "the paper uses 0.08 to 0.2 m/s")
         if self.n_decomposed < 1:
             raise ValueError(f"the field is decomposed on {self.n_decomposed} modes; at least 1 is needed: give 50")
         if isinstance(self.selection, tuple):
