@@ -39,5 +39,5 @@ def test_placements_follow_the_schedule(edit: Callable[..., Path]) -> None:
 def test_groups_that_meet_the_same_cells_are_refused_as_groups(edit: Callable[..., Path]) -> None:
     """Their design is crossed: what an observer cannot say is how they differ."""
     file = edit("demo.yaml", ("schedule:\n", "groups: {low: {}, high: {}}\nschedule:\n"))
-    with pytest.raises(InputError, match="groups: given groups of participants, whom one observer does not tell apart"):
+    with pytest.raises(InputError, match="groups: given groups of participants, which one observer cannot represent"):
         designs_for(examine(file).require(), Observer())

@@ -85,7 +85,7 @@ def test_a_session_longer_than_an_hour_is_told(edit: Edit) -> None:
     """Twenty repetitions of the paper's 24 trials take an hour and a quarter."""
     assert not any(" min" in each for each in design_warnings(read(edit)))
     (said,) = [each for each in design_warnings(read(edit, ("repetitions: 1", "repetitions: 20"))) if " min" in each]
-    assert said.endswith("longer than an hour: repeat less, or in several sessions")
+    assert said.endswith("longer than an hour: use fewer repetitions, or several sessions")
 
 
 def test_a_single_group_and_sessions_that_nobody_analyses_are_told(edit: Edit) -> None:
@@ -101,11 +101,11 @@ def test_training_that_is_not_analysed_leaves_a_design_crossed(edit: Edit, analy
     """The analysis has the tests of a crossed design of the tests alone, however often each participant comes."""
     kinds = f"schedule:\n  sessions: [{{name: training, analysed: {analysed}}}, {{name: test, times: 2}}]\n"
     said = design_warnings(read(edit, ("schedule:\n", kinds)))
-    assert any("each kind of session is tested by itself" in each for each in said) == is_told
+    assert any("each kind of session is tested separately" in each for each in said) == is_told
 
 
 def test_groups_are_not_told_to_be_parts_of_a_design_that_is_not_crossed(edit: Edit) -> None:
     """They may meet the same cells; adaptive runs have no tests of parts at all."""
     said = design_warnings(read(edit, ("schedule:\n", "groups: {low: {}, high: {}}\nschedule:\n")))
-    assert any(each.startswith("each of the groups is tested by itself") for each in said)
+    assert any(each.startswith("each group is tested separately") for each in said)
     assert not any("not crossed" in each for each in said)

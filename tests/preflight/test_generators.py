@@ -63,8 +63,8 @@ def test_samples_that_it_takes_at_their_own_rate_do_not_jitter(edit: Edit) -> No
 def test_a_generator_that_no_driver_knows_is_told(edit: Edit) -> None:
     """A series is no model: `run` would drive it like the first generator of the list."""
     file = edit(FILE, (AFG, KEYSIGHT))
-    assert not any("no driver knows" in said for said in examine(file).as_dict()["warnings"])
+    assert not any("there is no driver" in said for said in examine(file).as_dict()["warnings"])
     beam = file.parent / KEYSIGHT
     beam.write_text(beam.read_text(encoding="utf-8").replace("model: 33522B", "model: 33500B"), encoding="utf-8")
-    told = "no driver knows the generator 33500B: it will be driven like the AFG3022B"
+    told = "there is no driver for the generator 33500B: that of the AFG3022B will be used"
     assert any(told in said for said in examine(file).as_dict()["warnings"])

@@ -163,5 +163,5 @@ def test_listed_cells_mix_one_finger_two_and_three(tmp_path: Path) -> None:
 def test_what_only_knows_two_fingers_refuses_others(tmp_path: Path, name: str) -> None:
     """`power`, `prereg` and `fit` simulate a comparison of two fingers; a made-up number would be worse than none."""
     preflight = examine(protocol_with(tmp_path, name)).require()
-    with pytest.raises(InputError, match="finger_conditions: given (tip|spread), but no observer knows"):
+    with pytest.raises(InputError, match="finger_conditions: given (tip|spread), but no observer models"):
         designs_for(preflight, Observer.usual_name(preflight.experiment.protocol))

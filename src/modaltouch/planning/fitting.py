@@ -85,7 +85,7 @@ def fit_answers(preflight: Preflight, path: Path, prior: Observer, *, mode: str 
         allowed = f"sessions with {', '.join(preflight.variants)}"
         raise InputError.of(path, given, allowed, "give the sessions themselves")
     if preflight.findings.measured:
-        given = "measured, so everybody felt different speeds"
+        given = "measured, so each participant felt different speeds"
         remedy = "see `modaltouch analyse --speed predicted`"
         allowed = "fingers that are the same for all"
         raise InputError([preflight.findings.problem(("stimulus", "fingers"), given, allowed, remedy)])

@@ -66,7 +66,7 @@ def refuse_own_levels(preflight: Preflight, remedy: str = "plan with the peak ve
 
 
 _UNCROSSED = {
-    "groups": "groups of participants, whom one observer does not tell apart",
+    "groups": "groups of participants, which one observer cannot represent",
     "schedule": "kinds of session, whose tests are corrected together",
 }
 
@@ -103,7 +103,7 @@ def refuse_unlike(preflight: Preflight) -> None:
         (
             unknown,
             ("conditions", "finger_conditions"),
-            f"{unknown}, but no observer knows how its fingers suppress each other",
+            f"{unknown}, but no observer models how its fingers suppress each other",
             ", ".join(_KNOWN),
             _SIMULATE,
         ),

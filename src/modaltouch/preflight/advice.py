@@ -135,8 +135,8 @@ def generator_warnings(apparatus: Apparatus) -> list[str]:
     said = []
     if section.model not in instrument.models:
         said.append(
-            f"no driver knows the generator {section.model}: it will be driven like the {instrument.models[0]}; `rig "
-            "check` says whether it can be"
+            f"there is no driver for the generator {section.model}: that of the {instrument.models[0]} will be used; "
+            "`rig check` says whether it works"
         )
     if section.repeats != "single":
         former = " (`burst` is its former name)" if section.repetition == "burst" else ""
@@ -148,9 +148,9 @@ def generator_warnings(apparatus: Apparatus) -> list[str]:
 
 
 _PARTS = {
-    "conditions": "the design is not crossed ({}): each crossed part is tested by itself",
-    "groups": "each of the groups is tested by itself; they are compared by one number of each participant",
-    "schedule": "each kind of session is tested by itself; they are compared by each participant's difference",
+    "conditions": "the design is not crossed ({}): each crossed part is tested separately",
+    "groups": "each group is tested separately; groups are compared by one value per participant",
+    "schedule": "each kind of session is tested separately; kinds are compared within each participant",
 }
 
 
@@ -189,7 +189,7 @@ def design_warnings(protocol: Protocol) -> list[str]:
     minutes = estimated_duration(protocol)
     if minutes > _LONG:
         said.append(
-            f"a session takes about {minutes:.0f} min, longer than an hour: repeat less, or in several sessions"
+            f"a session takes about {minutes:.0f} min, longer than an hour: use fewer repetitions, or several sessions"
         )
     return said
 
