@@ -129,7 +129,7 @@ def test_the_sessions_of_another_user_are_not_for_this_one(monkeypatch, tmp_path
     done = CliRunner().invoke(app, [word.format(tmp_path) for word in words])
     assert done.exit_code == 2, done.exception
     assert f"{tmp_path}/p/simulated" in done.output
-    assert "not for this user (Permission denied); only its owner may read what a session wrote" in done.output
+    assert "not accessible to this user (Permission denied); only its owner can read a session's files" in done.output
 
 
 @pytest.mark.parametrize("title", ["Grip [/x] test", "Grip [red] and [b]", "[/]", "Grip :a: and :b:"])

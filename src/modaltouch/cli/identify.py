@@ -131,7 +131,7 @@ def _show(result: dict[str, Any]) -> None:
         if mode not in listed
     ]
     if others:
-        say(f"[dim]Also seen, and kept out of the table: {', '.join(others)} Hz[/]")
+        say(f"[dim]Also found, but not in the table: {', '.join(others)} Hz[/]")
     say(f"[dim]M{result['misfit_verdict'][1:]}[/]")
     say(f"[dim]{result['repeatability'][:1].upper()}{result['repeatability'][1:]}[/]")
     for warning in result["warnings"]:

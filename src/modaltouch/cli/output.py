@@ -122,8 +122,8 @@ def _say(error: BaseException, status: int) -> str:
     if status == INTERRUPTED:
         return f"ended by {error}: the outputs are off"
     if isinstance(error, PermissionError):
-        yours = "only its owner may read what a session wrote; work as that user, or give a folder of your own"
-        return f"{error.filename}: not for this user ({error.strerror}); {yours}"
+        yours = "only its owner can read a session's files; log in as that user, or give a folder of your own"
+        return f"{error.filename}: not accessible to this user ({error.strerror}); {yours}"
     return str(error) or type(error).__name__
 
 
