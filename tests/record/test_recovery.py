@@ -133,7 +133,7 @@ def test_a_removed_line_takes_the_next_along_and_no_more(damaged):
     found = survey(damaged(lambda lines: [*lines[:6], *lines[7:]]))
     assert found.missing == (7, 8)
     assert [line.number for line in found.left_out] == [7]
-    assert "cannot be proved" in found.left_out[0].reason
+    assert "cannot be verified" in found.left_out[0].reason
 
 
 def test_a_log_without_its_start_is_left_as_it_is(damaged, tmp_path):
@@ -170,8 +170,8 @@ def test_what_is_lost_is_said_in_words_and_values(damaged, sound):
     assert found.missing == tuple(gone)
     assert found.lines == [
         f"{n_lines - 4} lines are intact, including {answers - 2} answers",
-        f"line {first - 1} is left out: it was changed, or the line before it is missing, so it cannot be proved",
-        f"line {last - 1} is left out: it was changed, or the line before it is missing, so it cannot be proved",
+        f"line {first - 1} is left out: it was changed, or the line before it is missing, so it cannot be verified",
+        f"line {last - 1} is left out: it was changed, or the line before it is missing, so it cannot be verified",
         f"missing: lines {first - 1} to {first + 1}, {last + 1}",
     ]
     plain = found.as_dict()
@@ -238,7 +238,7 @@ def test_a_replaced_answer_stays_replaced_under_its_new_number(tmp_path, damaged
     last = session.events[-1]
     assert last["lines"] == [1, *range(4, len(events) + 1)]
     assert last["sha256"] == hashlib.sha256(path.read_bytes()).hexdigest()
-    unproved = "it was changed, or the line before it is missing, so it cannot be proved"
+    unproved = "it was changed, or the line before it is missing, so it cannot be verified"
     assert last["left_out"] == [{"line": 2, "reason": unproved}]
     assert last["missing"] == [2, 3]
     assert log.with_name("left_out.txt").stat().st_mode & 0o777 == 0o600

@@ -51,7 +51,7 @@ def test_a_good_machine_is_said_to_be_good() -> None:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"n_lost": 3}, "3 of 60 keys were lost: let the window have the keyboard"),
+        ({"n_lost": 3}, "3 of 60 keys were lost: give the window the keyboard focus"),
         ({"key_delay_p95_ms": 17.0}, "Keys are stamped up to 17 ms late (95 %): close other programs"),
         ({"n_dropped": 5}, "5 of 120 frames came late: run full screen"),
         ({"waits_for_monitor": False}, "and switch on vertical synchronisation (vsync) there"),

@@ -239,7 +239,7 @@ def _why(line: bytes, claimed: dict[int, str], number: int) -> str:
         read_object(line)
     except UnreadableLineError as error:
         return f"it {error}"
-    return "it was changed, or the line before it is missing, so it cannot be proved"
+    return "it was changed, or the line before it is missing, so it cannot be verified"
 
 
 def _ranges(numbers: tuple[int, ...]) -> str:

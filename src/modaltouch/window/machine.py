@@ -249,8 +249,8 @@ def judge_window(figures: Mapping[str, Any]) -> str:
     lines, delay = [f"On {figures['display']}:"], figures["key_delay_p95_ms"]
     if figures["n_lost"]:
         lines.append(
-            f"{figures['n_lost']} of {figures['n_keys']} keys were lost: let the window have the keyboard, and do not "
-            "run participants here until none is."
+            f"{figures['n_lost']} of {figures['n_keys']} keys were lost: give the window the keyboard focus, and do "
+            "not run participants here until none is."
         )
     if delay is None:
         return " ".join(lines)

@@ -351,7 +351,7 @@ def test_the_console_says_why_a_session_is_paused() -> None:
     status = Status()
     status.take(start())
     for event, words in (
-        ({"event": "focus_lost"}, "PAUSED: the window lost the keyboard; click into it"),
+        ({"event": "focus_lost"}, "PAUSED: the window lost the keyboard focus; click in it"),
         ({"event": "pause"}, "PAUSED by the participant"),
         ({"event": "pause", "by": "experimenter"}, "PAUSED by the experimenter"),
     ):

@@ -150,7 +150,7 @@ def describe_last(last: dict[str, Any] | None) -> str:
 def _describe_cause(facts: SessionState) -> str:
     """Return the suffix of the state: why a session is paused or ended, or the interval being played."""
     if facts["state"] == "paused" and facts["paused_by"] == "lost focus":
-        return ": the window lost the keyboard; click into it"
+        return ": the window lost the keyboard focus; click in it"
     if facts["state"] == "paused":
         return f" by the {facts['paused_by']}"
     if facts["state"] == "trial" and facts["trial"].get("plays"):
