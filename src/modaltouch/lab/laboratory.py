@@ -145,9 +145,7 @@ class Laboratory:
                 break
         reason, remedy = "nothing was played" if firing is None else firing.reason, "measure again"
         if firing is not None and firing.stalled:
-            remedy = (
-                f"this computer is too busy to keep them on, {ATTEMPTS} times in a row; close other programs, {remedy}"
-            )
+            remedy = f"this computer was too busy in {ATTEMPTS} attempts in a row; close other programs, and {remedy}"
         raise RigError(f"at {position * 1e3:g} mm the record is not valid: {reason}; the outputs are off; {remedy}")
 
     def _record_once(

@@ -62,7 +62,7 @@ def draw_coefficients(evidences: Sequence[Evidence]) -> Figure:
                 quiet_grid(axes)
             row[0].set_title(LAW_TITLES[evidence.law], loc="left")
             row[0].set_ylabel("coefficient [mm/s]")
-            row[1].set_ylabel("achieved less desired [mm/s]")
+            row[1].set_ylabel("achieved minus desired [mm/s]")
         for axes in panels[-1]:
             axes.set_xlabel("mode")
         handles = [
@@ -106,7 +106,7 @@ def draw_fields(evidences: Sequence[Evidence]) -> Figure:
                 quiet_grid(axes)
             column[0].set_title(LAW_TITLES[evidence.law], loc="left")
         panels[0, 0].set_ylabel("velocity at the\nfocusing instant [mm/s]")
-        panels[1, 0].set_ylabel("measured\nless ... [mm/s]")
+        panels[1, 0].set_ylabel("measured\nminus ... [mm/s]")
         figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=4, frameon=False)
     return figure
 
