@@ -56,7 +56,7 @@ def missing_libraries() -> dict[str, str]:
     # The location of Mesa's drivers depends on its version and the system.
     patterns = ("dri/*_dri.so", "*/dri/*_dri.so", "libgallium*.so", "*/libgallium*.so")
     if not any(any(Path("/usr").glob(f"lib*/{pattern}")) for pattern in patterns):
-        missing["the drivers of Mesa"] = "libgl1-mesa-dri"
+        missing["the Mesa drivers"] = "libgl1-mesa-dri"
     return missing
 
 
