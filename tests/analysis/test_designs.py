@@ -130,7 +130,7 @@ def test_answers_that_name_no_interval_are_left_out(compared, word: str) -> None
     frame = compared.astype({"sure": str})
     whole = found(take(frame.assign(response=frame["response"].where(~unsaid, word)), design))[1]
     rest = found(take(frame[~unsaid], {**design, "answers": {**TWO["answers"], "then": design["answers"]["then"]}}))[1]
-    for name in ("d'", "criterion", "PSE", "JND", "sure when correct less when not"):
+    for name in ("d'", "criterion", "PSE", "JND", "sure when correct minus when not"):
         assert whole[name] == rest[name]
     responses = take(compared.assign(response=compared["response"].where(~unsaid, word)), design)
     (limit,) = (each for each in analyse_design(responses).limits if "name no interval" in each)
@@ -172,7 +172,7 @@ def test_confidence_is_compared_between_correct_and_incorrect_answers(compared) 
     """Known: they are the surer the farther the comparison, and so when correct; Friedman finds the levels."""
     design = {**TWO, "answers": {**TWO["answers"], "then": {"sure": {"scale": {"kind": "likert"}}}}}
     findings, _ = found(take(compared.astype({"sure": str}), design))
-    gap = findings["sure when correct less when not over participants", "one_hand A-C"]
+    gap = findings["sure when correct minus when not over participants", "one_hand A-C"]
     assert gap.estimate > 0 and gap.p < 0.05
     over_levels = findings["sure over levels", "one_hand A-C"]
     assert over_levels.p == pytest.approx(1e-4) and over_levels.family == "rating over levels"
@@ -203,7 +203,7 @@ def test_of_two_further_answers_the_share_of_the_second_tells_both(compared) -> 
     frame = compared.assign(sure=np.where(compared["velocity_mm_s"] > 100, "certain", "guessed"))
     _, values = found(take(frame, {**TWO, "answers": answers}))
     names = {name for name in values if "sure" in name}
-    assert names == {"P(sure: certain)", "P(sure: certain) when correct less when not"}
+    assert names == {"P(sure: certain)", "P(sure: certain) when correct minus when not"}
 
 
 def test_groups_are_compared_by_participants_and_never_by_trials(compared) -> None:

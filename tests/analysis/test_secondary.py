@@ -62,7 +62,7 @@ def test_a_pair_that_everybody_answered_too_early_has_no_time(build) -> None:
 
 
 def test_the_first_finger_condition_is_told_from_the_second(build) -> None:
-    """Synthetic: half began with each; the note counts them, the score is first less second."""
+    """Synthetic: half began with each; the note counts them, the score is first minus second."""
     frame = build["tidy"](build["constant"](4, "both"))
     second = frame["finger_condition"] == frame["participant"].map(
         {"p01": "one_hand", "p02": "one_hand", "p03": "two_hands", "p04": "two_hands"}

@@ -371,7 +371,7 @@ def test_what_needs_fixed_levels_refuses_adaptive_sessions(preflight: Preflight,
     with pytest.raises(InputError, match="adaptive sessions, which have no table of counts"):
         fit_answers(preflight, results, FAINT)
     assert read_responses(results).is_adaptive
-    with pytest.raises(InputError, match="leave the option out: each run is of one"):
+    with pytest.raises(InputError, match="leave it out: each run has one stimulus"):
         read_responses(results, stimulus="sharp")
     for option, value in {"figures": ("order",), "model": True}.items():
         with pytest.raises(InputError, match=f"--{option}: given adaptive sessions; .*; leave --{option} out"):

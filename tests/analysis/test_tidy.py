@@ -178,7 +178,7 @@ class TestFaults:
         rows = [{**row, "velocity_mm_s": row["velocity_mm_s"] + number / 100} for number, row in enumerate(paper_rows)]
         (problem,) = fails(write_csv(rows))
         assert ":2:18: velocity_mm_s: given 240 different levels in 240 rows; allowed: the same levels for" in problem
-        assert "give the levels asked for" in problem and "add the missing rows" not in problem
+        assert "give the requested levels" in problem and "add the missing rows" not in problem
 
     def test_a_missing_column_is_named_with_what_was_found(self, write_csv, paper_rows) -> None:
         """The likely other name is suggested."""

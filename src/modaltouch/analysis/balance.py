@@ -85,7 +85,7 @@ def check_balance(table: Table, frame: pd.DataFrame, *, is_crossed: bool = True)
 
 def _measured_levels(table: Table, frame: pd.DataFrame, column: str) -> Problem:
     given = f"{frame[column].nunique()} different levels in {len(frame)} rows"
-    remedy = f"give the levels asked for; measured ones go into a column of another name than {column}"
+    remedy = f"give the requested levels, and measured ones in a column not named {column}"
     return table.problem(int(frame.index[0]), column, given, "the same levels for all participants", remedy)
 
 

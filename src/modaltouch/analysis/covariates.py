@@ -69,7 +69,7 @@ def side_findings(answers: AnswerCounts) -> Iterator[Finding]:
         labels = [", ".join(answers.pairs[q].label for q in group) for group in (right, left)]
         yield _mean_finding(
             "side", "side bias", f"{condition} {labels[0]} - {labels[1]}", (on_right - on_left) * answers.facing,
-            "P(focus) on the right less on the left",
+            "P(focus) on the right minus on the left",
         )  # fmt: skip
 
 
@@ -122,7 +122,7 @@ def order_findings(answers: AnswerCounts, frame: pd.DataFrame) -> Iterator[Findi
     notes = [", ".join(f"{n} began with {name.replace('_', ' ')}" for n, name in zip(led, starts.columns, strict=True))]
     notes += ["the effect of order cannot be separated from that of the finger condition"] if not all(led) else []
     yield _mean_finding(
-        "order", "first against second finger condition", "all", score, "P(dominant), first less second", notes
+        "order", "first against second finger condition", "all", score, "P(dominant), first minus second", notes
     )
 
 
@@ -198,7 +198,7 @@ def speed_findings(answers: AnswerCounts, frame: pd.DataFrame) -> Iterator[Findi
         own = share[condition].dropna().to_numpy()
         if own.size:
             notes = ["answers weighted by the octaves between the two speeds"]
-            quantity = "share naming the faster finger less the slower"
+            quantity = "share naming the faster finger minus the slower"
             yield _mean_finding("speed", "naming the faster finger", condition, own, quantity, notes)
 
 

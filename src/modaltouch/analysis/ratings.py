@@ -135,7 +135,7 @@ def ratings(responses: Responses, task: TrialTask, asked: Sequence[Question]) ->
             right = is_correct[part.index]
             if (right == 1).any() and (right == 0).any():
                 gap = part["rated"][right == 1].mean() - part["rated"][right == 0].mean()
-                words = f"{question.name} when correct less when not"
+                words = f"{question.name} when correct minus when not"
                 yield IndividualValue(
                     Measure(words, words, "rating", 0.0), *cell, Interval.point(float(gap), len(part)), len(part)
                 )

@@ -350,7 +350,7 @@ def _join(
     if levels != "adaptive" and is_crossed:
         refuse_unequal(place, frame)
     if levels == "adaptive" and stimulus is not None:
-        given, remedy = f"stimulus {stimulus!r} with adaptive sessions", "leave the option out: each run is of one"
+        given, remedy = f"stimulus {stimulus!r} with adaptive sessions", "leave it out: each run has one stimulus"
         raise InputError.of(place, given, "all stimuli together", remedy)
     return frame
 
@@ -369,7 +369,7 @@ def _only(place: Path, what: str, values: Sequence[str], remedy: str) -> str:
     counted = Counter(values)
     if len(counted) > 1:
         listed = ", ".join(f"{n} {value}" for value, n in counted.most_common())
-        raise InputError.of(place, f"sessions of several {what} ({listed})", "sessions of one alone", remedy)
+        raise InputError.of(place, f"sessions of several {what} ({listed})", "sessions of only one", remedy)
     return next(iter(counted), "")
 
 
