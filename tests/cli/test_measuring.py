@@ -45,7 +45,7 @@ def test_nobody_there_is_said(monkeypatch):
         raise EOFError
 
     monkeypatch.setattr("builtins.input", closed)
-    with bars() as showing, pytest.raises(typer.BadParameter, match="nobody can aim"):
+    with bars() as showing, pytest.raises(typer.BadParameter, match="someone must aim the vibrometer"):
         showing.aim(0.0, 0.0)
 
 

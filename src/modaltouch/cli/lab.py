@@ -348,7 +348,7 @@ def probe(
 ) -> None:
     """Probe the beam with hands off and on, and write what each finger adds to it.
 
-    Sines of at most 15 mm/s (`--speed-mm-s`) are played for half a second each time. The result is a file for
+    By default, sines of at most 15 mm/s are played, each for half a second. The result is a file for
     `stimulus.fingers` and `modaltouch check --fingers`, which gives the level that a design for these fingers reaches
     under them, with its 95 % interval. The table must contain all modes of the beam, including even ones; `modaltouch
     identify --modes all` finds them.
