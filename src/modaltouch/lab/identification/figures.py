@@ -59,7 +59,7 @@ def draw_responses(identification: Identification) -> Figure:
     curves = (
         (responses.response, "measured", {"lw": 2.4, "alpha": 0.45}),
         (identification.fitted, "fitted", {"lw": 0.9}),
-        (responses.response - identification.fitted, "measured less fitted", {"lw": 0.7}),
+        (responses.response - identification.fitted, "measured minus fitted", {"lw": 0.7}),
     )
     sets = responses.sets[:MOST_SETS]
     with house_style(7.6, 1.0 + 2.5 * len(sets), len(sets), sharex=True) as (figure, panels):
@@ -94,7 +94,7 @@ def draw_fits(identification: Identification) -> Figure:
             _draw_fit(column, identification, flat[index], fitted[index])
             s, p = divmod(index, responses.n_points)
             place = f" at {responses.places[p]}" if responses.places else ""
-            words = f"{rank}{responses.sets[s]}{place},\n{left[index]:.2%} left"
+            words = f"{rank}{responses.sets[s]}{place},\n{left[index]:.2%} residual"
             column[0].set_title(words, fontsize=8.5)
             _frequency_axis(column[1], responses.frequency)
         panels[0, 0].set_ylabel(_unit(identification))
@@ -115,7 +115,7 @@ def _draw_fit(
     kept = _thinned(frequency, np.abs(measured))
     place = frequency[kept] / 1e3
     for values, label, look in (
-        (measured - fitted, "measured less fitted", {"color": FAINT, "lw": 0.4}),
+        (measured - fitted, "measured minus fitted", {"color": FAINT, "lw": 0.4}),
         (measured, "measured", {"color": MIDDLE, "lw": 1.5}),
         (fitted, "fitted", {"color": INK, "lw": 0.8}),
     ):
