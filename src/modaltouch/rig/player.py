@@ -248,8 +248,8 @@ class Player:
 
     def unlock(self) -> None:
         """Unlock the memories for other users."""
-        locks = [setting for setting in self._settings if setting.of and setting.value == "ON"]
-        self._controls.apply_each([setting.off for setting in locks])
+        headers = {lock.header for lock in self._table.locks}
+        self._controls.apply_each([setting.off for setting in self._settings if setting.header in headers])
 
 
 def _refuse_steps(burst: Burst) -> None:
