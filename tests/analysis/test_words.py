@@ -71,7 +71,7 @@ def test_families_and_their_error_rates_are_stated_once(paper_frame) -> None:
     """Nine families at 5 % each; by Bonferroni's inequality 45 % over all of them."""
     stated = state_families(find(count_answers(paper_frame), paper_frame))
     assert "a1 (24), a2 (6), a2 mean (6), b (6), b mean (6), c (6), c mean (6), d (6), d mean (6)" in stated
-    assert "over all 9, it is 45 % at most" in stated
+    assert "over all 9, that probability is 45 % at most" in stated
 
 
 def test_every_p_is_corrected_or_exploratory(paper_frame) -> None:

@@ -197,7 +197,8 @@ def state_families(findings: Sequence[Finding]) -> str:
     named = ", ".join(f"{family} ({m})" for family, m in families.items())
     level, together = 100 * ALPHA, ""
     if n > 1:
-        together = f" Families are corrected separately: over all {n}, it is {min(n * level, 100):g} % at most."
+        at_most = min(n * level, 100)
+        together = f" Families are corrected separately: over all {n}, that probability is {at_most:g} % at most."
     return (
         f"Confirmatory tests, by family: {named}. Holm's correction keeps the probability of any false claim within a "
         f"family at {level:g} % at most.{together} All other tests are exploratory: their p are not corrected and "
