@@ -18,7 +18,7 @@ from bench_fingers import LEVEL, PAIRS, draw_fingers, true_beam
 from bench_probe import DENSITY, Bench
 from threadpoolctl import threadpool_limits
 
-from modaltouch.lab.probe.excitation import N_RECORDS, N_SAMPLES, SPACING
+from modaltouch.lab.probe_excitation import N_RECORDS, N_SAMPLES, SPACING
 from modaltouch.preflight import examine
 from modaltouch.protocol import Apparatus
 from modaltouch.stimulus import Finger, ModalModel

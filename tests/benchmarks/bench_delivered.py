@@ -15,7 +15,7 @@ from bench_fingers import N_DRAWS, PAIRS, draw_fingers, true_beam
 from bench_probe import DENSITY, Bench
 from threadpoolctl import threadpool_limits
 
-from modaltouch.lab.probe.excitation import BurstRecord
+from modaltouch.lab.probe_excitation import BurstRecord
 from modaltouch.preflight import examine
 from modaltouch.protocol import Apparatus
 from modaltouch.rig import Recording

@@ -19,7 +19,7 @@ from bench_fingers import LEVEL, N_DRAWS, PAIRS, draw_fingers, true_beam, whole_
 from threadpoolctl import threadpool_limits
 
 from modaltouch.lab.laboratory import open_laboratory
-from modaltouch.lab.probe.excitation import N_RECORDS, SPACING, Excitation
+from modaltouch.lab.probe_excitation import N_RECORDS, SPACING, Excitation
 from modaltouch.preflight import examine
 from modaltouch.protocol import Apparatus
 from modaltouch.protocol.fingers import FingersFile

@@ -14,11 +14,10 @@ from modaltouch.system import lazily
 if TYPE_CHECKING:
     from modaltouch.lab.calibration.command import calibrate
     from modaltouch.lab.comparison.command import compare
+    from modaltouch.lab.fingers import Prober, probe_fingers
     from modaltouch.lab.identification.command import IdentifyOptions, identify
     from modaltouch.lab.identification.responses import ResponseFormat
     from modaltouch.lab.laboratory import Laboratory, MeasurementProgress
-    from modaltouch.lab.probe.command import probe_fingers
-    from modaltouch.lab.probe.prober import Prober
     from modaltouch.lab.validation.command import validate
 else:
     __getattr__ = lazily(
@@ -26,11 +25,10 @@ else:
         {
             "calibration.command": "calibrate",
             "comparison.command": "compare",
+            "fingers": "Prober probe_fingers",
             "identification.command": "IdentifyOptions identify",
             "identification.responses": "ResponseFormat",
             "laboratory": "Laboratory MeasurementProgress",
-            "probe.command": "probe_fingers",
-            "probe.prober": "Prober",
             "validation.command": "validate",
         },
     )

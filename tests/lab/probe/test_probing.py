@@ -9,7 +9,7 @@ from ruamel.yaml import YAML
 
 from modaltouch.lab import probe_fingers
 from modaltouch.lab.laboratory import open_laboratory
-from modaltouch.lab.probe.excitation import BurstRecord, Excitation
+from modaltouch.lab.probe_excitation import BurstRecord, Excitation
 from modaltouch.preflight import design, examine
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.fingers import FingersFile
@@ -46,7 +46,7 @@ def protocol(tmp_path_factory):
 def written(protocol):
     """What the probe of A and C found, its file on the disk; the fingers lie where they are expected."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("modaltouch.lab.probe.command.PLACE_ERROR", 0.0)
+        patch.setattr("modaltouch.lab.fingers.PLACE_ERROR", 0.0)
         return probe_fingers(protocol, protocol.parent / "mine.yaml", pair="A-C", seed=5).write()
 
 

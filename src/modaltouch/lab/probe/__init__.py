@@ -1,1 +1,0 @@
-"""Measurement of fingers on a beam: excitation, recordings, and the file of fingers."""
