@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from modaltouch.lab.identification.estimates import Identification
 from modaltouch.lab.identification.joint_fit import identify
+from modaltouch.lab.identification.modal_parameters import Identification
 from modaltouch.lab.identification.responses import FrequencyResponses
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig.simulator.true_beam import TrueBeam, true_beam

@@ -13,7 +13,7 @@ import pytest
 from typer.testing import CliRunner
 
 from modaltouch.cli.commands import app
-from modaltouch.lab.identification.estimates import Estimate, Identification
+from modaltouch.lab.identification.modal_parameters import Estimate, Identification
 from modaltouch.lab.identification.report import IdentificationReport, identified_apparatus
 from modaltouch.lab.identification.verdict import check_modes
 from modaltouch.protocol import InputError

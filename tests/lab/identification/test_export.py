@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import pyuff
 
-from modaltouch.lab.identification.estimates import Estimate, Identification, IdentifiedMode, Rest
 from modaltouch.lab.identification.files import ResponseFormat, read_responses
+from modaltouch.lab.identification.modal_parameters import Estimate, Identification, IdentifiedMode, Rest
 from modaltouch.lab.identification.peaks import HalfPower
 from modaltouch.lab.identification.report import check_export, export
 from modaltouch.lab.identification.responses import FrequencyResponses

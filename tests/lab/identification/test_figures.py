@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from modaltouch.lab.identification import figures
-from modaltouch.lab.identification.estimates import Identification
 from modaltouch.lab.identification.figures import HIGHEST_ORDER, poles_by_order
 from modaltouch.lab.identification.joint_fit import identify_each
+from modaltouch.lab.identification.modal_parameters import Identification
 from modaltouch.lab.identification.responses import FrequencyResponses
 from modaltouch.lab.identification.shapes import phase_collinearity, phase_deviation
 from modaltouch.rig.simulator.true_beam import TrueBeam

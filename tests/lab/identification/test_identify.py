@@ -12,9 +12,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from modaltouch.lab.identification.estimates import Identification
 from modaltouch.lab.identification.joint_fit import identify
 from modaltouch.lab.identification.kernel import Bins, Poles
+from modaltouch.lab.identification.modal_parameters import Identification
 from modaltouch.lab.identification.responses import QUANTITIES, FrequencyResponses, Place, Quantity, as_velocity
 from modaltouch.lab.identification.shapes import check_points, label_shapes, mac
 from modaltouch.rig.simulator.true_beam import TrueBeam

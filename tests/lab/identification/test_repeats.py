@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import pyuff
 
-from modaltouch.lab.identification.estimates import Identification
 from modaltouch.lab.identification.files import read_responses
 from modaltouch.lab.identification.joint_fit import identify, identify_each, over_repeats
+from modaltouch.lab.identification.modal_parameters import Identification
 from modaltouch.lab.identification.responses import FrequencyResponses, ResponseFormat
 from modaltouch.lab.identification.verdict import repeatability
 

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from identification.conftest import BANDWIDTH, DELAY, LENGTH, PERIOD
 
-from modaltouch.lab.identification.estimates import Identification
 from modaltouch.lab.identification.figures import draw_shape_maps
 from modaltouch.lab.identification.files import ResponseFormat, read_responses
 from modaltouch.lab.identification.joint_fit import identify
+from modaltouch.lab.identification.modal_parameters import Identification
 from modaltouch.lab.identification.report import as_dict, export, map_rows, shape_rows, table_rows
 from modaltouch.lab.identification.responses import FrequencyResponses, Place, along
 from modaltouch.lab.identification.shapes import label_torsion, mac, torsion_shapes

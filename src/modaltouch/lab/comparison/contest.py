@@ -15,9 +15,9 @@ import numpy as np
 from modaltouch.lab.arrays import FloatArray
 from modaltouch.lab.comparison.methods import MethodDrive, design_all
 from modaltouch.lab.comparison.training_data import TrainingData, TransferFunctions, band
-from modaltouch.lab.identification.estimates import Identification
 from modaltouch.lab.identification.excitation import LOWEST, IdentificationPlan, evenly, highest_needed
 from modaltouch.lab.identification.joint_fit import identify
+from modaltouch.lab.identification.modal_parameters import Identification
 from modaltouch.lab.identification.responses import FrequencyResponses, responses_of
 from modaltouch.lab.identification.verdict import check_modes, misfit_verdict, warnings
 from modaltouch.lab.laboratory import SILENT_PROGRESS, MeasurementProgress, open_laboratory

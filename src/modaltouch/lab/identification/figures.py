@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from modaltouch.lab.arrays import ComplexArray, FloatArray
-from modaltouch.lab.identification.estimates import Identification
+from modaltouch.lab.identification.modal_parameters import Identification
 from modaltouch.lab.identification.responses import FrequencyResponses
 from modaltouch.lab.identification.shapes import phase_collinearity, phase_deviation
 from modaltouch.lab.output import DARK, LIGHT, MIDDLE, draw_map

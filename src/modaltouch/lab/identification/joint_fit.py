@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.lab.arrays import ComplexArray, FloatArray, low_pass
-from modaltouch.lab.identification.estimates import Estimate, Identification, IdentifiedMode
 from modaltouch.lab.identification.kernel import Bins, Evaluation, LeastSquaresProblem, Poles, evaluate
-from modaltouch.lab.identification.modal_parameters import ModalParameters
+from modaltouch.lab.identification.modal_parameters import Estimate, Identification, IdentifiedMode, ModalParameters
 from modaltouch.lab.identification.peaks import (
     DAMPING_BOUNDS,
     MOST_POLES,

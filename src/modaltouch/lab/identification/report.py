@@ -16,8 +16,8 @@ from warnings import catch_warnings, simplefilter
 
 import numpy as np
 
-from modaltouch.lab.identification.estimates import Estimate, Identification, IdentifiedMode
 from modaltouch.lab.identification.files import CSV_COLUMNS
+from modaltouch.lab.identification.modal_parameters import Estimate, Identification, IdentifiedMode
 from modaltouch.lab.identification.responses import along
 from modaltouch.lab.identification.shapes import over_width, phase_collinearity, phase_deviation, recognise
 from modaltouch.lab.identification.verdict import misfit_verdict, repeatability, warnings

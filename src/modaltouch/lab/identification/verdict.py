@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from modaltouch.lab.identification.estimates import REMEDIES, Identification, IdentifiedMode
+from modaltouch.lab.identification.modal_parameters import REMEDIES, Identification, IdentifiedMode
 from modaltouch.lab.identification.points import GRAVITY, SPREAD, in_two_units, misplaced, unevenness
 from modaltouch.lab.identification.shapes import BELONGS, bending_likeness, mac
 from modaltouch.lab.identification.time_records import STILL_MOVES
