@@ -13,8 +13,8 @@ from scipy.signal import fftconvolve
 
 from modaltouch.lab.identification.files import ResponseFormat, read_responses
 from modaltouch.lab.identification.joint_fit import identify
-from modaltouch.lab.identification.points import in_two_units
 from modaltouch.lab.identification.responses import FrequencyResponses, Place
+from modaltouch.lab.identification.shapes import in_two_units
 from modaltouch.lab.identification.verdict import check_gains, check_modes, misfit_verdict, warnings
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig.simulator.true_beam import TrueBeam

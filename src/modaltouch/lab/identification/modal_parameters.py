@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from modaltouch.lab.arrays import NORMAL_95, ComplexArray, FloatArray
 from modaltouch.lab.identification.kernel import N_REST, Evaluation, Poles, complex_residue, fitted
 from modaltouch.lab.identification.peaks import HalfPower, half_power
-from modaltouch.lab.identification.points import refuse_odd_point
 from modaltouch.lab.identification.responses import FrequencyResponses
 from modaltouch.lab.identification.shapes import (
     label_shapes,
     label_torsion,
+    refuse_odd_point,
     shape_scatter,
     torsion_shapes,
     unit_shape,

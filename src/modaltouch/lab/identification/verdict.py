@@ -8,8 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from modaltouch.lab.identification.modal_parameters import REMEDIES, Identification, IdentifiedMode
-from modaltouch.lab.identification.points import GRAVITY, SPREAD, in_two_units, misplaced, unevenness
-from modaltouch.lab.identification.shapes import BELONGS, bending_likeness, mac
+from modaltouch.lab.identification.shapes import BELONGS, bending_likeness, in_two_units, mac, misplaced, unevenness
 from modaltouch.lab.identification.time_records import STILL_MOVES
 from modaltouch.protocol import Apparatus
 
@@ -183,8 +182,11 @@ def check_all(identification: Identification) -> None:
         raise ValueError("\n".join([*(line for each in faults for line in each), *cause]))
 
 
+SPREAD = 0.1
+"""Relative tolerance of a factor between units that are often confused [1]."""
+
 FACTORS = {
-    GRAVITY: "an acceleration in g was taken for m/s^2, or the other way round, or a 10 : 1 probe for 1 : 1",
+    9.80665: "an acceleration in g was taken for m/s^2, or the other way round, or a 10 : 1 probe for 1 : 1",
     1e3: "a prefix, milli or kilo, was missed",
 }
 """Factors between units that are often confused, and their meaning."""
