@@ -13,7 +13,7 @@ from modaltouch.system import lazily
 
 if TYPE_CHECKING:
     from modaltouch.lab.calibration.command import calibrate
-    from modaltouch.lab.comparison.command import compare
+    from modaltouch.lab.comparison import compare
     from modaltouch.lab.fingers import Prober, probe_fingers
     from modaltouch.lab.identification.command import IdentifyOptions, identify
     from modaltouch.lab.identification.responses import ResponseFormat
@@ -24,7 +24,7 @@ else:
         __name__,
         {
             "calibration.command": "calibrate",
-            "comparison.command": "compare",
+            "comparison": "compare",
             "fingers": "Prober probe_fingers",
             "identification.command": "IdentifyOptions identify",
             "identification.responses": "ResponseFormat",

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from modaltouch.lab.comparison.training_data import TrainingData, TransferFunctions, band
+from modaltouch.lab.contest import band
+from modaltouch.lab.focusing_methods import TrainingData, TransferFunctions
 from modaltouch.preflight import Preflight, examine
 from modaltouch.stimulus.modes import ModalModel
 
@@ -46,4 +47,5 @@ def known(preflight: Preflight) -> TrainingData:
     stimulus = preflight.stimulus
     positions = np.round(np.linspace(-0.05, 0.05, 41), 9)
     responses = responses_of(stimulus.model, positions)
-    return TrainingData(stimulus.model, responses, stimulus.target_field, stimulus.timing, stimulus.amplifier)
+    field, timing, amplifier = stimulus.target_field, stimulus.timing, stimulus.amplifier
+    return TrainingData(stimulus.model, responses, field, timing, amplifier, stimulus.release, stimulus.load_factor)

@@ -11,8 +11,8 @@ import pytest
 from typer.testing import CliRunner
 
 from modaltouch.cli.commands import app
-from modaltouch.lab.comparison.command import ComparisonReport, Criterion, criteria, rows_of
-from modaltouch.lab.comparison.contest import run_contest, true_delay, without_mismatch
+from modaltouch.lab.comparison import ComparisonReport, Criterion, criteria, rows_of
+from modaltouch.lab.contest import run_contest, true_delay, without_mismatch
 from modaltouch.lab.output import title_of
 from modaltouch.preflight import examine
 from modaltouch.rig import Simulator

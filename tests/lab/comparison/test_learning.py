@@ -8,10 +8,9 @@ from typer.testing import CliRunner
 
 from modaltouch.cli import BAD_INPUT
 from modaltouch.cli.commands import app
-from modaltouch.lab.comparison import command
-from modaltouch.lab.comparison.contest import for_rivals, identified_model, learn, without_mismatch
-from modaltouch.lab.comparison.methods import design_all
-from modaltouch.lab.comparison.training_data import TrainingData
+from modaltouch.lab import comparison as command
+from modaltouch.lab.contest import for_rivals, identified_model, learn, without_mismatch
+from modaltouch.lab.focusing_methods import TrainingData, design_all
 from modaltouch.lab.identification.joint_fit import identify
 from modaltouch.lab.identification.responses import FrequencyResponses
 from modaltouch.rig.simulator.twin import Twin
@@ -74,7 +73,7 @@ def test_laws_and_rivals_learn_from_the_same_recordings(preflight, known, record
         bin_ = int(np.abs(rivals.frequency - frequency).argmin())
         own = rivals.response[int(np.abs(gain).argmax()), middle, bin_]
         assert abs(own.imag) < 0.25 * abs(own.real), f"{frequency} Hz is not real at resonance"
-    every = design_all(replace(known, model=model, responses=rivals), "braked", 1.0)
+    every = design_all(replace(known, model=model, responses=rivals))
     assert [each.method.key for each in every][:2] == ["exact", "paper"]
     assert all(0 < each.peak_voltage <= 250 * (1 + 1e-9) for each in every)
 

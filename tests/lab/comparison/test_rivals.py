@@ -8,7 +8,9 @@ from forward import velocity_history
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from modaltouch.lab.comparison.methods import (
+from modaltouch.lab.focusing_methods import (
+    TrainingData,
+    TransferFunctions,
     inverse_filter,
     inverse_filter_at_instant,
     least_energy,
@@ -16,7 +18,6 @@ from modaltouch.lab.comparison.methods import (
     regularised_inverse,
     time_reversal,
 )
-from modaltouch.lab.comparison.training_data import TrainingData, TransferFunctions
 from modaltouch.rig.afg3022b import AFG3022B
 from modaltouch.stimulus.burst import Timing
 from modaltouch.stimulus.dynamics import Amplifier

@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from modaltouch.lab.comparison.contest import Contest, DriveAssessment, contest, learn
+from modaltouch.lab.contest import Contest, DriveAssessment, contest, learn
 from modaltouch.lab.identification.shapes import check_points
 from modaltouch.lab.laboratory import SILENT_PROGRESS, MeasurementProgress
 from modaltouch.lab.output import DARK, MIDDLE, rounded, title_of
@@ -130,8 +130,8 @@ def rows_of(contest: Contest) -> list[Row]:
             "energy_V2_s": designed.energy,
             "reach_mm_s": verdict.row["at_focus_mm_s"] * limit / designed.peak_voltage,
             "computing_time_s": designed.computing_time,
-            "recordings": designed.method.recordings(n_points, n_channels),
-            "further_recordings": designed.method.further_recordings(n_channels),
+            "recordings": n_channels * (1 if designed.method.needs == "focus" else n_points),
+            "further_recordings": n_channels if designed.method.needs == "focus" else 0,
             **_changed(verdict, changed),
         }
         for designed, verdict, changed in parts

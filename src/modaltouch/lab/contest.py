@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 
 from modaltouch.lab.arrays import FloatArray
-from modaltouch.lab.comparison.methods import MethodDrive, design_all
-from modaltouch.lab.comparison.training_data import TrainingData, TransferFunctions, band
+from modaltouch.lab.focusing_methods import MethodDrive, TrainingData, TransferFunctions, design_all
 from modaltouch.lab.identification.excitation import LOWEST, IdentificationPlan, evenly, highest_needed
 from modaltouch.lab.identification.joint_fit import identify
 from modaltouch.lab.identification.modal_parameters import Identification
@@ -208,6 +207,8 @@ def contest(
         target_field=stimulus.target_field,
         timing=stimulus.timing,
         amplifier=stimulus.amplifier,
+        release=stimulus.release,
+        load_factor=stimulus.load_factor,
     )
     said = (misfit_verdict(identification), *warnings(identification))
     return run_contest(
@@ -228,7 +229,7 @@ def run_contest(
     """Design a drive with every method from the training data, play it on the twin, and evaluate it."""
     apparatus, stimulus = preflight.experiment.apparatus, preflight.stimulus
     centre = without_mismatch(apparatus)
-    designed = design_all(known, stimulus.release, stimulus.load_factor)
+    designed = design_all(known)
     sent = _play(centre, designed, stimulus.target_field.velocity, progress)
     verdicts = [judge(each.on_beam(centre, seed), preflight) for each in sent]
     changed: list[list[DriveAssessment]] = [[] for _ in designed]
@@ -299,6 +300,22 @@ def identified_model(found: Identification, apparatus: Apparatus) -> ModalModel:
         frequency[row], ratio[row] = mode.natural_frequency.value, mode.damping_ratio.value
         gain[row, channels] = [estimate.value for estimate in mode.gain]
     return replace(table, natural_frequency=frequency, damping_ratio=ratio, modal_gain=gain)
+
+
+def band(frequency: FloatArray, lowest: float, highest: float) -> FloatArray:
+    """Return a window over frequency with raised-cosine flanks [1].
+
+    Parameters
+    ----------
+    frequency : array_like
+        Frequencies [Hz].
+    lowest, highest : float
+        The window is 1 between them; it rises from half of `lowest`, and falls to 0 at 1.1 times `highest` [Hz].
+    """
+    f = np.asarray(frequency, dtype=float)
+    rise = np.clip((f - lowest / 2) / (lowest / 2), 0, 1)
+    fall = np.clip((1.1 * highest - f) / (0.1 * highest), 0, 1)
+    return np.asarray((0.5 - 0.5 * np.cos(np.pi * rise)) * (0.5 - 0.5 * np.cos(np.pi * fall)))
 
 
 def for_rivals(responses: FrequencyResponses, delay: float, apparatus: Apparatus) -> TransferFunctions:

@@ -1,4 +1,4 @@
-r"""The compared methods, each of which computes the voltages of a burst from the same training data.
+r"""The compared methods of focusing, each of which computes the voltages of a burst from the same training data.
 
 **Time reversal.** Each output plays its own impulse response at the focus backwards. With :math:`h_c(x_0, t)` the
 velocity at the focus after an impulse from output c, the drive :math:`v_c(t) = A\, h_c(x_0, t_F - t)` produces
@@ -36,17 +36,171 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property, lru_cache, partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from modaltouch.lab.arrays import ComplexArray, FloatArray
-from modaltouch.lab.comparison.training_data import TrainingData
-from modaltouch.stimulus import (
-    Burst,
-    Law,
-    Release,
-    design_stimulus,
-)
+from modaltouch.stimulus import Amplifier, Burst, Law, ModalModel, Release, TargetField, Timing, design_stimulus
+
+if TYPE_CHECKING:
+    from scipy.signal import CZT
+
+STEP = 0.8e-6
+"""Approximate time step of the model-free methods: 14 steps per period of the highest mode of Table I [s]."""
+
+
+@lru_cache(maxsize=4)
+def _transform(n_bins: int, n: int, begin: float, turn: float) -> CZT:
+    """Return the chirp z-transform from bins to n instants, with the phase of the first and the phase step [rad]."""
+    from scipy.signal import CZT
+
+    return CZT(n_bins, n, w=np.exp(1j * turn), a=np.exp(-1j * begin))
+
+
+@dataclass(frozen=True, eq=False)
+class TransferFunctions:
+    """Frequency responses at points of the beam to each generator output.
+
+    Attributes
+    ----------
+    frequency : (n_bins,) array
+        Evenly spaced, increasing [Hz].
+    response : (n_channels, n_points, n_bins) complex array
+        Velocity per volt at the beam, 0 outside the band of the modes [m/s per V].
+    position : (n_points,) array
+        Control points, origin at mid-beam [m].
+    variance : (n_channels, n_bins) array
+        Variance of the noise in `response` [(m/s per V)^2].
+    """
+
+    frequency: FloatArray
+    response: ComplexArray
+    position: FloatArray
+    variance: FloatArray
+
+    @property
+    def spacing(self) -> float:
+        """Bin spacing [Hz]."""
+        return float(self.frequency[1] - self.frequency[0])
+
+    def in_time(self, spectrum: ComplexArray, first: float, step: float, n: int) -> FloatArray:
+        r"""Return the real signal of a one-sided spectrum at evenly spaced instants.
+
+        :math:`h(t) = 2 \Delta f \,\mathrm{Re} \sum_b H_b e^{i 2 \pi f_b t}`, by the chirp z-transform: the time step
+        need not divide the period of the bins.
+
+        Parameters
+        ----------
+        spectrum : (..., n_bins) complex array
+            Spectrum at `frequency` [unit per Hz]; the n instants start at `first`, one `step` apart [s].
+        """
+        turn = 2 * np.pi * self.spacing
+        transform = _transform(self.frequency.size, n, turn * first, turn * step)
+        carrier = np.exp(2j * np.pi * self.frequency[0] * (first + step * np.arange(n)))
+        return np.asarray(2 * self.spacing * (carrier * transform(spectrum)).real)
+
+
+@dataclass(frozen=True, eq=False)
+class TrainingData:
+    """All data available to a method.
+
+    Attributes
+    ----------
+    model : ModalModel
+        The modes, identified from the same recordings as `responses`.
+    responses : TransferFunctions
+        The recordings.
+    target_field : TargetField
+        The target field; its velocity is the level.
+    timing : Timing
+        Clock of the burst.
+    amplifier : Amplifier
+        The amplifier, whose limit applies to all methods.
+    release : str
+        Behaviour of the drive laws after the focusing instant; it does not affect the other methods.
+    load_factor : float
+        Fraction of the generator's open-circuit voltage that reaches the amplifier's input [1].
+    """
+
+    model: ModalModel
+    responses: TransferFunctions
+    target_field: TargetField
+    timing: Timing
+    amplifier: Amplifier
+    release: Release = "braked"
+    load_factor: float = 1.0
+
+    @property
+    def stride(self) -> int:
+        """Number of samples per step of the model-free methods; one step ends at the focusing instant."""
+        return max(1, round(STEP / self.timing.hold))
+
+    @property
+    def step(self) -> float:
+        """Time step of the model-free methods [s]."""
+        return self.stride * self.timing.hold
+
+    @property
+    def n_before(self) -> int:
+        """Number of steps before the focusing instant."""
+        return self.timing.samples_until(self.timing.focusing_instant)[0] // self.stride
+
+    @cached_property
+    def towards(self) -> FloatArray:
+        """Velocity at the control points at the focusing instant per volt in each step before it, latest step first.
+
+        (n_channels, n_points, n_before) array [m/s per V]: the impulse response at the middle of each step times the
+        step.
+        """
+        step, responses = self.step, self.responses
+        return responses.in_time(responses.response, step / 2, step, self.n_before) * step
+
+    @property
+    def focus(self) -> int:
+        """Index of the control point nearest to the focus."""
+        return int(np.abs(self.responses.position - self.target_field.centre).argmin())
+
+    def target(self) -> FloatArray:
+        """Return the target field at the control points, (n_points,) array [m/s]."""
+        return self.target_field.velocity * self.target_field.profile(self.responses.position)
+
+    def expected(self, steps: FloatArray) -> FloatArray:
+        """Predict the field at the focusing instant from the recordings, (n_points,) array [m/s].
+
+        The steps are the voltages before that instant, (n_channels, n_before) array [V].
+        """
+        return np.asarray(np.einsum("cmj,cj->m", self.towards, steps[:, ::-1]))
+
+    def to_level(self, steps: FloatArray, after: FloatArray | None = None) -> FloatArray:
+        """Scale voltages to the level at the focus predicted from the recordings, or else to the voltage limit.
+
+        Parameters
+        ----------
+        steps, after : (n_channels, n_before) and (n_channels, n_after) array
+            Voltages before and after the focusing instant, of one arbitrary scale; 0 V after it if not given.
+
+        Returns
+        -------
+        (n_channels, n_samples) array
+            Voltages of the whole burst at the beam; 0 V in the first and last sample, where the generator idles [V].
+        """
+        whole = steps if after is None else np.concatenate([steps, after], axis=1)
+        reached = float(self.expected(steps)[self.focus])
+        highest = float(np.abs(whole).max())
+        if reached == 0 or highest == 0:
+            raise ValueError("the drives do not move the focus: record a point that moves, or choose another focus")
+        factor = self.target_field.velocity / reached
+        factor = float(np.sign(factor)) * min(abs(factor), self.amplifier.limit / highest)
+        voltage = np.zeros((whole.shape[0], self.timing.n_samples))
+        held = np.repeat(whole * factor, self.stride, axis=1)[:, : self.timing.n_samples]
+        # The steps end at the focusing instant; any remaining samples precede the first step.
+        start = max(0, self.timing.samples_until(self.timing.focusing_instant)[0] - self.n_before * self.stride)
+        held = held[:, : self.timing.n_samples - start]
+        voltage[:, start : start + held.shape[1]] = held
+        voltage[:, 0] = voltage[:, -1] = 0.0
+        return voltage
 
 
 def time_reversal(known: TrainingData) -> FloatArray:
@@ -134,7 +288,8 @@ def inverse_filter_at_instant(known: TrainingData) -> FloatArray:
     is the regularisation. Directions below `ABOVE_NOISE` times the noise are left out, since a drive
     that uses them depends on noise; further ones are left out while the drive exceeds the voltage limit.
     """
-    noise = float(known.responses.noise_towards(known.step).sum()) * known.n_before
+    # Noise variance of an element of `towards`, over all steps before the focusing instant.
+    noise = float(known.responses.variance.sum()) * 2 * (known.responses.spacing * known.step) ** 2 * known.n_before
     target, towards = known.target(), known.towards
     strength, direction = np.linalg.eigh(np.einsum("cmj,cnj->mn", towards, towards, optimize=True))
     for floor in noise * ABOVE_NOISE * 10.0 ** np.arange(STRONGER):
@@ -191,26 +346,14 @@ class Method:
     name: str
     idea: str
     needs: str
-    design: Callable[[TrainingData, Release], FloatArray]
-
-    def recordings(self, n_points: int, n_channels: int) -> int:
-        """Return the number of recordings needed for the first focus."""
-        return n_channels * (1 if self.needs == "focus" else n_points)
-
-    def further_recordings(self, n_channels: int) -> int:
-        """Return the number of additional recordings for each further focus."""
-        return n_channels if self.needs == "focus" else 0
+    design: Callable[[TrainingData], FloatArray]
 
 
-def _by_law(law: Law) -> Callable[[TrainingData, Release], FloatArray]:
-    def design(known: TrainingData, release: Release) -> FloatArray:
-        stimulus = design_stimulus(
-            known.model, known.target_field, known.timing, known.amplifier, law=law, release=release, rounding="plain"
-        )
-        # As for the other methods, a drive above the voltage limit is scaled down to it.
-        return stimulus.voltage * min(1.0, known.amplifier.limit / float(stimulus.peak_voltage.max()))
-
-    return design
+def _by_law(law: Law, known: TrainingData) -> FloatArray:
+    field, timing, amplifier = known.target_field, known.timing, known.amplifier
+    stimulus = design_stimulus(known.model, field, timing, amplifier, law=law, release=known.release, rounding="plain")
+    # As for the other methods, a drive above the voltage limit is scaled down to it.
+    return stimulus.voltage * min(1.0, amplifier.limit / float(stimulus.peak_voltage.max()))
 
 
 METHODS = (
@@ -220,7 +363,7 @@ METHODS = (
         "brings every identified mode from rest to its target with the least weighted energy, then brakes it (this "
         "program)",
         "modes",
-        _by_law("exact"),
+        partial(_by_law, "exact"),
     ),
     Method(
         "paper",
@@ -228,7 +371,7 @@ METHODS = (
         "drives each selected mode along its reversed free decay by the output that drives it best (the paper, eq. "
         "6, 7)",
         "modes",
-        _by_law("paper"),
+        partial(_by_law, "paper"),
     ),
     Method(
         "time_reversal",
@@ -236,14 +379,14 @@ METHODS = (
         "plays each output's impulse response at the focus backwards (Hudin, Lozada & Hayward, IEEE Trans. Haptics "
         "8(2), 2015)",
         "focus",
-        lambda known, _: time_reversal(known),
+        time_reversal,
     ),
     Method(
         "one_bit",
         "1-bit time reversal",
         "plays only the signs of the same (Derode, Tourin & Fink, J. Appl. Phys. 85, 1999)",
         "focus",
-        lambda known, _: one_bit_reversal(known),
+        one_bit_reversal,
     ),
     Method(
         "inverse_filter",
@@ -251,14 +394,14 @@ METHODS = (
         "regularised least squares at every frequency towards a pulse of the target field and rest at every other time "
         "(Pantera & Hudin, World Haptics 2019 and IEEE Trans. Haptics 13(3), 2020)",
         "field",
-        lambda known, _: inverse_filter(known),
+        inverse_filter,
     ),
     Method(
         "inverse_instant",
         "inverse filter at t_F",
         "regularised least squares towards the target field at the focusing instant alone, a law without a model",
         "field",
-        lambda known, _: inverse_filter_at_instant(known),
+        inverse_filter_at_instant,
     ),
 )
 """The methods, in the order of every table and figure."""
@@ -297,26 +440,17 @@ class MethodDrive:
         return float((self.voltage**2).sum()) * hold
 
 
-def design_all(known: TrainingData, release: Release, load_factor: float) -> list[MethodDrive]:
-    """Design the drive of every method.
-
-    Parameters
-    ----------
-    known : TrainingData
-        The data available to each method.
-    release : str
-        Behaviour of the drive laws after the focusing instant; it does not affect the other methods.
-    load_factor : float
-        Fraction of the generator's open-circuit voltage that reaches the amplifier's input [1].
-    """
-    timing, to_beam, level = known.timing, known.amplifier.gain * load_factor, known.target_field.velocity
+def design_all(known: TrainingData) -> list[MethodDrive]:
+    """Design the drive of every method from the same data."""
+    timing, level = known.timing, known.target_field.velocity
     # Part of the recordings and shared by the methods, so not included in the computing time.
     _ = known.towards
     designed = []
     for method in METHODS:
         started = time.perf_counter()
-        voltage = method.design(known, release)
+        voltage = method.design(known)
         took = time.perf_counter() - started
+        to_beam = known.amplifier.gain * known.load_factor
         burst = Burst.holding(voltage, to_beam, level, timing.converter, timing.duration, timing.repetition_rate)
         designed.append(MethodDrive(method, voltage, burst, took))
     return designed
