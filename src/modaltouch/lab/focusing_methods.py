@@ -307,12 +307,8 @@ def least_energy(towards: FloatArray, target: FloatArray, beta: float, kept: Flo
 
     Parameters
     ----------
-    towards : (n_channels, n_points, n_steps) array
-        R [m/s per V].
-    target : (n_points,) array
-        f [m/s].
-    beta : float
-        Regularisation, which trades accuracy for energy [(m/s per V)^2].
+    towards, target : (n_channels, n_points, n_steps) and (n_points,) array
+        R [m/s per V] and f [m/s]; the regularisation trades accuracy for energy [(m/s per V)^2].
     kept : (n_points, n_kept) array, optional
         Orthonormal directions in which the field is controlled; all if not given [1].
     """
@@ -413,8 +409,6 @@ class MethodDrive:
 
     Attributes
     ----------
-    method : Method
-        The method.
     voltage : (n_channels, n_samples) array
         Voltages at the beam, before rounding [V].
     burst : Burst
