@@ -24,19 +24,11 @@ FOUND = {
 }
 
 
-class Report:
-    """What a probe returns."""
-
-    def write(self):
-        """Return plain values."""
-        return FOUND
-
-
 @pytest.fixture
 def asked(monkeypatch):
     """The options that the command gives to the lab."""
     given = []
-    monkeypatch.setattr("modaltouch.lab.probe_fingers", lambda *_, **options: given.append(options) or Report())
+    monkeypatch.setattr("modaltouch.lab.probe_fingers", lambda *_, **options: given.append(options) or FOUND)
     return given
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -110,7 +109,7 @@ def identify(
         margin=margin_mm * 1e-3, sets=tuple(sets or ()), modes=modes, form=form, seed=seed, export=export,
         leave_out=tuple(place * 1e-3 for place in leave_out or ()),
     )  # fmt: skip
-    carry_out(partial(lab.identify, options), lambda _, values: _show(values), json_output=json_output)
+    carry_out(_show, json_output, lab.identify, options)
 
 
 def _show(result: dict[str, Any]) -> None:

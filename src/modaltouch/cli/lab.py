@@ -18,8 +18,6 @@ from modaltouch.cli.output import BAD_INPUT, leave, make_bars, print_json, print
 if TYPE_CHECKING:
     from rich.progress import TaskID
 
-    from modaltouch.protocol import Calibration
-
 
 MEASURED_RIG = Annotated[
     str, typer.Option(help="`simulated`, or the generator's VISA address; a real one is measured with a PicoScope.")
@@ -86,13 +84,18 @@ def ask_for(words: str) -> None:
         ) from None
 
 
-def carry_out(measure: Callable[..., Any], show: Callable[[Any, dict[str, Any]], None], *, json_output: bool) -> None:
-    """Measure with progress bars, write the report, and print it as JSON or with `show`."""
+def carry_out(
+    show: Callable[[dict[str, Any]], None],
+    json_output: bool,
+    measure: Callable[..., dict[str, Any]],
+    *given: Any,
+    **options: Any,
+) -> None:
+    """Measure with progress bars, and print the result as JSON or with `show`."""
     with reporting(json_output=json_output):
         with bars(json_output=json_output) as progress:
-            report = measure(progress=progress)
-        values = report.write()
-        print_json(values) if json_output else show(report, values)
+            values = measure(*given, progress=progress, **options)
+        print_json(values) if json_output else show(values)
 
 
 def calibrate(
@@ -118,17 +121,17 @@ def calibrate(
     A calibration that misses the protocol's `calibration.limits` needs --accept to be written, and `run` needs
     --with-marked-calibration to use it.
     """
-    carry_out(
-        partial(lab.calibrate, protocol, out, rig=rig, person=person, accept=accept, record=record),
-        lambda report, _: _show_calibration(report.calibration, out, protocol),
-        json_output=json_output,
-    )
+    show = partial(_show_calibration, out, protocol)
+    carry_out(show, json_output, lab.calibrate, protocol, out, rig=rig, person=person, accept=accept, record=record)
 
 
-def _show_calibration(calibration: Calibration, out: Path, protocol: Path) -> None:
+def _show_calibration(out: Path, protocol: Path, values: dict[str, Any]) -> None:
     """Print the remaining errors and the verified levels."""
     from rich.markup import escape
 
+    from modaltouch.protocol import Calibration
+
+    calibration = Calibration.of({key: value for key, value in values.items() if key != "file"})
     for name, own in calibration.by_stimulus.items():
         _show_stimulus(name, own)
     noise = max(mode.uncertainty_mm_s for own in calibration.by_stimulus.values() for mode in own.modes)
@@ -219,24 +222,23 @@ def compare(
     Everything runs on the twin, whose true beam is the reference. All methods learn from the same recordings.
     """
     carry_out(
-        partial(
-            lab.compare,
-            protocol,
-            out=out,
-            scan=scan,
-            points=points,
-            averages=averages,
-            beams=beams,
-            seed=seed,
-        ),
-        lambda report, values: _show_comparison(report.table, values),
-        json_output=json_output,
+        _show_comparison,
+        json_output,
+        lab.compare,
+        protocol,
+        out=out,
+        scan=scan,
+        points=points,
+        averages=averages,
+        beams=beams,
+        seed=seed,
     )
 
 
-def _show_comparison(lines: list[dict[str, Any]], values: dict[str, Any]) -> None:
+def _show_comparison(values: dict[str, Any]) -> None:
     """Print the methods side by side, and the path of the page."""
     methods = values["methods"]
+    lines = lab.comparison_table(methods, values["velocity_mm_s"])
     shown = [line for line in lines if line["key"] in COLUMNS and methods[0].get(line["key"]) is not None]
     rows = []
     for number, method in enumerate(methods):
@@ -280,25 +282,24 @@ def validate(
     The highest level of the protocol is played. The measured field is compared with the target; errors are in mm/s.
     """
     carry_out(
-        partial(
-            lab.validate,
-            protocol,
-            calibration=calibration,
-            rig=rig,
-            out=out,
-            scan=scan,
-            points=points,
-            averages=averages,
-            rows=rows,
-            record=record,
-        ),
-        lambda report, values: _show_validation(report.table, values),
-        json_output=json_output,
+        _show_validation,
+        json_output,
+        lab.validate,
+        protocol,
+        calibration=calibration,
+        rig=rig,
+        out=out,
+        scan=scan,
+        points=points,
+        averages=averages,
+        rows=rows,
+        record=record,
     )
 
 
-def _show_validation(lines: list[dict[str, Any]], values: dict[str, Any]) -> None:
+def _show_validation(values: dict[str, Any]) -> None:
     """Print the drive laws side by side, and the path of the page."""
+    lines = lab.validation_table(values["laws"])
     headings = ("quantity [unit]", *(f"law {law['law']}" for law in values["laws"]))
     names = [f"{line['quantity']} \\[{line['unit']}]" if line["unit"] != "1" else line["quantity"] for line in lines]
     rows = [(name, *line["cells"]) for name, line in zip(names, lines, strict=True)]
@@ -354,20 +355,18 @@ def probe(
     identify --modes all` finds them.
     """
     carry_out(
-        partial(
-            lab.probe_fingers,
-            protocol,
-            out,
-            rig=rig,
-            pair=pair,
-            hand=hand,
-            laser=None if laser_mm is None else laser_mm * 1e-3,
-            speed=speed_mm_s * 1e-3,
-            seed=seed,
-            lay=ask_for,
-        ),
-        lambda _, values: _show_fingers(values),
-        json_output=json_output,
+        _show_fingers,
+        json_output,
+        lab.probe_fingers,
+        protocol,
+        out,
+        rig=rig,
+        pair=pair,
+        hand=hand,
+        laser=None if laser_mm is None else laser_mm * 1e-3,
+        speed=speed_mm_s * 1e-3,
+        seed=seed,
+        lay=ask_for,
     )
 
 

@@ -1,8 +1,8 @@
 """Measurements of the beam: identification, calibration, validation, and a comparison with other methods of focusing.
 
-Each command takes an apparatus or a protocol and measures on a rig or on the twin. It returns a report that contains
-the result and writes its files: an apparatus file (`identify`), a calibration file (`calibrate`), a file of fingers
-(`probe_fingers`), or a page with figures and tables (`validate`, `compare`).
+Each command takes an apparatus or a protocol, measures on a rig or on the twin, and writes its files: an apparatus file
+(`identify`), a calibration file (`calibrate`), a file of fingers (`probe_fingers`), or a page with figures and tables
+(`validate`, `compare`). It returns the results as plain values with the paths of the files.
 """
 
 from __future__ import annotations
@@ -13,23 +13,25 @@ from modaltouch.system import lazily
 
 if TYPE_CHECKING:
     from modaltouch.lab.calibration.command import calibrate
-    from modaltouch.lab.comparison import compare
+    from modaltouch.lab.comparison import compare, comparison_table
     from modaltouch.lab.fingers import Prober, probe_fingers
     from modaltouch.lab.identification.command import IdentifyOptions, identify
     from modaltouch.lab.identification.responses import ResponseFormat
     from modaltouch.lab.laboratory import Laboratory, MeasurementProgress
     from modaltouch.lab.validation.command import validate
+    from modaltouch.lab.validation.key_figures import validation_table
 else:
     __getattr__ = lazily(
         __name__,
         {
             "calibration.command": "calibrate",
-            "comparison": "compare",
+            "comparison": "compare comparison_table",
             "fingers": "Prober probe_fingers",
             "identification.command": "IdentifyOptions identify",
             "identification.responses": "ResponseFormat",
             "laboratory": "Laboratory MeasurementProgress",
             "validation.command": "validate",
+            "validation.key_figures": "validation_table",
         },
     )
 
@@ -41,7 +43,9 @@ __all__ = [
     "ResponseFormat",
     "calibrate",
     "compare",
+    "comparison_table",
     "identify",
     "probe_fingers",
     "validate",
+    "validation_table",
 ]

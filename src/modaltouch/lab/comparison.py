@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -256,99 +255,73 @@ def _draw_dots(axes: Axes, place: int, others: Sequence[float], learned: float) 
     axes.plot([learned, learned], [place - 0.36, place + 0.36], color=DARK, linewidth=2)
 
 
-@dataclass(frozen=True, eq=False)
-class ComparisonReport:
-    """Report of the comparison.
+def comparison_table(rows: Sequence[Row], level: float) -> list[dict[str, Any]]:
+    """Return one line per criterion, with a cell for each method and whether it is the best at a level [mm/s]."""
+    lines = []
+    for each in criteria(rows):
+        best = each.winners(rows, level)
+        cells = [{"text": each.printed(row), "best": row in best} for row in rows]
+        lines.append({"key": each.key, "name": each.name, "unit": each.unit, "cells": cells})
+    cells = [{"text": f"{row['computing_time_s'] * 1e3:.0f}", "best": False} for row in rows]
+    name = "computing time, on this machine"
+    return [*lines, {"key": "computing_time_s", "name": name, "unit": "ms", "cells": cells}]
 
-    Attributes
+
+def write_comparison(found: Contest, about: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Write page, figures and tables, and return the plain values with the path of each file.
+
+    Parameters
     ----------
-    contest : Contest
+    found : Contest
         The comparison.
     about : dict
         Title, protocol, apparatus, seed, records at each point (``n_records``) and commit, as plain values.
     folder : Path
         Folder for the results.
+
+    Raises
+    ------
+    RecordError
+        If the folder holds something else, or cannot be written.
     """
-
-    contest: Contest
-    about: dict[str, Any]
-    folder: Path
-
-    @cached_property
-    def rows(self) -> list[Row]:
-        """The key figures of every method."""
-        return rows_of(self.contest)
-
-    @property
-    def table(self) -> list[dict[str, Any]]:
-        """One line per criterion, with a cell for each method and whether it is the best."""
-        lines = []
-        for each in criteria(self.rows):
-            best = each.winners(self.rows, self.level)
-            cells = [{"text": each.printed(row), "best": row in best} for row in self.rows]
-            lines.append({"key": each.key, "name": each.name, "unit": each.unit, "cells": cells})
-        cells = [{"text": f"{row['computing_time_s'] * 1e3:.0f}", "best": False} for row in self.rows]
-        name = "computing time, on this machine"
-        return [*lines, {"key": "computing_time_s", "name": name, "unit": "ms", "cells": cells}]
-
-    @property
-    def level(self) -> float:
-        """Target velocity at the focus [mm/s]."""
-        return self.contest.known.target_field.velocity * 1e3
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the comparison as plain values."""
-        return {
-            **self.about,
-            "mode": "simulated",
-            "velocity_mm_s": self.level,
-            "voltage_limit_V": self.contest.known.amplifier.limit,
-            "n_points": int(self.contest.known.responses.position.size),
-            "n_other_beams": len(self.contest.changed[0]),
-            "identification": list(self.contest.identification),
-            "methods": self.rows,
-        }
-
-    def write(self) -> dict[str, Any]:
-        """Write page, figures and tables, and return the plain values with the path of each file.
-
-        Raises
-        ------
-        RecordError
-            If the folder holds something else, or cannot be written.
-        """
-        refuse_other(self.folder, COMMAND)
-        values = self.as_dict()
-        figures = {
-            "fields": (
-                draw_fields(self.contest),
-                "The true velocity field at the focusing instant, and the target.",
-            ),
-            "price": (
-                draw_price(self.rows, values["voltage_limit_V"]),
-                "What each method costs, and what it gains. Dark: the exact law.",
-            ),
-            "robustness": (
-                draw_robustness(self.contest),
-                "The same drives on other beams, drawn around the learned beam: a dot for each beam, a line for the "
-                "learned one.",
-            ),
-            "drives": (draw_drives(self.contest), "The drives; each row has its own scale."),
-        }
-        files = page_files(
-            "modaltouch.lab",
-            "comparison",
-            [ReportFigure(name, *drawn) for name, drawn in figures.items()],
-            title=f"Comparison: {self.about['title']}",
-            values=values,
-            level=format(round(self.level, 6), "g"),
-            rows=self.rows,
-            table=self.table,
-            delay=self.contest.delay * 1e6,
-        )
-        tables = {"comparison.json": values, "comparison.csv": _table_rows(self.rows)}
-        written = write_files(self.folder, files | tables, {"version": version()}, COMMAND)
-        return {**values, "files": {name: str(path) for name, path in written.items()}}
+    refuse_other(folder, COMMAND)
+    rows, level = rows_of(found), found.known.target_field.velocity * 1e3
+    limit = found.known.amplifier.limit
+    values = {
+        **about,
+        "mode": "simulated",
+        "velocity_mm_s": level,
+        "voltage_limit_V": limit,
+        "n_points": int(found.known.responses.position.size),
+        "n_other_beams": len(found.changed[0]),
+        "identification": list(found.identification),
+        "methods": rows,
+    }
+    figures = [
+        ("fields", draw_fields(found), "The true velocity field at the focusing instant, and the target."),
+        ("price", draw_price(rows, limit), "What each method costs, and what it gains. Dark: the exact law."),
+        (
+            "robustness",
+            draw_robustness(found),
+            "The same drives on other beams, drawn around the learned beam: a dot for each beam, a line for the "
+            "learned one.",
+        ),
+        ("drives", draw_drives(found), "The drives; each row has its own scale."),
+    ]
+    files = page_files(
+        "modaltouch.lab",
+        "comparison",
+        [ReportFigure(*each) for each in figures],
+        title=f"Comparison: {about['title']}",
+        values=values,
+        level=format(round(level, 6), "g"),
+        rows=rows,
+        table=comparison_table(rows, level),
+        delay=found.delay * 1e6,
+    )
+    tables = {"comparison.json": values, "comparison.csv": _table_rows(rows)}
+    written = write_files(folder, files | tables, {"version": version()}, COMMAND)
+    return {**values, "files": {name: str(path) for name, path in written.items()}}
 
 
 def compare(
@@ -361,8 +334,8 @@ def compare(
     beams: int = 20,
     seed: int = 1,
     progress: MeasurementProgress = SILENT_PROGRESS,
-) -> ComparisonReport:
-    """Design a drive with every method from the same recordings, and evaluate all drives on the twin's true beam.
+) -> dict[str, Any]:
+    """Design a drive with every method from the same recordings, evaluate all on the twin's true beam, and report.
 
     Parameters
     ----------
@@ -409,7 +382,7 @@ def compare(
         "n_records": averages,
         "commit": commit(),
     }
-    return ComparisonReport(found, about, folder)
+    return write_comparison(found, about, folder)
 
 
 def _table_rows(rows: Sequence[Row]) -> Any:

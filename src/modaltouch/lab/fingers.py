@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any, Literal
@@ -268,39 +268,6 @@ PLACE_ERROR = 2e-3
 """Standard deviation of the twin's fingers from their expected positions [m]."""
 
 
-@dataclass(frozen=True)
-class ProbeReport:
-    """The results of every placement.
-
-    Attributes
-    ----------
-    placements : list of dict
-        Plain values of each placement: its fingers, the misfit, and the level at the focus with its interval.
-    file : dict
-        Contents of the file of fingers.
-    out : Path
-        The file.
-    sensitivity_percent : float
-        Half-width of the 95 % interval of the vibrometer's sensitivity, common to all levels and not included in their
-        intervals [%].
-    """
-
-    placements: list[dict[str, Any]]
-    file: dict[str, Any]
-    out: Path
-    sensitivity_percent: float
-
-    def write(self) -> dict[str, Any]:
-        """Write the file, and return the plain values with its path."""
-        write_yaml(self.out, HEAD, self.file)
-        return {
-            "placements": rounded(self.placements, 6),
-            "fingers": self.file["fingers"],
-            "sensitivity_uncertainty_percent": self.sensitivity_percent,
-            "file": str(self.out),
-        }
-
-
 def probe_fingers(
     protocol: Path,
     out: Path,
@@ -313,8 +280,8 @@ def probe_fingers(
     seed: int | None = None,
     progress: MeasurementProgress = SILENT_PROGRESS,
     lay: Callable[[str], None] = quiet,
-) -> ProbeReport:
-    """Measure the fingers of every finger condition of a protocol on one pair of zones.
+) -> dict[str, Any]:
+    """Measure the fingers of every finger condition of a protocol on one pair of zones, and write their file.
 
     Parameters
     ----------
@@ -335,6 +302,12 @@ def probe_fingers(
         Reports progress and lets the user interrupt.
     lay : callable
         Called with an instruction to place or lift the hands; returns once that is done. Not called for the twin.
+
+    Returns
+    -------
+    dict
+        ``placements``: each with the level at the focus and its interval; ``fingers``, and ``file``, their path;
+        ``sensitivity_uncertainty_percent``, common to all levels and not included in their intervals.
 
     Raises
     ------
@@ -391,8 +364,8 @@ class _Plan:
             places = np.array([finger.position for _, finger in expected.values()])
             bench.simulator.touch((places + PLACE_ERROR * self.rng.standard_normal(places.size)).tolist())
 
-    def carried_out(self, prober: Prober, bench: Laboratory, lay: Callable[[str], None], out: Path) -> ProbeReport:
-        """Probe all placements and return the report; the first result counts if a finger is measured repeatedly."""
+    def carried_out(self, prober: Prober, bench: Laboratory, lay: Callable[[str], None], out: Path) -> dict[str, Any]:
+        """Probe all placements and write the file; the first result counts if a finger is measured repeatedly."""
         self.lay(bench, {}, lay, "Take all hands off the beam")
         prober.hands_off()
         hands: dict[str, dict[str, Any]] = {}
@@ -425,5 +398,10 @@ class _Plan:
         about = {"description": f"Measured by `modaltouch fingers probe` for {self.placements.protocol.protocol}"}
         file = self.placements.file.model_validate(about | {"fingers": hands, "probes": probes})
         values = file.model_dump(mode="json", exclude_defaults=True)
-        doubt = self.apparatus.acquisition.sensitivity_uncertainty_percent
-        return ProbeReport(shown, values, out, doubt)
+        write_yaml(out, HEAD, values)
+        return {
+            "placements": rounded(shown, 6),
+            "fingers": values["fingers"],
+            "sensitivity_uncertainty_percent": self.apparatus.acquisition.sensitivity_uncertainty_percent,
+            "file": str(out),
+        }

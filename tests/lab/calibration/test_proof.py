@@ -265,7 +265,7 @@ def test_what_misses_is_written_only_if_accepted(
             command.calibrate(protocol, out, accept=accept)
         assert not out.exists()
         return
-    command.calibrate(protocol, out, accept=accept).write()
+    command.calibrate(protocol, out, accept=accept)
     reading = examine_calibration(Source.load(out))
     assert reading.problems == ()
     (problem,) = check_mark(reading)

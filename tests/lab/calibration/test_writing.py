@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from modaltouch.lab.calibration.command import CalibrationReport
 from modaltouch.lab.calibration.file import (
     CalibrationResult,
     calibration_of,
     corrected_inputs,
+    write_calibration,
 )
 from modaltouch.lab.calibration.loop import calibrate
 from modaltouch.preflight import Preflight, examine
@@ -47,7 +47,7 @@ def calibration(preflight: Preflight, outcome: CalibrationResult) -> Calibration
 
 def test_read_back_it_is_what_was_written(calibration: Calibration, tmp_path: Path) -> None:
     """Every value, through YAML and the reader with its line numbers."""
-    CalibrationReport(calibration, tmp_path / "c.yaml").write()
+    write_calibration(calibration, tmp_path / "c.yaml")
     reading = examine_calibration(Source.load(tmp_path / "c.yaml"))
     assert reading.problems == ()
     assert reading.value == calibration
@@ -60,7 +60,7 @@ def test_the_session_plays_what_the_loop_verified(
 ) -> None:
     """Designed from the file, codes and amplitudes are those of the stimulus that was measured."""
     path = tmp_path / "calibration.yaml"
-    CalibrationReport(calibration, path).write()
+    write_calibration(calibration, path)
     read = examine(preflight.findings.protocol.source.path, path).require().stimulus
     verified = design_to_fit(corrected_inputs(preflight.inputs, outcome.refined, outcome.correction))
     assert read.burst.content_hash == verified.burst.content_hash
@@ -85,10 +85,10 @@ def test_a_file_from_before_several_stimuli_is_read_as_it_was() -> None:
 def test_nothing_is_overwritten(calibration: Calibration, tmp_path: Path) -> None:
     """A second calibration into the same file is refused and the first one kept, whole."""
     path = tmp_path / "folder" / "calibration.yaml"
-    CalibrationReport(calibration, path).write()
+    write_calibration(calibration, path)
     before = path.read_bytes()
     with pytest.raises(RecordError, match="exists already and is not overwritten; give another file with --out"):
-        CalibrationReport(calibration, path).write()
+        write_calibration(calibration, path)
     assert path.read_bytes() == before
     assert [each.name for each in path.parent.iterdir()] == ["calibration.yaml"]
 
@@ -97,4 +97,4 @@ def test_a_folder_that_cannot_be_made_is_refused(calibration: Calibration, tmp_p
     """A file stands where the folder should be."""
     (tmp_path / "taken").write_text("")
     with pytest.raises(RecordError, match="c.yaml: cannot be written"):
-        CalibrationReport(calibration, tmp_path / "taken" / "c.yaml").write()
+        write_calibration(calibration, tmp_path / "taken" / "c.yaml")

@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from modaltouch.cli.commands import app
-from modaltouch.lab.comparison import ComparisonReport, Criterion, criteria, rows_of
+from modaltouch.lab.comparison import Criterion, criteria, rows_of, write_comparison
 from modaltouch.lab.contest import run_contest, true_delay, without_mismatch
 from modaltouch.lab.output import title_of
 from modaltouch.preflight import examine
@@ -91,7 +91,7 @@ def test_winners_share_what_is_printed_alike():
 
 def test_page_json_and_table_hold_the_same(found, rows, tmp_path):
     """One page without network, one JSON, one CSV; every criterion and every method."""
-    written = ComparisonReport(found, ABOUT, tmp_path / "out").write()
+    written = write_comparison(found, ABOUT, tmp_path / "out")
     files = {name: Path(path) for name, path in written["files"].items()}
     page = files["comparison.html"].read_text()
     assert "A &lt;title&gt;" in page

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 from modaltouch.cli.commands import app
 from modaltouch.lab.identification.modal_parameters import Estimate, Identification
-from modaltouch.lab.identification.report import IdentificationReport, identified_apparatus
+from modaltouch.lab.identification.report import identified_apparatus, write_identification
 from modaltouch.lab.identification.verdict import check_modes
 from modaltouch.protocol import InputError
 from modaltouch.protocol.apparatus import Apparatus
@@ -90,8 +90,8 @@ def test_interval_that_is_upside_down_is_refused_in_its_place(found: Identificat
 def test_folder_holds_table_shapes_and_figures(found: Identification, tmp_path: Path) -> None:
     """Table I with half-power beside the fit; shapes that the stimulus engine reads; nothing stands for no number."""
     name, text = identified_apparatus(Source.load(APPARATUS), found, LABELS, FACTS)
-    report = IdentificationReport(found, "file", "beam.csv", tmp_path / "out", LABELS, (name, text))
-    files = {name: Path(path) for name, path in report.write()["files"].items()}
+    values = write_identification(found, tmp_path / "out", "file", "beam.csv", labels=LABELS, apparatus=(name, text))
+    files = {name: Path(path) for name, path in values["files"].items()}
     with files["table_1.csv"].open(encoding="utf-8", newline="") as opened:
         rows = list(csv.DictReader(opened))
     first = rows[0]

@@ -47,7 +47,7 @@ def written(protocol):
     """What the probe of A and C found, its file on the disk; the fingers lie where they are expected."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("modaltouch.lab.fingers.PLACE_ERROR", 0.0)
-        return probe_fingers(protocol, protocol.parent / "mine.yaml", pair="A-C", seed=5).write()
+        return probe_fingers(protocol, protocol.parent / "mine.yaml", pair="A-C", seed=5)
 
 
 def test_fingers_are_what_the_twin_has(written):

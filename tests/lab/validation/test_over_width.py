@@ -12,7 +12,7 @@ import pytest
 
 from modaltouch.lab.validation.evidence import Evidence
 from modaltouch.lab.validation.figures import draw_over_width
-from modaltouch.lab.validation.key_figures import key_figures, summary
+from modaltouch.lab.validation.key_figures import key_figures, validation_table
 from modaltouch.lab.validation.recording import complete, read_laws
 from modaltouch.preflight import Preflight
 from modaltouch.record import RecordInputError
@@ -46,7 +46,7 @@ def test_torsion_is_what_grows_across_the_beam(twisted: Evidence) -> None:
     figures = key_figures(twisted, ())
     assert figures["torsion_on_outer_rows_mm_s"]["rms"] == pytest.approx(4 * np.sqrt(21 / 41), rel=1e-3)
     assert figures["torsion_on_outer_rows_mm_s"]["noise"] < 1e-3
-    cells = [row["cells"] for row in summary([figures]) if row["quantity"].startswith("torsion")]
+    cells = [row["cells"] for row in validation_table([figures]) if row["quantity"].startswith("torsion")]
     assert cells == [["2.86, 0.00"]]
 
 

@@ -8,8 +8,8 @@ import pytest
 from typer.testing import CliRunner
 
 from modaltouch.cli.commands import app
-from modaltouch.lab.validation.command import ValidationReport
-from modaltouch.lab.validation.key_figures import findings
+from modaltouch.lab.validation.command import write_validation
+from modaltouch.lab.validation.key_figures import findings, key_figures
 from modaltouch.record.chain import RecordError
 from modaltouch.report.output import write_files
 
@@ -34,8 +34,8 @@ PAIRS = [("A", "C"), ("B", "D"), ("C", "E")]
 def written(evidences, tmp_path_factory):
     """Return the files, and the figures that they show."""
     folder = tmp_path_factory.mktemp("page") / "out"
-    report = ValidationReport(evidences, PAIRS, OCCASION, folder)
-    return {name: Path(path) for name, path in report.write()["files"].items()}, report.figures
+    files = write_validation(evidences, PAIRS, OCCASION, folder)["files"]
+    return {name: Path(path) for name, path in files.items()}, [key_figures(each, PAIRS) for each in evidences]
 
 
 def test_page_needs_no_network(written):
@@ -102,7 +102,7 @@ def test_an_analysis_is_not_replaced(evidences, tmp_path):
     """A folder belongs to the command that made it."""
     write_files(tmp_path / "out", {"tests.csv": b"1"}, {})
     with pytest.raises(RecordError, match="contains output of `modaltouch analyse`"):
-        ValidationReport(evidences, PAIRS, OCCASION, tmp_path / "out").write()
+        write_validation(evidences, PAIRS, OCCASION, tmp_path / "out")
 
 
 def test_command_reads_kept_scans_without_a_rig(written, kept, tmp_path):

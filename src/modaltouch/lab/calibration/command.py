@@ -3,40 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from modaltouch.lab.calibration.file import calibration_of
+from modaltouch.lab.calibration.file import calibration_of, write_calibration
 from modaltouch.lab.calibration.loop import calibrate_each
 from modaltouch.lab.calibration.plausibility import mark_of
 from modaltouch.lab.laboratory import SILENT_PROGRESS, SIMULATED, MeasurementProgress, open_laboratory
-from modaltouch.lab.output import write_yaml
 from modaltouch.lab.recorded_files import RecordedFiles
 from modaltouch.preflight import DesignInputs, Preflight, examine
-from modaltouch.protocol import Calibration, InputError, Problem, Protocol
+from modaltouch.protocol import InputError, Problem, Protocol
 from modaltouch.record import prepare_file
 from modaltouch.rig import RigError
-
-HEAD = """\
-# Corrections that make these stimuli accurate on this rig: written by `modaltouch calibrate`, read by `modaltouch run`.
-# It holds for one apparatus file, the stimuli in it and one generator; measure again rather than edit it.
-"""
-
-
-@dataclass(frozen=True)
-class CalibrationReport:
-    """A finished calibration and its file."""
-
-    calibration: Calibration
-    out: Path
-
-    def write(self) -> dict[str, Any]:
-        """Write the file and return its plain values with its path."""
-        values = self.calibration.model_dump(mode="json")
-        write_yaml(self.out, HEAD, values)
-        return {**values, "file": str(self.out)}
 
 
 def calibrate(
@@ -48,8 +27,8 @@ def calibrate(
     accept: bool = False,
     record: Path | None = None,
     progress: MeasurementProgress = SILENT_PROGRESS,
-) -> CalibrationReport:
-    """Calibrate every stimulus of a protocol on a rig.
+) -> dict[str, Any]:
+    """Calibrate every stimulus of a protocol on a rig, write the file, and return its values with its path.
 
     Parameters
     ----------
@@ -98,7 +77,7 @@ def calibrate(
             f"the calibration misses its limits: {calibration.mark}; the outputs are off and nothing is written; "
             "--accept writes it with a mark, and --with-marked-calibration lets a session use it"
         )
-    return CalibrationReport(calibration, out)
+    return write_calibration(calibration, out)
 
 
 N_BETWEEN = 3

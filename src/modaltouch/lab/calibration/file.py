@@ -6,12 +6,14 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from datetime import datetime
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from modaltouch.lab.arrays import NORMAL_95, FloatArray
 from modaltouch.lab.calibration.plant import ModalState, Plant
+from modaltouch.lab.output import write_yaml
 from modaltouch.preflight import DesignInputs
 from modaltouch.protocol import Apparatus, Calibration
 from modaltouch.stimulus import Correction
@@ -210,6 +212,19 @@ def refined_apparatus(apparatus: Apparatus, plant: Plant) -> Apparatus:
 
 def _digits(value: float) -> float:
     return float(f"{value:.9g}")
+
+
+HEAD = """\
+# Corrections that make these stimuli accurate on this rig: written by `modaltouch calibrate`, read by `modaltouch run`.
+# It holds for one apparatus file, the stimuli in it and one generator; measure again rather than edit it.
+"""
+
+
+def write_calibration(calibration: Calibration, out: Path) -> dict[str, Any]:
+    """Write the file, which must not exist, and return its plain values with its path."""
+    values = calibration.model_dump(mode="json")
+    write_yaml(out, HEAD, values)
+    return {**values, "file": str(out)}
 
 
 def calibration_of(

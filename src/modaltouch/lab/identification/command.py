@@ -25,9 +25,9 @@ from modaltouch.lab.identification.joint_fit import identify as fit_jointly
 from modaltouch.lab.identification.joint_fit import identify_each, over_repeats
 from modaltouch.lab.identification.report import (
     COMMAND,
-    IdentificationReport,
     check_export,
     identified_apparatus,
+    write_identification,
 )
 from modaltouch.lab.identification.responses import (
     FrequencyResponses,
@@ -110,7 +110,7 @@ class IdentifyOptions:
     rows: int = 1
 
 
-def identify(options: IdentifyOptions, progress: MeasurementProgress = SILENT_PROGRESS) -> IdentificationReport:
+def identify(options: IdentifyOptions, progress: MeasurementProgress = SILENT_PROGRESS) -> dict[str, Any]:
     """Identify the modes of a beam from a new or earlier scan, or from files of measured responses.
 
     Parameters
@@ -122,8 +122,8 @@ def identify(options: IdentifyOptions, progress: MeasurementProgress = SILENT_PR
 
     Returns
     -------
-    IdentificationReport
-        The result; apart from the scans, nothing has been written yet.
+    dict
+        The result as plain values, with the path of each file written.
 
     Raises
     ------
@@ -145,7 +145,7 @@ def identify(options: IdentifyOptions, progress: MeasurementProgress = SILENT_PR
                 found = over_repeats(identify_each(responses))
             check_all(found)
             sources = [path.name for path in options.files]
-            return IdentificationReport(found, "file", sources, options.out, export=options.export)
+            return write_identification(found, options.out, "file", sources, export_to=options.export)
         beam = _Beam(options)
         facts = {
             "date": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
@@ -271,8 +271,8 @@ class _Beam:
 
     def fit(
         self, responses: FrequencyResponses, facts: dict[str, Any], progress: MeasurementProgress
-    ) -> IdentificationReport:
-        """Identify the modes and create the apparatus file with the new table."""
+    ) -> dict[str, Any]:
+        """Identify the modes, and write the results with the apparatus file with the new table."""
         if self.options.leave_out:
             responses = responses.without(self.options.leave_out)
         if responses.places:
@@ -284,9 +284,14 @@ class _Beam:
         found = replace(found, responses=replace(found.responses, marks=marks))
         uncertainty = self.apparatus.acquisition.sensitivity_uncertainty_percent * 1e-2
         found = found.with_sensitivity_uncertainty(uncertainty)
-        labels = self.labels
-        if self.options.modes == "all":
-            labels = tuple(found.by_label)
+        labels = tuple(found.by_label) if self.options.modes == "all" else self.labels
         apparatus = identified_apparatus(self.source, found, labels, facts)
-        out, beside = self.options.out, self.options.export
-        return IdentificationReport(found, facts["mode"], facts["source"], out, labels, apparatus, beside)
+        return write_identification(
+            found,
+            self.options.out,
+            facts["mode"],
+            facts["source"],
+            labels=labels,
+            apparatus=apparatus,
+            export_to=self.options.export,
+        )

@@ -9,7 +9,7 @@ import io
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 from warnings import catch_warnings, simplefilter
@@ -127,64 +127,55 @@ def map_rows(identification: Identification) -> list[dict[str, str]]:
     ]
 
 
-@dataclass(frozen=True, eq=False)
-class IdentificationReport:
-    """The identified modes, and the apparatus file that lists them.
+def write_identification(
+    found: Identification,
+    folder: Path,
+    mode: str,
+    sources: str | list[str],
+    *,
+    labels: Sequence[int] = (),
+    apparatus: tuple[str, str] | None = None,
+    export_to: Path | None = None,
+) -> dict[str, Any]:
+    """Write table, shapes, figures and apparatus file, and return the plain values with the path of each file.
 
-    Attributes
+    Parameters
     ----------
     found : Identification
         The modes.
-    mode : str
-        ``simulated``, ``real`` or ``file``.
-    sources : str or list of str
-        Files or folders from which the responses were read.
     folder : Path
         Folder for the results.
-    labels : tuple of int
-        Modes of the new table.
-    apparatus : (str, str) or None
-        Name and text of the apparatus file; None if there are no shapes and hence no gains.
-    export : Path or None
+    mode, sources
+        ``simulated``, ``real`` or ``file``, and the files or folders from which the responses were read.
+    labels, apparatus
+        Modes of the new table, and name and text of the apparatus file; None without shapes, hence without gains.
+    export_to : Path, optional
         File to which the responses and shapes are written for other programs.
+
+    Raises
+    ------
+    RecordError
+        If the folder holds something else or cannot be written.
     """
+    from modaltouch.lab.identification.figures import draw_all
 
-    found: Identification
-    mode: str
-    sources: str | list[str]
-    folder: Path
-    labels: tuple[int, ...] = ()
-    apparatus: tuple[str, str] | None = None
-    export: Path | None = None
-
-    def write(self) -> dict[str, Any]:
-        """Write table, shapes, figures and apparatus file, and return the plain values with the path of each file.
-
-        Raises
-        ------
-        RecordError
-            If the folder holds something else or cannot be written.
-        """
-        from modaltouch.lab.identification.figures import draw_all
-
-        refuse_other(self.folder, COMMAND)
-        values = as_dict(self.found)
-        files: dict[str, Any] = {"table_1.csv": table_rows(self.found), "identification.json": values}
-        if self.found.shaped:
-            files["shapes.csv"] = shape_rows(self.found)
-        if self.found.shaped and np.any(self.found.responses.across):
-            files["shapes_map.csv"] = map_rows(self.found)
-        table: dict[str, Any] = {"apparatus_file": None}
-        if self.apparatus is not None:
-            name, files[name] = self.apparatus
-            table = {"table_modes": list(self.labels), "apparatus_file": str(self.folder / name)}
-        about = {"version": version(), "sources": self.sources}
-        written = write_files(self.folder, files, about, COMMAND, **draw_all(self.found))
-        if self.export is not None:
-            export(self.found, self.export)
-            written[self.export.name] = self.export
-        paths = {name: str(path) for name, path in written.items()}
-        return {**values, "mode": self.mode, **table, "files": paths}
+    refuse_other(folder, COMMAND)
+    values = as_dict(found)
+    files: dict[str, Any] = {"table_1.csv": table_rows(found), "identification.json": values}
+    if found.shaped:
+        files["shapes.csv"] = shape_rows(found)
+    if found.shaped and np.any(found.responses.across):
+        files["shapes_map.csv"] = map_rows(found)
+    table: dict[str, Any] = {"apparatus_file": None}
+    if apparatus is not None:
+        name, files[name] = apparatus
+        table = {"table_modes": list(labels), "apparatus_file": str(folder / name)}
+    about = {"version": version(), "sources": sources}
+    written = write_files(folder, files, about, COMMAND, **draw_all(found))
+    if export_to is not None:
+        export(found, export_to)
+        written[export_to.name] = export_to
+    return {**values, "mode": mode, **table, "files": {name: str(path) for name, path in written.items()}}
 
 
 def _pair(estimate: Estimate, scale: float = 1.0) -> dict[str, float | None]:

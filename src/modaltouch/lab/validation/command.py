@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +28,7 @@ from modaltouch.lab.validation.figures import (
     draw_zones,
     spectrogram_of,
 )
-from modaltouch.lab.validation.key_figures import coefficients, findings, key_figures, summary
+from modaltouch.lab.validation.key_figures import coefficients, findings, key_figures, validation_table
 from modaltouch.lab.validation.recording import Observation, complete, read_laws, record_laws
 from modaltouch.preflight import Preflight, examine
 from modaltouch.report import ReportFigure, page_files, refuse_other, write_files
@@ -43,11 +41,12 @@ MAP_CSV_STEP = 10e-6
 """Time step of the map's table [s]."""
 
 
-@dataclass(frozen=True, eq=False)
-class ValidationReport:
-    """The measured effects of the drive laws.
+def write_validation(
+    evidences: Sequence[Evidence], pairs: Sequence[tuple[str, str]], context: dict[str, Any], folder: Path
+) -> dict[str, Any]:
+    """Write page, figures and tables, and return the plain values with the path of each file.
 
-    Attributes
+    Parameters
     ----------
     evidences : sequence of Evidence
         The evidence for each law.
@@ -58,62 +57,34 @@ class ValidationReport:
         ``scope``, ``limit`` (highest voltage at the beam [V]), ``calibration`` (its file or None) and ``commit``.
     folder : Path
         Folder for the results.
+
+    Raises
+    ------
+    RecordError
+        If the folder holds something else or cannot be written.
     """
-
-    evidences: Sequence[Evidence]
-    pairs: Sequence[tuple[str, str]]
-    context: dict[str, Any]
-    folder: Path
-
-    @cached_property
-    def figures(self) -> list[dict[str, Any]]:
-        """Key figures of each law."""
-        return [key_figures(each, self.pairs) for each in self.evidences]
-
-    @property
-    def table(self) -> list[dict[str, Any]]:
-        """Table of the laws; each row has a quantity, its unit, and one cell per law."""
-        return summary(self.figures)
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the report as plain values."""
-        shown = ("protocol", "apparatus", "mode", "generator", "scope", "calibration")
-        values = {
-            **{key: self.context[key] for key in shown},
-            "measurement_lag_us": self.evidences[0].lag * 1e6,
-            "laws": list(self.figures),
-        }
-        # Anything below a millionth of a unit is not significant.
-        return dict(rounded(values, 6))
-
-    def write(self) -> dict[str, Any]:
-        """Write page, figures and tables, and return the plain values with the path of each file.
-
-        Raises
-        ------
-        RecordError
-            If the folder holds something else or cannot be written.
-        """
-        refuse_other(self.folder, COMMAND)
-        values = self.as_dict()
-        drawn = _draw(self.evidences, self.context["limit"])
-        files = page_files(
-            "modaltouch.lab",
-            "validation",
-            [ReportFigure(name, *each) for name, each in drawn.items()],
-            title=f"Validation: {self.context['title']}",
-            occasion=self.context,
-            level=format(round(self.evidences[0].observation.velocity * 1e3, 6), "g"),
-            laws=[each.law for each in self.evidences],
-            figures=self.figures,
-            lag=self.evidences[0].lag * 1e6,
-            paper_worst=PAPER_WORST,
-            findings=findings(self.figures),
-            rows=self.table,
-        )
-        tables = {"validation.json": values, **_tables(self.evidences)}
-        written = write_files(self.folder, files | tables, {"version": version()}, COMMAND)
-        return {**values, "files": {name: str(path) for name, path in written.items()}}
+    refuse_other(folder, COMMAND)
+    figures, lag = [key_figures(each, pairs) for each in evidences], evidences[0].lag * 1e6
+    shown = ("protocol", "apparatus", "mode", "generator", "scope", "calibration")
+    # Anything below a millionth of a unit is not significant.
+    values = rounded({key: context[key] for key in shown} | {"measurement_lag_us": lag, "laws": figures}, 6)
+    files = page_files(
+        "modaltouch.lab",
+        "validation",
+        [ReportFigure(name, *each) for name, each in _draw(evidences, context["limit"]).items()],
+        title=f"Validation: {context['title']}",
+        occasion=context,
+        level=format(round(evidences[0].observation.velocity * 1e3, 6), "g"),
+        laws=[each.law for each in evidences],
+        figures=figures,
+        lag=lag,
+        paper_worst=PAPER_WORST,
+        findings=findings(figures),
+        rows=validation_table(figures),
+    )
+    tables = {"validation.json": values, **_tables(evidences)}
+    written = write_files(folder, files | tables, {"version": version()}, COMMAND)
+    return {**values, "files": {name: str(path) for name, path in written.items()}}
 
 
 def validate(
@@ -128,8 +99,8 @@ def validate(
     rows: int = 1,
     record: Path | None = None,
     progress: MeasurementProgress = SILENT_PROGRESS,
-) -> ValidationReport:
-    """Play the drive of both laws, scan the beam, and compare the measured fields with the target and the prediction.
+) -> dict[str, Any]:
+    """Play the drive of both laws, scan the beam, and report the measured fields with the target and the prediction.
 
     Parameters
     ----------
@@ -172,7 +143,7 @@ def validate(
     beside = [across for across in rows_over(preflight.experiment.apparatus, rows) if across]
     observed = _observe(preflight, rig, scan, points, averages, beside, record, progress)
     context = _context(preflight, protocol, observed[0].field)
-    return ValidationReport(evaluate(observed), preflight.experiment.protocol.conditions.pairs, context, folder)
+    return write_validation(evaluate(observed), preflight.experiment.protocol.conditions.pairs, context, folder)
 
 
 def _observe(

@@ -141,7 +141,7 @@ def _contrast(evidence: Evidence, left: str, right: str) -> dict[str, Any]:
 Figures = dict[str, Any]
 
 
-def summary(figures: Sequence[Figures]) -> list[dict[str, Any]]:
+def validation_table(figures: Sequence[Figures]) -> list[dict[str, Any]]:
     """Return the table of `key_figures`; each row has a quantity, its unit, and one cell per law."""
     rows: list[tuple[str, str, Callable[[Figures], str]]] = [
         ("velocity at the focus, at the focusing instant", "mm/s", lambda f: f"{f['velocity_at_focus_mm_s']:.1f}"),
