@@ -22,8 +22,8 @@ from calibration.conftest import PROTOCOL, TwinBench, mismatched_of
 from scipy.stats import norm
 
 from modaltouch.lab.arrays import NORMAL_95
+from modaltouch.lab.calibration.command import CalibrationLoop
 from modaltouch.lab.calibration.file import CalibrationResult, corrected_inputs
-from modaltouch.lab.calibration.loop import calibrate
 from modaltouch.lab.calibration.plant import DATA_SHEET
 from modaltouch.preflight import Preflight, examine
 from modaltouch.preflight.examination import design_to_fit
@@ -46,7 +46,7 @@ def calibrated(
         Stated less true velocity at the focus at the highest level [m/s].
     """
     bench, inputs = Reading(rig, seed, reads), preflight.inputs
-    outcome = calibrate(bench, listed, inputs)
+    outcome = CalibrationLoop(bench, listed, inputs).run()
     states = []
     for correction in (replace(outcome.correction, corrections=()), outcome.correction):
         played = design_to_fit(corrected_inputs(inputs, outcome.refined, correction), release="free")

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from modaltouch.lab.calibration.command import CalibrationLoop
 from modaltouch.lab.calibration.file import CalibrationResult, corrected_inputs
-from modaltouch.lab.calibration.loop import calibrate
 from modaltouch.lab.laboratory import SILENT_PROGRESS
 from modaltouch.preflight import Preflight, examine
 from modaltouch.preflight.examination import design_to_fit
@@ -148,7 +148,7 @@ def run_seed(preflight: Preflight, mismatched: Apparatus, judge: Callable) -> Ca
     def run(seed: int) -> None:
         bench = TwinBench(mismatched, seed)
         assert preflight.inputs is not None
-        outcome = calibrate(bench, mismatched, preflight.inputs)
+        outcome = CalibrationLoop(bench, mismatched, preflight.inputs).run()
         velocity, displacement, level = judge(bench, outcome)
         assert velocity <= BAR
         assert displacement <= BAR

@@ -9,9 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from modaltouch.lab.calibration.command import design_inputs_of, levels_between
+from modaltouch.lab.calibration.command import calibrate_each, design_inputs_of, levels_between
 from modaltouch.lab.calibration.file import corrected_inputs
-from modaltouch.lab.calibration.loop import calibrate_each
 from modaltouch.preflight import examine
 from modaltouch.preflight.examination import design_to_fit
 from modaltouch.protocol.apparatus import Apparatus

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from modaltouch.lab.calibration.acquisition import measuring_points
-from modaltouch.lab.calibration.command import design_inputs_of
+from modaltouch.lab.calibration.command import CalibrationLoop, design_inputs_of
 from modaltouch.lab.calibration.file import corrected_inputs, significant
-from modaltouch.lab.calibration.loop import calibrate
 from modaltouch.lab.calibration.plant import ModalState
 from modaltouch.lab.laboratory import MeasurementProgress
 from modaltouch.preflight import Preflight, examine
@@ -29,7 +28,7 @@ def test_shipped_mismatch_is_met_closer(
 ) -> None:
     """The twin as shipped, 2.7 mm/s off before: 0.15 mm/s in both states, levels within half a per cent."""
     bench = make_bench(shipped_apparatus, 1)
-    outcome = calibrate(bench, shipped_apparatus, preflight.inputs)
+    outcome = CalibrationLoop(bench, shipped_apparatus, preflight.inputs).run()
     velocity, displacement, level = judge(bench, outcome)
     assert outcome.turns[0].worst > 2e-3
     assert max(velocity, displacement) < 0.15e-3
@@ -109,7 +108,7 @@ def test_more_than_the_amplifier_gives_is_never_played(
     inputs = replace(inputs, apparatus=inputs.apparatus.model_copy(update={"amplifier": weak.amplifier}))
     bench = make_bench(weak, 4)
     with pytest.raises(RigError, match=r"200 mm/s needs \d+ V at the beam on this rig: allowed at most 190 V"):
-        calibrate(bench, weak, inputs)
+        CalibrationLoop(bench, weak, inputs).run()
     assert bench.highest_voltage <= 190.0
 
 
@@ -122,7 +121,7 @@ def test_a_generator_that_is_off_at_one_level_is_trimmed(
 ) -> None:
     """Amplitudes below 7 Vpp come out 3 % high: the level of 80 mm/s gets its own factor, and is met within 1 %."""
     bench = make_bench(shipped_apparatus, 1, lambda amplitude: 1.03 if amplitude < 7 else 1.0)
-    outcome = calibrate(bench, shipped_apparatus, preflight.inputs)
+    outcome = CalibrationLoop(bench, shipped_apparatus, preflight.inputs).run()
     assert outcome.levels[0].factor == pytest.approx(1 / 1.03, rel=5e-3)
     assert [level.factor for level in outcome.levels[1:]] == [1.0, 1.0, 1.0]
     assert judge(bench, outcome)[2] < 0.01
@@ -131,7 +130,7 @@ def test_a_generator_that_is_off_at_one_level_is_trimmed(
 def test_ranges_fit_what_is_measured(make_bench: Callable, preflight: Preflight, shipped_apparatus: Apparatus) -> None:
     """After the first point of a scan the scope's range follows the highest value, and nothing is overloaded."""
     bench = make_bench(shipped_apparatus, 1)
-    calibrate(bench, shipped_apparatus, preflight.inputs)
+    CalibrationLoop(bench, shipped_apparatus, preflight.inputs).run()
     ranges = [each.velocity_range for each in bench.asked if not each.drives]
     assert sum(each is None for each in ranges) <= len(ranges) // 8 + 1
     assert bench.n_records < 70
@@ -149,7 +148,7 @@ def test_a_signal_ends_it_before_the_next_record(
 
     bench.progress = MeasurementProgress(check=check)
     with pytest.raises(Interrupted):
-        calibrate(bench, shipped_apparatus, preflight.inputs)
+        CalibrationLoop(bench, shipped_apparatus, preflight.inputs).run()
     assert bench.n_records == 5
 
 
@@ -161,7 +160,7 @@ def test_turns_are_told_as_they_are_measured(
     bench.progress = MeasurementProgress(
         say=said.append, show=lambda what, done, total: shown.__setitem__(what, (done, total))
     )
-    outcome = calibrate(bench, shipped_apparatus, preflight.inputs)
+    outcome = CalibrationLoop(bench, shipped_apparatus, preflight.inputs).run()
     assert said == [str(turn) for turn in outcome.turns]
     assert said[0].startswith("before       worst velocity error ")
     assert said[1].startswith("iteration 1  worst velocity error ")
@@ -193,7 +192,8 @@ def test_a_trigger_latency_that_is_told_is_taken_out(
     true = shipped_apparatus.model_copy(update={"twin": shipped_apparatus.twin.model_copy(update={"scope": late})})
     told = true.model_copy(update={"acquisition": true.acquisition.model_copy(update={"trigger_latency_us": 0.5})})
     missed, met = (
-        judge(bench := make_bench(each, 1), calibrate(bench, each, preflight.inputs)) for each in (true, told)
+        judge(bench := make_bench(each, 1), CalibrationLoop(bench, each, preflight.inputs).run())
+        for each in (true, told)
     )
     assert missed[1] > 0.5e-3
     assert max(met[:2]) < 0.15e-3
@@ -207,6 +207,6 @@ def test_every_level_is_verified_whatever_the_amplitude_grid(
     tight = inputs.apparatus.amplifier.model_copy(update={"limit_V": 186.4})
     inputs = replace(inputs, apparatus=inputs.apparatus.model_copy(update={"amplifier": tight}))
     apparatus = shipped_apparatus.model_copy(update={"amplifier": tight})
-    outcome = calibrate(make_bench(apparatus, 1), apparatus, inputs)
+    outcome = CalibrationLoop(make_bench(apparatus, 1), apparatus, inputs).run()
     assert design_to_fit(corrected_inputs(inputs, outcome.refined, outcome.correction)).levels == (0.2,)
     assert [level.velocity for level in outcome.levels] == pytest.approx([0.08, 0.1, 0.15, 0.2])

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from modaltouch.lab.calibration.command import CalibrationLoop
 from modaltouch.lab.calibration.file import corrected_inputs
-from modaltouch.lab.calibration.loop import calibrate
 from modaltouch.lab.calibration.plausibility import mark_of
 from modaltouch.preflight import Preflight
 from modaltouch.preflight.examination import design_to_fit
@@ -108,7 +108,7 @@ def test_fault_of_a_rig_is_told(
     """Before anything is corrected."""
     bench = Spoilt(make_bench(shipped_apparatus, 1), change)
     with pytest.raises(RigError, match=said):
-        calibrate(bench, shipped_apparatus, preflight.inputs)
+        CalibrationLoop(bench, shipped_apparatus, preflight.inputs).run()
 
 
 def test_drive_that_is_another_is_told(
@@ -122,7 +122,7 @@ def test_drive_that_is_another_is_told(
 
     bench = Spoilt(make_bench(shipped_apparatus, 1), hum)
     with pytest.raises(RigError, match=r"\d+% of the drive measured at the beam is not the commanded drive"):
-        calibrate(bench, shipped_apparatus, preflight.inputs)
+        CalibrationLoop(bench, shipped_apparatus, preflight.inputs).run()
 
 
 def test_a_late_vibrometer_is_told(preflight: Preflight, shipped_apparatus: Apparatus, make_bench: Callable) -> None:
@@ -130,7 +130,7 @@ def test_a_late_vibrometer_is_told(preflight: Preflight, shipped_apparatus: Appa
     late = shipped_apparatus.twin.model_copy(update={"vibrometer": Vibrometer(delay_us=45.0)})
     bench = make_bench(shipped_apparatus.model_copy(update={"twin": late}), 1)
     with pytest.raises(RigError, match=r"the vibrometer is 4\d us late"):
-        calibrate(bench, shipped_apparatus, preflight.inputs)
+        CalibrationLoop(bench, shipped_apparatus, preflight.inputs).run()
 
 
 def test_a_tripped_amplifier_is_told(preflight: Preflight, shipped_apparatus: Apparatus, make_bench: Callable) -> None:
@@ -138,7 +138,7 @@ def test_a_tripped_amplifier_is_told(preflight: Preflight, shipped_apparatus: Ap
     bench = make_bench(shipped_apparatus, 1)
     bench.twin.tripped = True
     with pytest.raises(RigError, match="check that the amplifier is on"):
-        calibrate(bench, shipped_apparatus, preflight.inputs)
+        CalibrationLoop(bench, shipped_apparatus, preflight.inputs).run()
 
 
 def test_another_beam_is_told(preflight: Preflight, shipped_apparatus: Apparatus, make_bench: Callable) -> None:
@@ -149,7 +149,7 @@ def test_another_beam_is_told(preflight: Preflight, shipped_apparatus: Apparatus
     )
     bench = make_bench(shipped_apparatus.model_copy(update={"modes": higher}), 1)
     with pytest.raises(RigError, match=r"mode \d+ .*; the outputs are off"):
-        calibrate(bench, shipped_apparatus, preflight.inputs)
+        CalibrationLoop(bench, shipped_apparatus, preflight.inputs).run()
 
 
 def test_a_range_too_small_is_told(preflight: Preflight, shipped_apparatus: Apparatus, make_bench: Callable) -> None:
@@ -159,7 +159,7 @@ def test_a_range_too_small_is_told(preflight: Preflight, shipped_apparatus: Appa
     )
     bench = make_bench(small, 1)
     with pytest.raises(RigError, match=r"velocity is overloaded at .* in the widest range; choose a wider one"):
-        calibrate(bench, small, preflight.inputs)
+        CalibrationLoop(bench, small, preflight.inputs).run()
 
 
 @pytest.mark.parametrize("reads", [0.995, 1.005])
@@ -172,7 +172,7 @@ def test_a_gain_that_reads_half_a_percent_off_is_within_what_is_stated(
     """
     assert shipped_apparatus.acquisition.sensitivity_uncertainty_percent == 1.0
     bench = make_bench(shipped_apparatus, 1)
-    outcome = calibrate(Spoilt(bench, changed(velocity=reads)), shipped_apparatus, preflight.inputs)
+    outcome = CalibrationLoop(Spoilt(bench, changed(velocity=reads)), shipped_apparatus, preflight.inputs).run()
     correction = replace(outcome.correction, corrections=())
     played = design_to_fit(corrected_inputs(preflight.inputs, outcome.refined, correction), release="free")
     true = bench.true_state(played.burst, played.target_field.velocity, played.timing.focusing_instant)
@@ -195,5 +195,5 @@ def test_a_slow_amplifier_is_waited_for(
         update={"amplifier": TrueAmplifier(bandwidth_kHz=100.0, delay_us=microseconds)}
     )
     bench = make_bench(shipped_apparatus.model_copy(update={"twin": slow}), 1)
-    velocity, displacement, _ = judge(bench, calibrate(bench, shipped_apparatus, preflight.inputs))
+    velocity, displacement, _ = judge(bench, CalibrationLoop(bench, shipped_apparatus, preflight.inputs).run())
     assert max(velocity, displacement) < 0.3e-3

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from modaltouch.lab.calibration import command
+from modaltouch.lab.calibration.command import CalibrationLoop
 from modaltouch.lab.calibration.file import CalibrationResult
-from modaltouch.lab.calibration.loop import calibrate
 from modaltouch.lab.calibration.plant import VibrometerDelay
 from modaltouch.lab.calibration.plausibility import mark_of, peak_shortfall
 from modaltouch.preflight import Preflight
@@ -27,7 +27,7 @@ from modaltouch.rig.interface import RigError
 @pytest.fixture(scope="module")
 def outcome(preflight: Preflight, shipped_apparatus: Apparatus, make_bench: Callable) -> CalibrationResult:
     """The shipped twin, calibrated."""
-    return calibrate(make_bench(shipped_apparatus, 1), shipped_apparatus, preflight.inputs)
+    return CalibrationLoop(make_bench(shipped_apparatus, 1), shipped_apparatus, preflight.inputs).run()
 
 
 def spoilt(apparatus: Apparatus, **twin: Any) -> Apparatus:
@@ -114,7 +114,7 @@ def test_cause_is_named(
 ) -> None:
     """A departure of the twin: the limit that it costs, and one cause with its remedy."""
     bench = make_bench(spoilt(shipped_apparatus, **departures), 0)
-    mark = mark_of(calibrate(bench, shipped_apparatus, preflight.inputs), preflight.experiment.protocol)
+    mark = mark_of(CalibrationLoop(bench, shipped_apparatus, preflight.inputs).run(), preflight.experiment.protocol)
     assert missed in {each["limit"] for each in mark["missed"]}
     assert re.match(cause, "".join(mark["causes"]))
 
@@ -145,7 +145,7 @@ def test_a_spot_that_reads_too_much_is_named_and_its_level_not_trusted(
         return replace(taken, velocity=taken.velocity * factor) if abs(position * 1e3 - spot) < 0.01 else taken
 
     monkeypatch.setattr(bench, "record", misread)
-    outcome = calibrate(bench, shipped_apparatus, preflight.inputs)
+    outcome = CalibrationLoop(bench, shipped_apparatus, preflight.inputs).run()
     mark = mark_of(outcome, preflight.experiment.protocol)
     assert re.match(cause, "".join(mark["causes"]))
     for level in outcome.levels:
@@ -180,7 +180,7 @@ def test_a_spot_whose_records_are_late_is_no_drift(
         return replace(taken, velocity=velocity) if abs(position * 1e3 - spot) < 0.01 else taken
 
     monkeypatch.setattr(bench, "record", delayed)
-    mark = mark_of(calibrate(bench, shipped_apparatus, preflight.inputs), preflight.experiment.protocol)
+    mark = mark_of(CalibrationLoop(bench, shipped_apparatus, preflight.inputs).run(), preflight.experiment.protocol)
     assert mark["missed"]
     assert re.match(cause, "".join(mark["causes"]))
 
@@ -198,7 +198,7 @@ def test_a_drift_is_named_and_the_best_turn_kept(
 ) -> None:
     """1e-4 a record makes every turn worse than the one before: the stimulus as listed, the first, is kept."""
     bench = make_bench(spoilt(shipped_apparatus, frequency_drift=-1e-4), 0)
-    outcome = calibrate(bench, shipped_apparatus, preflight.inputs)
+    outcome = CalibrationLoop(bench, shipped_apparatus, preflight.inputs).run()
     worst = [turn.worst for turn in outcome.turns]
     assert worst == sorted(worst)
     assert outcome.best is outcome.turns[0]
@@ -248,7 +248,9 @@ def test_what_cannot_be_identified_is_refused(
 ) -> None:
     """Before anything is corrected, for its own reason: no wiring is blamed for a drift."""
     with pytest.raises(RigError, match=said):
-        calibrate(make_bench(spoilt(shipped_apparatus, **departures), 0), shipped_apparatus, preflight.inputs)
+        CalibrationLoop(
+            make_bench(spoilt(shipped_apparatus, **departures), 0), shipped_apparatus, preflight.inputs
+        ).run()
 
 
 @pytest.mark.parametrize("accept", [False, True])
@@ -289,7 +291,7 @@ def test_too_few_volts_of_a_linear_beam_are_no_hysteresis(
     )
     bench = make_bench(rig.model_copy(update={"modes": modes}), 0)
     with pytest.raises(RigError, match=r"200 mm/s needs \d+ V at the beam on this rig: allowed at most 195 V"):
-        calibrate(bench, rig, preflight.inputs)
+        CalibrationLoop(bench, rig, preflight.inputs).run()
 
 
 def test_peaks_that_lack_are_told_from_a_gain() -> None:

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import pytest
 
+from modaltouch.lab.calibration.command import CalibrationLoop
 from modaltouch.lab.calibration.file import (
     CalibrationResult,
     calibration_of,
     corrected_inputs,
     write_calibration,
 )
-from modaltouch.lab.calibration.loop import calibrate
 from modaltouch.preflight import Preflight, examine
 from modaltouch.preflight.examination import design_to_fit
 from modaltouch.protocol.calibration import Calibration, examine_calibration
@@ -27,7 +27,7 @@ def outcome(preflight: Preflight, make_bench: Callable) -> CalibrationResult:
     """A calibration of the twin as shipped, one level trimmed."""
     apparatus = preflight.experiment.apparatus
     bench = make_bench(apparatus, 1, lambda amplitude: 1.02 if amplitude < 7 else 1.0)
-    return calibrate(bench, apparatus, preflight.inputs)
+    return CalibrationLoop(bench, apparatus, preflight.inputs).run()
 
 
 @pytest.fixture(scope="module")

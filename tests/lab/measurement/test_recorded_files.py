@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from modaltouch.lab import recorded_files
+from modaltouch.lab.calibration.command import calibrate_each
 from modaltouch.lab.calibration.file import corrected_inputs
-from modaltouch.lab.calibration.loop import calibrate_each
 from modaltouch.lab.laboratory import MeasurementProgress, open_laboratory
 from modaltouch.lab.recorded_files import RecordedFiles
 from modaltouch.preflight import examine
