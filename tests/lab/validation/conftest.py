@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from modaltouch.lab.laboratory import open_laboratory
-from modaltouch.lab.validation.evidence import Evidence, evaluate
-from modaltouch.lab.validation.recording import Observation, record_laws
+from modaltouch.lab.validation.command import record_laws
+from modaltouch.lab.validation.evidence import Evidence, Observation, evaluate
 from modaltouch.preflight import Preflight, examine
 from modaltouch.rig.simulator.twin import TrueState
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from modaltouch.lab.validation.evidence import evaluate
+from modaltouch.lab.validation.command import read_laws
+from modaltouch.lab.validation.evidence import Observation, evaluate
 from modaltouch.lab.validation.key_figures import key_figures
-from modaltouch.lab.validation.recording import Observation, read_laws
 from modaltouch.record.chain import RecordInputError
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from modaltouch.lab.validation.evidence import contrast, spot_width
-from modaltouch.lab.validation.figures import spectrogram
+from modaltouch.lab.validation.key_figures import spectrogram
 
 
 @pytest.mark.parametrize("fraction", [0.2, 0.5, 0.8])

@@ -3,42 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from modaltouch.lab.identification.shapes import check_points
-from modaltouch.lab.laboratory import SILENT_PROGRESS, SIMULATED, MeasurementProgress, open_laboratory
+from modaltouch.lab.laboratory import SILENT_PROGRESS, SIMULATED, Laboratory, MeasurementProgress, open_laboratory
 from modaltouch.lab.output import rounded, title_of
 from modaltouch.lab.recorded_files import RecordedFiles
-from modaltouch.lab.scan import Scan, rows_over
-from modaltouch.lab.validation.evidence import Evidence, evaluate
-from modaltouch.lab.validation.figures import (
-    PAPER_WORST,
-    around_focus,
-    draw_coefficients,
-    draw_decomposition,
-    draw_drives,
-    draw_fields,
-    draw_maps,
-    draw_over_width,
-    draw_spectrograms,
-    draw_zones,
-    spectrogram_of,
-)
-from modaltouch.lab.validation.key_figures import coefficients, findings, key_figures, validation_table
-from modaltouch.lab.validation.recording import Observation, complete, read_laws, record_laws
-from modaltouch.preflight import Preflight, examine
+from modaltouch.lab.scan import Scan, ScanPlan, kept_rows, read_scan, row_name, rows_over, take_scan
+from modaltouch.lab.validation.evidence import Evidence, Observation, evaluate
+from modaltouch.lab.validation.figures import PAPER_WORST, draw_all
+from modaltouch.lab.validation.key_figures import AROUND, figure_tables, findings, key_figures, validation_table
+from modaltouch.preflight import DesignInputs, Preflight, design, examine
+from modaltouch.protocol import Source
+from modaltouch.record import RecordError, RecordInputError
 from modaltouch.report import ReportFigure, page_files, refuse_other, write_files
+from modaltouch.rig import Acquisition, Recording
+from modaltouch.stimulus import Law, Stimulus
 from modaltouch.system import commit, version
 
 COMMAND = "validate"
 """The command that owns the folder."""
-
-MAP_CSV_STEP = 10e-6
-"""Time step of the map's table [s]."""
 
 
 def write_validation(
@@ -71,7 +60,7 @@ def write_validation(
     files = page_files(
         "modaltouch.lab",
         "validation",
-        [ReportFigure(name, *each) for name, each in _draw(evidences, context["limit"]).items()],
+        [ReportFigure(name, *each) for name, each in draw_all(evidences, context["limit"]).items()],
         title=f"Validation: {context['title']}",
         occasion=context,
         level=format(round(evidences[0].observation.velocity * 1e3, 6), "g"),
@@ -82,7 +71,7 @@ def write_validation(
         findings=findings(figures),
         rows=validation_table(figures),
     )
-    tables = {"validation.json": values, **_tables(evidences)}
+    tables = {"validation.json": values, **figure_tables(evidences)}
     written = write_files(folder, files | tables, {"version": version()}, COMMAND)
     return {**values, "files": {name: str(path) for name, path in written.items()}}
 
@@ -190,129 +179,170 @@ def _context(preflight: Preflight, protocol: Path, field: Scan) -> dict[str, Any
     }
 
 
-def _draw(evidences: Sequence[Evidence], limit: float) -> dict[str, tuple[Figure, str]]:
-    """Draw the figures, each with its caption, by file name."""
-    drawn = {
-        "fig_2": (
-            draw_decomposition(evidences[0]),
-            "Fig. 2: the desired field decomposed on the modes of the beam. The strongest of the modelled modes are "
-            "selected; the other modelled modes are at rest at the focusing instant.",
-        ),
-        "fig_5": (
-            draw_maps(evidences),
-            "Fig. 5: measured velocity by position and time. Black lines: half of the level. The dotted line is the "
-            "focusing instant.",
-        ),
-        "fig_6": (
-            draw_coefficients(evidences),
-            "Fig. 6: desired coefficients of the selected modes, those predicted on the identified beam, and "
-            "those measured (least squares over all points at the focusing instant). Right: their difference with 95 % "
-            "intervals from record to record.",
-        ),
-        "fig_7": (
-            draw_fields(evidences),
-            "Fig. 7: the field at the focusing instant, points with 95 % intervals, and the difference of the "
-            "measured field from the desired one and from that of the selected modes [mm/s].",
-        ),
-        "fig_8": (
-            draw_spectrograms(evidences),
-            "Fig. 8: spectrogram of the measured velocity at the focus (Hann window of 4 ms). Marks on the left: the "
-            "modelled modes, with the selected ones in bold.",
-        ),
+LAWS: tuple[Law, ...] = ("exact", "paper")
+
+WHAT = ("field", "course")
+"""Scans of each law, in this order; each has a folder ``<law>_<what>``, with a suffix for rows off the mid-line."""
+
+MARGIN = 0.05e-3
+"""Additional time recorded at either end to allow for the delay of the measurement [s]."""
+
+FIELD_RATE = 2.5e6
+"""Sampling rate of the field around the focus: 28 samples per period of the highest mode of Table I [Hz]."""
+
+COURSE_RATE = 1.25e6
+"""Sampling rate of the whole burst at the zones [Hz]."""
+
+HEADROOM = 1.3
+"""Range of the measurement relative to the highest predicted speed [1]."""
+
+
+def plans(
+    inputs: DesignInputs, stimulus: Stimulus, velocity: float, n_points: int, n_records: int
+) -> tuple[ScanPlan, ScanPlan]:
+    """Plan the scans of a stimulus: the field around the focusing instant, and the zones throughout the burst.
+
+    Parameters
+    ----------
+    inputs : DesignInputs
+        Inputs from which the stimulus was designed.
+    stimulus : Stimulus
+        The stimulus to be played.
+    velocity : float
+        Level [m/s].
+    n_points : int
+        Points along the beam, evenly spaced from end to end.
+    n_records : int
+        Records at each point.
+    """
+    half, timing = stimulus.model.length / 2, stimulus.timing
+    places = np.round(np.linspace(-half, half, n_points), 9)
+    centres = [zone.centre_mm * 1e-3 for zone in inputs.apparatus.ordered_zones.values()]
+    highest = float(stimulus.peak_velocity([*places[:: max(1, n_points // 20)], *centres], velocity).max())
+    expected = min(highest * HEADROOM, inputs.apparatus.acquisition.range_mm_s * 1e-3)
+    outputs = tuple(range(1, stimulus.model.n_channels + 1))
+    start = max(0.0, timing.focusing_instant - AROUND - MARGIN)
+    end = min(timing.focusing_instant + AROUND + MARGIN, 1 / timing.repetition_rate)
+    before = -min(1e-3, (1 / timing.repetition_rate - timing.duration) / 2)
+    drive = max(1.0, HEADROOM * float(stimulus.peak_drive(velocity).max()))
+    around, throughout = (
+        Acquisition(rate, round((last - first) * rate), n_records, outputs, first, expected, drive)
+        for rate, first, last in ((FIELD_RATE, start, end), (COURSE_RATE, before, timing.duration - before))
+    )
+    about = {"law": stimulus.law, "focus": inputs.section.focus}
+    return (
+        ScanPlan(stimulus.burst, velocity, tuple(places), around, {**about, "what": "field"}),
+        ScanPlan(stimulus.burst, velocity, tuple(centres), throughout, {**about, "what": "course"}),
+    )
+
+
+def keep_velocities(recording: Recording) -> dict[str, NDArray[Any]]:
+    """Keep all records of the velocity [m/s], but only the mean of the drive over the records [V]."""
+    return {
+        "time": recording.time,
+        "velocity": recording.velocity.astype(np.float32),
+        "drive": recording.drive.mean(axis=0, keepdims=True).astype(np.float32),
     }
-    if evidences[0].observation.rows:
-        drawn["fig_7_map"] = (
-            draw_over_width(evidences),
-            "Fig. 7 over the width: measured velocity at the focusing instant, the highest speed within 1 ms of it, "
-            "and torsion, which grows linearly across the beam.",
-        )
-    for evidence in evidences:
-        drawn[f"zones_{evidence.law}"] = (
-            draw_zones(evidence),
-            f"Velocity at the centre of each zone over time, law “{evidence.law}”.",
-        )
-    drawn["drive"] = (draw_drives(evidences, limit), "Drive as measured at the beam.")
-    return drawn
 
 
-def _tables(evidences: Sequence[Evidence]) -> dict[str, list[dict[str, Any]]]:
-    """Return the data of the figures, by file name."""
-    first = evidences[0]
-    wished = [
-        {"mode": label, "wished_mm_s": _round(value), "selected": label in first.observation.stimulus.selected}
-        for label, value in enumerate(first.target_coefficient.tolist(), 1)
-    ]
-    tables = {
-        "fig_2.csv": wished,
-        "fig_6.csv": [{"law": each.law, **rounded(line, 3)} for each in evidences for line in coefficients(each)],
-        "fig_7.csv": [line for each in evidences for line in _field_lines(each)],
-        "fig_8.csv": [line for each in evidences for line in _spectrum_lines(each)],
-    }
-    if first.observation.rows:
-        tables["fig_7_map.csv"] = [line for each in evidences for line in _width_lines(each)]
-    return tables | {f"fig_5_{each.law}.csv": _map_lines(each) for each in evidences}
+def record_laws(
+    inputs: DesignInputs,
+    laboratory: Laboratory,
+    velocity: float,
+    *,
+    n_points: int,
+    n_records: int,
+    rows: Sequence[float] = (),
+    folder: Path | None = None,
+    source: Source | None = None,
+) -> list[Observation]:
+    """Play the drive of each law on a rig, and return the recordings.
+
+    Parameters
+    ----------
+    inputs : DesignInputs
+        Inputs from which the stimuli are designed.
+    laboratory : Laboratory
+        Generator and scope, open.
+    velocity : float
+        Level [m/s].
+    n_points, n_records : int
+        Points along the beam, and records at each.
+    rows : sequence of float
+        Distances from the mid-line of further rows on which the field is scanned [m].
+    folder : Path, optional
+        Parent folder with one folder per scan; an interrupted scan is resumed.
+    source : Source, optional
+        The apparatus file.
+    """
+    observed = []
+    for law in LAWS:
+        stimulus = design(inputs, law=law)
+        scans = []
+        field, course = plans(inputs, stimulus, velocity, n_points, n_records)
+        for plan in (field, course, *(replace(field, across=across) for across in rows)):
+            name = row_name(f"{law}_{plan.about['what']}", plan.across)
+            scan = take_scan(
+                laboratory,
+                plan,
+                None if folder is None else folder / name,
+                source=source,
+                reduction=keep_velocities,
+                step=name,
+            )
+            scans.append(scan.refuse_overloaded())
+        observed.append(_observation(inputs, stimulus, velocity, scans))
+    return observed
 
 
-def _field_lines(evidence: Evidence) -> list[dict[str, Any]]:
-    place = evidence.observation.field.positions
-    smooth = {
-        name: np.interp(place, evidence.position, field)
-        for name, field in {
-            "wished": evidence.target_field,
-            "target": evidence.selected_field,
-            "predicted": evidence.predicted_field,
-        }.items()
-    }
-    return [
-        {
-            "law": evidence.law,
-            "position_mm": round(float(place[i]) * 1e3, 6),
-            **{f"{name}_mm_s": _round(values[i]) for name, values in smooth.items()},
-            "measured_mm_s": _round(evidence.measured_points[i]),
-            "standard_error_mm_s": _round(evidence.points_error[i]),
-        }
-        for i in range(place.size)
-    ]
+def read_laws(inputs: DesignInputs, folder: Path) -> list[Observation]:
+    """Read the recordings of each law from the scans in a folder, with all rows found there; no rig is needed.
+
+    Parameters
+    ----------
+    inputs : DesignInputs
+        Inputs from which the stimuli were designed.
+    folder : Path
+        Folder of the scans written by `record_laws`.
+
+    Raises
+    ------
+    RecordInputError
+        If a scan is missing or incomplete, or another stimulus was played.
+    """
+    observed = []
+    beside = kept_rows(folder, "_".join((LAWS[0], WHAT[0])))[1:]
+    for law in LAWS:
+        stimulus = design(inputs, law=law)
+        scans = []
+        for place in _folders(folder, law, beside):
+            scan = read_scan(place).require_complete().refuse_overloaded()
+            played = scan.facts["settings"]["burst"]["sha256"]
+            if played != stimulus.burst.content_hash:
+                raise RecordInputError(
+                    f"{place}: the stimulus played there is not that of this protocol with the law `{law}`; give "
+                    "the protocol and the apparatus of the recording"
+                )
+            scans.append(scan)
+        velocity = float(scans[0].facts["settings"]["velocity_mm_s"]) * 1e-3
+        observed.append(_observation(inputs, stimulus, velocity, scans))
+    return observed
 
 
-def _width_lines(evidence: Evidence) -> list[dict[str, Any]]:
-    """Return field and highest speed over length and width."""
-    return [
-        {
-            "law": evidence.law,
-            "position_mm": round(float(place) * 1e3, 6),
-            "across_mm": round(scan.across * 1e3, 6),
-            "velocity_mm_s": _round(velocity),
-            "highest_speed_mm_s": _round(speed),
-        }
-        for scan, *row in zip(
-            evidence.rows, evidence.field_over_width.mean(axis=1), evidence.speed_over_width, strict=True
-        )
-        for place, velocity, speed in zip(scan.positions, *row, strict=True)
-    ]
+def _folders(folder: Path, law: Law, rows: Sequence[str]) -> list[Path]:
+    """Return the folders of a law's scans: field and course on the mid-line, then the field on further rows."""
+    return [folder / f"{law}_{what}" for what in (*WHAT, *(f"{WHAT[0]}{row}" for row in rows))]
 
 
-def _map_lines(evidence: Evidence) -> list[dict[str, Any]]:
-    time, velocity = around_focus(evidence, MAP_CSV_STEP)
-    names = [f"velocity_mm_s_at_{place * 1e3:g}_mm" for place in evidence.observation.field.positions]
-    return [
-        {"time_ms": round(float(instant) * 1e3, 5), **dict(zip(names, np.round(row * 1e3, 1).tolist(), strict=True))}
-        for instant, row in zip(time, velocity.T, strict=True)
-    ]
+def complete(folder: Path, rows: Sequence[float] = ()) -> bool:
+    """Return whether a folder holds all scans in full, so that no rig is needed."""
+    try:
+        beside = [row_name("", across) for across in rows]
+        return all(read_scan(place).complete for law in LAWS for place in _folders(folder, law, beside))
+    except RecordError:
+        return False
 
 
-def _spectrum_lines(evidence: Evidence) -> list[dict[str, Any]]:
-    """Return the spectrogram at the natural frequencies of the modelled modes."""
-    (time, frequency, amplitude), model = spectrogram_of(evidence), evidence.observation.stimulus.model
-    rows = [int(np.abs(frequency - natural).argmin()) for natural in model.natural_frequency]
-    names = [f"amplitude_mm_s_at_mode_{label}" for label in model.label]
-    return [
-        {"law": evidence.law, "time_ms": round(float(instant) * 1e3, 4)}
-        | {name: _round(value) for name, value in zip(names, column, strict=True)}
-        for instant, column in zip(time, amplitude[rows].T, strict=True)
-    ]
-
-
-def _round(value: float) -> float | None:
-    """Round a velocity in mm/s to 1 um/s; None if it is unknown."""
-    return None if not np.isfinite(value) else round(float(value) * 1e3, 3)
+def _observation(inputs: DesignInputs, stimulus: Stimulus, velocity: float, scans: Sequence[Scan]) -> Observation:
+    zones = {name: zone.centre_mm * 1e-3 for name, zone in inputs.apparatus.ordered_zones.items()}
+    return Observation(stimulus, velocity, zones, inputs.section.focus, scans[0], scans[1], tuple(scans[2:]))

@@ -11,9 +11,39 @@ import numpy as np
 
 from modaltouch.lab.arrays import FloatArray
 from modaltouch.lab.scan import Scan
-from modaltouch.lab.validation.recording import Observation
 from modaltouch.record import RecordInputError
-from modaltouch.stimulus import mode_shapes
+from modaltouch.stimulus import Stimulus, mode_shapes
+
+
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """The recordings of one drive law.
+
+    Attributes
+    ----------
+    stimulus : Stimulus
+        The stimulus that was played.
+    velocity : float
+        The level at which it was played [m/s].
+    zones : dict of str to float
+        Zones and their centres, from left to right [m].
+    focus : str
+        Zone of the focus.
+    field : Scan
+        Velocity along the beam around the focusing instant.
+    course : Scan
+        Velocity at the centres of the zones throughout the burst.
+    rows : tuple of Scan
+        The field on further rows across the width.
+    """
+
+    stimulus: Stimulus
+    velocity: float
+    zones: dict[str, float]
+    focus: str
+    field: Scan
+    course: Scan
+    rows: tuple[Scan, ...] = ()
 
 
 def spot_width(position: FloatArray, field: FloatArray, centre: float, fraction: float) -> float:

@@ -13,8 +13,7 @@ from matplotlib.patches import Patch
 from modaltouch.lab.arrays import NORMAL_95, FloatArray
 from modaltouch.lab.output import DARK, LIGHT, MIDDLE, SIGNED, draw_map
 from modaltouch.lab.validation.evidence import Evidence, mean_velocity
-from modaltouch.lab.validation.key_figures import coefficients, key_figures
-from modaltouch.lab.validation.recording import AROUND
+from modaltouch.lab.validation.key_figures import AROUND, around_focus, coefficients, key_figures, spectrogram_of
 from modaltouch.report import FAINT, INK, house_style, quiet_grid
 
 LAW_TITLES = {"exact": "law “exact”", "paper": "law “paper”, eq. (6) and (7)"}
@@ -173,59 +172,6 @@ def _over_width(evidence: Evidence) -> tuple[FloatArray, FloatArray, FloatArray]
     return evidence.field_over_width.mean(axis=1), evidence.speed_over_width, torsion
 
 
-WINDOW = 4e-3
-"""Length of the Hann window: about one period of a mode at 229 Hz [s]."""
-
-FINER = 4
-"""Factor of zero padding, for a smooth figure along frequency."""
-
-STEP = 0.2e-3
-"""Time between two windows [s]."""
-
-
-def spectrogram(time: FloatArray, velocity: FloatArray, highest: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the amplitude of a velocity over frequency and time.
-
-    Parameters
-    ----------
-    time : (n,) array
-        Evenly spaced times [s].
-    velocity : (n,) array
-        The velocity [m/s].
-    highest : float
-        Highest frequency kept [Hz].
-
-    Returns
-    -------
-    time : (n_times,) array
-        Centres of the windows [s].
-    frequency : (n_frequencies,) array
-        Frequencies from 0 [Hz].
-    amplitude : (n_frequencies, n_times) array
-        Amplitude of the sine at each frequency [m/s].
-
-    Raises
-    ------
-    ValueError
-        If the velocity is shorter than a window.
-    """
-    from scipy.signal import spectrogram as of_windows
-
-    step = (time[-1] - time[0]) / (time.size - 1)
-    n_window, n_step = round(WINDOW / step), max(1, round(STEP / step))
-    if velocity.size < n_window:
-        raise ValueError(
-            f"the record lasts {velocity.size * step * 1e3:g} ms, but a window of the spectrogram needs "
-            f"{WINDOW * 1e3:g} ms: record for longer"
-        )
-    frequency, middle, amplitude = of_windows(
-        velocity, 1 / step, "hann", n_window, n_window - n_step, FINER * n_window, detrend=False, scaling="spectrum",
-        mode="magnitude",
-    )  # fmt: skip
-    kept = frequency <= highest
-    return time[0] + middle, frequency[kept], 2 * amplitude[kept]
-
-
 MAP_STEP = 2e-6
 """Time step of a map in a figure: a sixth of the shortest period [s]."""
 
@@ -257,20 +203,6 @@ def draw_maps(evidences: Sequence[Evidence]) -> Figure:
         panels[0].set_ylabel("time [ms]")
         figure.colorbar(image, ax=panels, label="velocity [mm/s]", shrink=0.9, pad=0.02)
     return figure
-
-
-def around_focus(evidence: Evidence, step: float) -> tuple[FloatArray, FloatArray]:
-    """Return times around the focusing instant, about one step apart [s], and velocities, (n_positions, n_times)."""
-    time = evidence.times(evidence.observation.field)
-    every = max(1, round(step / (time[1] - time[0])))
-    near = np.flatnonzero(np.abs(time - evidence.instant) <= AROUND)[::every]
-    return time[near], mean_velocity(evidence.observation.field)[:, near]
-
-
-def spectrogram_of(evidence: Evidence) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the spectrogram at the focus, up to a quarter above the highest modelled mode."""
-    highest = 1.25 * float(evidence.observation.stimulus.model.natural_frequency.max())
-    return spectrogram(evidence.times(evidence.observation.course), evidence.focus_course, highest)
 
 
 def draw_spectrograms(evidences: Sequence[Evidence]) -> Figure:
@@ -370,3 +302,48 @@ def draw_drives(evidences: Sequence[Evidence], limit: float) -> Figure:
             column[-1].set_xlabel("time [ms]")
         figure.supylabel("voltage at the beam [V]; dashed: limit", fontsize=9)
     return figure
+
+
+def draw_all(evidences: Sequence[Evidence], limit: float) -> dict[str, tuple[Figure, str]]:
+    """Draw the figures, each with its caption, by file name."""
+    drawn = {
+        "fig_2": (
+            draw_decomposition(evidences[0]),
+            "Fig. 2: the desired field decomposed on the modes of the beam. The strongest of the modelled modes are "
+            "selected; the other modelled modes are at rest at the focusing instant.",
+        ),
+        "fig_5": (
+            draw_maps(evidences),
+            "Fig. 5: measured velocity by position and time. Black lines: half of the level. The dotted line is the "
+            "focusing instant.",
+        ),
+        "fig_6": (
+            draw_coefficients(evidences),
+            "Fig. 6: desired coefficients of the selected modes, those predicted on the identified beam, and "
+            "those measured (least squares over all points at the focusing instant). Right: their difference with 95 % "
+            "intervals from record to record.",
+        ),
+        "fig_7": (
+            draw_fields(evidences),
+            "Fig. 7: the field at the focusing instant, points with 95 % intervals, and the difference of the "
+            "measured field from the desired one and from that of the selected modes [mm/s].",
+        ),
+        "fig_8": (
+            draw_spectrograms(evidences),
+            "Fig. 8: spectrogram of the measured velocity at the focus (Hann window of 4 ms). Marks on the left: the "
+            "modelled modes, with the selected ones in bold.",
+        ),
+    }
+    if evidences[0].observation.rows:
+        drawn["fig_7_map"] = (
+            draw_over_width(evidences),
+            "Fig. 7 over the width: measured velocity at the focusing instant, the highest speed within 1 ms of it, "
+            "and torsion, which grows linearly across the beam.",
+        )
+    for evidence in evidences:
+        drawn[f"zones_{evidence.law}"] = (
+            draw_zones(evidence),
+            f"Velocity at the centre of each zone over time, law “{evidence.law}”.",
+        )
+    drawn["drive"] = (draw_drives(evidences, limit), "Drive as measured at the beam.")
+    return drawn

@@ -1,4 +1,4 @@
-"""The evidence as plain values with units in their keys, as a table, and as sentences."""
+"""The evidence as plain values with units in their keys, as tables, and as sentences."""
 
 from __future__ import annotations
 
@@ -9,7 +9,15 @@ import numpy as np
 
 from modaltouch.lab.arrays import FloatArray
 from modaltouch.lab.calibration.plausibility import COMMON_FACTORS, GAINS
-from modaltouch.lab.validation.evidence import Evidence, contrast, root_mean_square, spot_width, standard_error
+from modaltouch.lab.output import rounded
+from modaltouch.lab.validation.evidence import (
+    Evidence,
+    contrast,
+    mean_velocity,
+    root_mean_square,
+    spot_width,
+    standard_error,
+)
 from modaltouch.preflight import finite
 from modaltouch.report import format_number
 
@@ -256,3 +264,160 @@ def _error(f: Figures, key: str) -> str:
 
 def _joined(values: dict[str, float | None], digits: int = 1) -> str:
     return ", ".join(format_number(value, decimals=digits) for value in values.values())
+
+
+AROUND = 1.0e-3
+"""Time shown before and after the focusing instant: 24 to 26 ms in Fig. 5 [s]."""
+
+WINDOW = 4e-3
+"""Length of the Hann window: about one period of a mode at 229 Hz [s]."""
+
+FINER = 4
+"""Factor of zero padding, for a smooth figure along frequency."""
+
+STEP = 0.2e-3
+"""Time between two windows [s]."""
+
+
+def spectrogram(time: FloatArray, velocity: FloatArray, highest: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the amplitude of a velocity over frequency and time.
+
+    Parameters
+    ----------
+    time : (n,) array
+        Evenly spaced times [s].
+    velocity : (n,) array
+        The velocity [m/s].
+    highest : float
+        Highest frequency kept [Hz].
+
+    Returns
+    -------
+    time : (n_times,) array
+        Centres of the windows [s].
+    frequency : (n_frequencies,) array
+        Frequencies from 0 [Hz].
+    amplitude : (n_frequencies, n_times) array
+        Amplitude of the sine at each frequency [m/s].
+
+    Raises
+    ------
+    ValueError
+        If the velocity is shorter than a window.
+    """
+    from scipy.signal import spectrogram as of_windows
+
+    step = (time[-1] - time[0]) / (time.size - 1)
+    n_window, n_step = round(WINDOW / step), max(1, round(STEP / step))
+    if velocity.size < n_window:
+        raise ValueError(
+            f"the record lasts {velocity.size * step * 1e3:g} ms, but a window of the spectrogram needs "
+            f"{WINDOW * 1e3:g} ms: record for longer"
+        )
+    frequency, middle, amplitude = of_windows(
+        velocity, 1 / step, "hann", n_window, n_window - n_step, FINER * n_window, detrend=False, scaling="spectrum",
+        mode="magnitude",
+    )  # fmt: skip
+    kept = frequency <= highest
+    return time[0] + middle, frequency[kept], 2 * amplitude[kept]
+
+
+def around_focus(evidence: Evidence, step: float) -> tuple[FloatArray, FloatArray]:
+    """Return times around the focusing instant, about one step apart [s], and velocities, (n_positions, n_times)."""
+    time = evidence.times(evidence.observation.field)
+    every = max(1, round(step / (time[1] - time[0])))
+    near = np.flatnonzero(np.abs(time - evidence.instant) <= AROUND)[::every]
+    return time[near], mean_velocity(evidence.observation.field)[:, near]
+
+
+def spectrogram_of(evidence: Evidence) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the spectrogram at the focus, up to a quarter above the highest modelled mode."""
+    highest = 1.25 * float(evidence.observation.stimulus.model.natural_frequency.max())
+    return spectrogram(evidence.times(evidence.observation.course), evidence.focus_course, highest)
+
+
+MAP_CSV_STEP = 10e-6
+"""Time step of the map's table [s]."""
+
+
+def figure_tables(evidences: Sequence[Evidence]) -> dict[str, list[dict[str, Any]]]:
+    """Return the data of the figures, by file name."""
+    first = evidences[0]
+    wished = [
+        {"mode": label, "wished_mm_s": _round(value), "selected": label in first.observation.stimulus.selected}
+        for label, value in enumerate(first.target_coefficient.tolist(), 1)
+    ]
+    tables = {
+        "fig_2.csv": wished,
+        "fig_6.csv": [{"law": each.law, **rounded(line, 3)} for each in evidences for line in coefficients(each)],
+        "fig_7.csv": [line for each in evidences for line in _field_lines(each)],
+        "fig_8.csv": [line for each in evidences for line in _spectrum_lines(each)],
+    }
+    if first.observation.rows:
+        tables["fig_7_map.csv"] = [line for each in evidences for line in _width_lines(each)]
+    return tables | {f"fig_5_{each.law}.csv": _map_lines(each) for each in evidences}
+
+
+def _field_lines(evidence: Evidence) -> list[dict[str, Any]]:
+    place = evidence.observation.field.positions
+    smooth = {
+        name: np.interp(place, evidence.position, field)
+        for name, field in {
+            "wished": evidence.target_field,
+            "target": evidence.selected_field,
+            "predicted": evidence.predicted_field,
+        }.items()
+    }
+    return [
+        {
+            "law": evidence.law,
+            "position_mm": round(float(place[i]) * 1e3, 6),
+            **{f"{name}_mm_s": _round(values[i]) for name, values in smooth.items()},
+            "measured_mm_s": _round(evidence.measured_points[i]),
+            "standard_error_mm_s": _round(evidence.points_error[i]),
+        }
+        for i in range(place.size)
+    ]
+
+
+def _width_lines(evidence: Evidence) -> list[dict[str, Any]]:
+    """Return field and highest speed over length and width."""
+    return [
+        {
+            "law": evidence.law,
+            "position_mm": round(float(place) * 1e3, 6),
+            "across_mm": round(scan.across * 1e3, 6),
+            "velocity_mm_s": _round(velocity),
+            "highest_speed_mm_s": _round(speed),
+        }
+        for scan, *row in zip(
+            evidence.rows, evidence.field_over_width.mean(axis=1), evidence.speed_over_width, strict=True
+        )
+        for place, velocity, speed in zip(scan.positions, *row, strict=True)
+    ]
+
+
+def _map_lines(evidence: Evidence) -> list[dict[str, Any]]:
+    time, velocity = around_focus(evidence, MAP_CSV_STEP)
+    names = [f"velocity_mm_s_at_{place * 1e3:g}_mm" for place in evidence.observation.field.positions]
+    return [
+        {"time_ms": round(float(instant) * 1e3, 5), **dict(zip(names, np.round(row * 1e3, 1).tolist(), strict=True))}
+        for instant, row in zip(time, velocity.T, strict=True)
+    ]
+
+
+def _spectrum_lines(evidence: Evidence) -> list[dict[str, Any]]:
+    """Return the spectrogram at the natural frequencies of the modelled modes."""
+    (time, frequency, amplitude), model = spectrogram_of(evidence), evidence.observation.stimulus.model
+    rows = [int(np.abs(frequency - natural).argmin()) for natural in model.natural_frequency]
+    names = [f"amplitude_mm_s_at_mode_{label}" for label in model.label]
+    return [
+        {"law": evidence.law, "time_ms": round(float(instant) * 1e3, 4)}
+        | {name: _round(value) for name, value in zip(names, column, strict=True)}
+        for instant, column in zip(time, amplitude[rows].T, strict=True)
+    ]
+
+
+def _round(value: float) -> float | None:
+    """Round a velocity in mm/s to 1 um/s; None if it is unknown."""
+    return None if not np.isfinite(value) else round(float(value) * 1e3, 3)
