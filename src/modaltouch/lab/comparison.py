@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from modaltouch.lab.contest import Contest, DriveAssessment, contest, learn
@@ -62,13 +61,11 @@ class Criterion:
         known = [row for row in rows if row[self.key] is not None]
         if self.best == "none" or not known:
             return []
-        costs = [self._cost(round(float(row[self.key]), self.digits), level) for row in known]
-        return [row for row, value in zip(known, costs, strict=True) if value == min(costs)]
-
-    def _cost(self, value: float, level: float) -> float:
+        costs = [round(float(row[self.key]), self.digits) for row in known]
         if self.best == "level":
-            return round(abs(value - level), self.digits)
-        return value if self.best == "low" else -value
+            costs = [round(abs(value - level), self.digits) for value in costs]
+        best = max(costs) if self.best == "high" else min(costs)
+        return [row for row, value in zip(known, costs, strict=True) if value == best]
 
     def printed(self, row: Row) -> str:
         """Return the printed value of a row."""
@@ -77,8 +74,13 @@ class Criterion:
 
 def criteria(rows: Sequence[Row]) -> list[Criterion]:
     """Return the criteria of the comparison, with a contrast for each pair of the protocol."""
-    pairs = [(key, "") for key in rows[0] if key.startswith("contrast_")]
-    pairs += [(key, " under fingers 10 mm wide") for key in rows[0] if key.startswith("finger_contrast_")]
+    contrasts = []
+    for begin, where in (("contrast_", ""), ("finger_contrast_", " under fingers 10 mm wide")):
+        for key in (key for key in rows[0] if key.startswith(begin)):
+            pair = key.removeprefix(begin).split("_")
+            # A high contrast is best if either zone is the focus; other pairs are not ranked.
+            best = "high" if rows[0]["focus"] in pair else "none"
+            contrasts.append(Criterion(key, f"contrast of ({', '.join(pair)}){where}", "", best, 2))
     return [
         Criterion("at_focus_mm_s", "velocity at the focus, at the focusing instant", "mm/s", "level"),
         Criterion("rms_error_mm_s", "distance from the target field, rms", "mm/s", "low", 2),
@@ -89,7 +91,7 @@ def criteria(rows: Sequence[Row]) -> list[Criterion]:
         Criterion("width_80_mm", "spot width at 80 %", "mm", "none"),
         Criterion("highest_at_focus_mm_s", "highest speed at the focus, throughout", "mm/s", "level"),
         Criterion("highest_mm_s", "highest speed anywhere, throughout", "mm/s", "low"),
-        *(Criterion(key, f"contrast of {_pair(key)}{where}", "", _wanted(rows, key), 2) for key, where in pairs),
+        *contrasts,
         Criterion("peak_voltage_V", "peak voltage", "V", "low"),
         Criterion("energy_V2_s", "energy", "V² s", "low", 2),
         Criterion("reach_mm_s", "velocity at the focus at the voltage limit", "mm/s", "high", 0),
@@ -101,16 +103,6 @@ def criteria(rows: Sequence[Row]) -> list[Criterion]:
         ),
         Criterion("changed_drift_mm_s", "other beams: change of the field, rms, median", "mm/s", "low", 2),
     ]
-
-
-def _pair(key: str) -> str:
-    """Return the printed pair of zones from the end of a contrast's key."""
-    return f"({', '.join(key.split('_')[-2:])})"
-
-
-def _wanted(rows: Sequence[Row], key: str) -> str:
-    """Return the best contrast: a high one if either zone is the focus; other pairs are not ranked."""
-    return "high" if rows[0]["focus"] in key.split("_")[-2:] else "none"
 
 
 def rows_of(contest: Contest) -> list[Row]:
@@ -239,7 +231,10 @@ def draw_robustness(contest: Contest) -> Figure:
         )
         for axes, (label, key) in zip(panels, columns, strict=True):
             for place, (verdict, changed) in enumerate(zip(contest.verdicts, contest.changed, strict=True)):
-                _draw_dots(axes, place, [each.row[key] for each in changed], verdict.row[key])
+                shaken = place + 0.22 * np.cos(np.arange(len(changed)) * 2.4)
+                others = [each.row[key] for each in changed]
+                axes.scatter(others, shaken, s=9, color=MIDDLE, edgecolor=INK, linewidth=0.3)
+                axes.plot([verdict.row[key]] * 2, [place - 0.36, place + 0.36], color=DARK, linewidth=2)
             axes.set_xlabel(label)
             axes.grid(axis="x", color="#e3e7ec", linewidth=0.7)
             axes.set_axisbelow(True)
@@ -247,12 +242,6 @@ def draw_robustness(contest: Contest) -> Figure:
         panels[0].set_ylim(len(names) - 0.5, -0.5)
         panels[1].set_xscale("log")
     return figure
-
-
-def _draw_dots(axes: Axes, place: int, others: Sequence[float], learned: float) -> None:
-    shaken = place + 0.22 * np.cos(np.arange(len(others)) * 2.4)
-    axes.scatter(others, shaken, s=9, color=MIDDLE, edgecolor=INK, linewidth=0.3)
-    axes.plot([learned, learned], [place - 0.36, place + 0.36], color=DARK, linewidth=2)
 
 
 def comparison_table(rows: Sequence[Row], level: float) -> list[dict[str, Any]]:

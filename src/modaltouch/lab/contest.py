@@ -75,7 +75,8 @@ def judge(rig: Simulator, preflight: Preflight, *, everywhere: bool = True) -> D
         Whether to evaluate the highest speed along the whole beam and under the fingers, the slowest part.
     """
     twin, playbacks = rig.twin, rig.playbacks
-    stimulus, target, zones = preflight.stimulus, preflight.stimulus.target_field, _centres(preflight)
+    stimulus, target = preflight.stimulus, preflight.stimulus.target_field
+    zones = {name: zone.centre_mm * 1e-3 for name, zone in preflight.experiment.apparatus.zones.items()}
     half = twin.beam.table.length / 2
     position = np.linspace(-half, half, POINTS)
     state = twin.true_state(playbacks, stimulus.timing.focusing_instant + true_delay(rig))
@@ -101,11 +102,6 @@ def judge(rig: Simulator, preflight: Preflight, *, everywhere: bool = True) -> D
     if everywhere:
         row |= _contrasts(_finger_peaks(rig, zones), preflight, "finger_contrast")
     return DriveAssessment(position, field, row)
-
-
-def _centres(preflight: Preflight) -> dict[str, float]:
-    """Return the centre of each zone [m]."""
-    return {name: zone.centre_mm * 1e-3 for name, zone in preflight.experiment.apparatus.zones.items()}
 
 
 def _contrasts(peak: dict[str, float], preflight: Preflight, name: str) -> dict[str, float | None]:
@@ -210,10 +206,8 @@ def contest(
         release=stimulus.release,
         load_factor=stimulus.load_factor,
     )
-    said = (misfit_verdict(identification), *warnings(identification))
-    return run_contest(
-        preflight, known, identification.delay.value, said, n_beams=n_beams, seed=seed, progress=progress
-    )
+    delay, quality = identification.delay.value, (misfit_verdict(identification), *warnings(identification))
+    return run_contest(preflight, known, delay, quality, n_beams=n_beams, seed=seed, progress=progress)
 
 
 def run_contest(
