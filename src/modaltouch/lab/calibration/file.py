@@ -245,23 +245,16 @@ def calibration_of(
     ----------
     outcomes : mapping of str to CalibrationResult
         The result for each stimulus on one rig, by name; a single stimulus has an empty name.
-    protocol : str
-        Name of the protocol.
-    apparatus : Apparatus
-        As in its file.
-    generator, scope : str
-        Identities of the instruments.
-    mode : str
-        ``simulated`` or ``real``.
-    person : str
-        Name of the operator.
-    made : datetime
-        Time of the calibration, with its offset from UTC.
+    protocol, apparatus
+        Name of the protocol, and the apparatus as in its file.
+    generator, scope, mode : str
+        Identities of the instruments, and ``simulated`` or ``real``.
+    person, made
+        Name of the operator, and the time with its offset from UTC.
     marks : mapping of str to mapping, optional
         ``missed`` and ``causes`` of each stimulus; empty for one within its limits.
     """
-    marks = marks or {}
-    change = commit()
+    change, first = commit(), next(iter(outcomes.values()))
     shared = {
         "calibration": 1,
         "made": made.isoformat(timespec="seconds"),
@@ -270,31 +263,17 @@ def calibration_of(
         "protocol": protocol,
         "apparatus": {"name": apparatus.apparatus, "sha256": apparatus.measured_hash},
         "instruments": {"generator": generator.strip(), "scope": scope, "mode": mode},
-        **_of_rig(next(iter(outcomes.values()))),
-    }
-    if "" in outcomes:
-        return Calibration.of({**shared, **_own(outcomes[""]), **marks.get("", {})})
-    own = {name: {**_own(outcome), **marks.get(name, {})} for name, outcome in outcomes.items()}
-    return Calibration.of({**shared, "stimuli": own})
-
-
-def _of_rig(outcome: CalibrationResult) -> dict[str, Any]:
-    """Return the results for the rig, common to all stimuli."""
-    plant, refined = outcome.plant, outcome.refined
-    return {
-        "amplifier": {
-            "gain_V_per_V": refined.amplifier.gain_V_per_V,
-            "bandwidth_kHz": refined.amplifier.bandwidth_kHz,
-            "delay_us": refined.amplifier.delay_us,
-        },
+        "amplifier": first.refined.amplifier.model_dump(include={"gain_V_per_V", "bandwidth_kHz", "delay_us"}),
         "measuring_chain": {
-            "vibrometer_delay_us": round(max(plant.vibrometer.delay, 0.0) * 1e6, 4),
-            "vibrometer_lag_us": round(plant.vibrometer.lag * 1e6, 4),
-            "clock_offset_ppm": round(plant.drive.clock * 1e6, 3),
+            "vibrometer_delay_us": round(max(first.plant.vibrometer.delay, 0.0) * 1e6, 4),
+            "vibrometer_lag_us": round(first.plant.vibrometer.lag * 1e6, 4),
+            "clock_offset_ppm": round(first.plant.drive.clock * 1e6, 3),
         },
-        "unlisted_modes_Hz": tuple(sorted(round(float(abs(pole)) / (2 * np.pi), 1) for pole in plant.unlisted)),
-        "positions_mm": tuple(round(float(point) * 1e3, 6) for point in outcome.points),
+        "unlisted_modes_Hz": tuple(sorted(round(float(abs(pole)) / (2 * np.pi), 1) for pole in first.plant.unlisted)),
+        "positions_mm": tuple(round(float(point) * 1e3, 6) for point in first.points),
     }
+    own = {name: _own(outcome) | dict((marks or {}).get(name, {})) for name, outcome in outcomes.items()}
+    return Calibration.of(shared | own.get("", {"stimuli": own}))
 
 
 def _own(outcome: CalibrationResult) -> dict[str, Any]:
@@ -328,14 +307,13 @@ def _own(outcome: CalibrationResult) -> dict[str, Any]:
 
 
 def _modes(outcome: CalibrationResult) -> list[dict[str, Any]]:
-    corrected_target, before, after = outcome.correction, outcome.turns[0].state, outcome.best.state
-    rows = []
+    rows, after = [], outcome.best.state
     for row, mode in enumerate(outcome.refined.modes):
         wished = outcome.target[row]
-        errors = [
+        before, kept = (
             (round((state.velocity[row] - wished) * 1e3, 4), round(state.displacement[row] * 1e3, 4))
-            for state in (before, after)
-        ]
+            for state in (outcome.turns[0].state, after)
+        )
         rows.append(
             {
                 "label": mode.label,
@@ -343,10 +321,10 @@ def _modes(outcome: CalibrationResult) -> list[dict[str, Any]]:
                 "damping_ratio": mode.damping_ratio,
                 "gain_mm_s2_per_V": mode.gain_mm_s2_per_V,
                 "wished_mm_s": round(wished * 1e3, DIGITS),
-                "target_mm_s": round(corrected_target.velocity[row] * 1e3, DIGITS),
-                "target_displacement_mm_s": round(corrected_target.displacement[row] * 1e3, DIGITS),
-                "error_before_mm_s": errors[0],
-                "error_after_mm_s": errors[1],
+                "target_mm_s": round(outcome.correction.velocity[row] * 1e3, DIGITS),
+                "target_displacement_mm_s": round(outcome.correction.displacement[row] * 1e3, DIGITS),
+                "error_before_mm_s": before,
+                "error_after_mm_s": kept,
                 "uncertainty_mm_s": round(float(after.true_half_width[:, row].max()) * 1e3, 4),
             }
         )

@@ -149,7 +149,7 @@ def refuse_odd_point(decay: Decay, shapes: FloatArray, points: FloatArray) -> No
 
 
 def refuse_implausible_plant(plant: Plant, listed: ModalModel, margin: float) -> None:
-    """Refuse modes that are too weak or do not match the table."""
+    """Refuse modes that are weak or differ from the table, and a vibrometer with other filters or a long delay."""
     found = plant.model
     for row, label in enumerate(listed.label):
         if not plant.certainty[row] >= LEAST_CERTAINTY:
@@ -165,7 +165,18 @@ def refuse_implausible_plant(plant: Plant, listed: ModalModel, margin: float) ->
                 f"{listed.natural_frequency[row]:.0f} Hz: allowed {FURTHEST:.0%}; the outputs are off; identify the "
                 f"beam again with `modaltouch identify`"
             )
-    _refuse_phases(plant, margin)
+    vibrometer = plant.vibrometer
+    if vibrometer.rest > LARGEST_PHASE:
+        raise RigError(
+            f"the modes' phases differ by {vibrometer.rest:.2f} rad from those of a delay and a low-pass: allowed "
+            f"{LARGEST_PHASE:g} rad; the outputs are off; check which filters of the vibrometer are on"
+        )
+    if vibrometer.delay + 10 * vibrometer.lag > margin:
+        raise RigError(
+            f"the vibrometer is {vibrometer.delay * 1e6:.0f} us late, with a low-pass of {vibrometer.lag * 1e6:.1f} "
+            f"us: the delay plus ten times the low-pass may be at most {margin * 1e6:.0f} us; the outputs are off; "
+            "choose a faster filter"
+        )
     known = listed.modal_gain != 0
     ratio = np.where(known, found.modal_gain / np.where(known, listed.modal_gain, 1.0), 1.0)
     if (ratio[known] < 0).all():
@@ -200,22 +211,6 @@ def refuse_common_factor(found: ModalModel, listed: ModalModel, allowed: tuple[f
             "the outputs are off; check that the vibrometer is set to the listed `acquisition.sensitivity_mm_s_per_V`, "
             "that the amplifier does not saturate and that the actuators have no strong hysteresis, or identify the "
             "beam again with `modaltouch identify`"
-        )
-
-
-def _refuse_phases(plant: Plant, margin: float) -> None:
-    """Refuse a vibrometer that is not a delay and low-pass, or whose signal starts after the records do."""
-    vibrometer = plant.vibrometer
-    if vibrometer.rest > LARGEST_PHASE:
-        raise RigError(
-            f"the modes' phases differ by {vibrometer.rest:.2f} rad from those of a delay and a low-pass: allowed "
-            f"{LARGEST_PHASE:g} rad; the outputs are off; check which filters of the vibrometer are on"
-        )
-    if vibrometer.delay + 10 * vibrometer.lag > margin:
-        raise RigError(
-            f"the vibrometer is {vibrometer.delay * 1e6:.0f} us late, with a low-pass of {vibrometer.lag * 1e6:.1f} "
-            f"us: the delay plus ten times the low-pass may be at most {margin * 1e6:.0f} us; the outputs are off; "
-            "choose a faster filter"
         )
 
 
@@ -307,51 +302,40 @@ the identification [1]."""
 def mark_of(outcome: CalibrationResult, protocol: Protocol) -> dict[str, Any]:
     """Return the limits that a calibration misses, with its uncertainty added to its errors, and the causes.
 
-    Parameters
-    ----------
-    outcome : CalibrationResult
-        The result for one stimulus.
-    protocol : Protocol
-        The protocol with ``calibration.limits``.
-
-    Returns
-    -------
-    dict
-        ``missed`` and ``causes``, as in the calibration file; both empty if every limit is kept.
+    They are ``missed`` and ``causes`` in the calibration file, both empty if every limit in ``calibration.limits`` of
+    the protocol is kept.
     """
-    missed = list(_missed(outcome, protocol))
-    return {"missed": missed, "causes": list(_causes(outcome, protocol, missed)) if missed else []}
-
-
-def _missed(outcome: CalibrationResult, protocol: Protocol) -> Iterator[dict[str, Any]]:
     reference, limits = outcome.inputs.reference, protocol.calibration.limits
     highest = max(outcome.levels, key=lambda level: level.velocity)
+    top, reached = highest.velocity * 1e3, list[tuple[str, float, float, float]]()
     for turn, level in ((outcome.best, reference), (outcome.halfway, outcome.halfway_level * 1e3)):
-        target = outcome.target * level / reference
-        reached = (
-            np.hypot(turn.state.velocity - target, turn.state.half_width),
-            np.hypot(turn.state.displacement, turn.state.half_width),
-        )
-        for what, each, allowed in zip(
-            ("velocity", "displacement"), reached, (limits.velocity_mm_s, limits.displacement_mm_s), strict=True
-        ):
-            yield from _beyond(f"{what}_mm_s", level, float(each.max()) * 1e3, allowed)
-        slip = float(turn.state.significant_slip.max()) * 1e3
-        yield from _beyond("frequencies_mm_s", level, slip, limits.displacement_mm_s)
+        state, half_width = turn.state, turn.state.half_width
+        velocity = np.hypot(state.velocity - outcome.target * level / reference, half_width).max()
+        displacement = np.hypot(state.displacement, half_width).max()
+        reached += [
+            ("velocity_mm_s", level, velocity * 1e3, limits.velocity_mm_s),
+            ("displacement_mm_s", level, displacement * 1e3, limits.displacement_mm_s),
+            ("frequencies_mm_s", level, state.significant_slip.max() * 1e3, limits.displacement_mm_s),
+        ]
     for asked in outcome.levels:
-        reached_percent = _level_error(asked, limits.level_percent, highest.velocity)
-        yield from _beyond("level_percent", asked.velocity * 1e3, reached_percent, limits.level_percent)
-    yield from _beyond("focus_percent", highest.velocity * 1e3, 100 * abs(highest.excess), 100 * LARGEST_EXCESS)
-    shortfall = float(outcome.drive_shortfall.max())
-    yield from _beyond("drive_percent", highest.velocity * 1e3, 100 * shortfall, 100 * LARGEST_SHORTFALL)
-    yield from _beyond("reading_percent", reference, 100 * abs(outcome.reading_change), 100 * LARGEST_CHANGE)
-
-
-def _beyond(limit: str, level: float, reached: float, allowed: float) -> Iterator[dict[str, Any]]:
-    # NaN counts as missed.
-    if not reached <= allowed:
-        reached = float(np.nan_to_num(reached, nan=1e9, posinf=1e9))
-        yield {"limit": limit, "level_mm_s": round(level, 6), "reached": round(reached, 4), "allowed": allowed}
+        error = _level_error(asked, limits.level_percent, highest.velocity)
+        reached.append(("level_percent", asked.velocity * 1e3, error, limits.level_percent))
+    reached += [
+        ("focus_percent", top, 100 * abs(highest.excess), 100 * LARGEST_EXCESS),
+        ("drive_percent", top, 100 * outcome.drive_shortfall.max(), 100 * LARGEST_SHORTFALL),
+        ("reading_percent", reference, 100 * abs(outcome.reading_change), 100 * LARGEST_CHANGE),
+    ]
+    missed = [
+        {
+            "limit": limit,
+            "level_mm_s": round(level, 6),
+            "reached": round(float(np.nan_to_num(value, nan=1e9, posinf=1e9)), 4),
+            "allowed": allowed,
+        }
+        for limit, level, value, allowed in reached
+        if not value <= allowed  # NaN counts as missed.
+    ]
+    return {"missed": missed, "causes": list(_causes(outcome, protocol, missed)) if missed else []}
 
 
 def _level_error(level: Level, allowed: float, highest: float) -> float:
