@@ -116,37 +116,26 @@ def multisine(highest: float) -> NDArray[np.float64]:
     return np.asarray(best / np.abs(best).max())
 
 
-class LowTransform:
-    r"""The lowest lines of a Fourier transform, by decimation in time.
+@lru_cache(maxsize=1)
+def _turns(n_samples: int, n_lines: int) -> ComplexArray:
+    """Return the factors of `low_lines`, (n_lines, r) array; the records of a scan have the same length everywhere."""
+    n_parts = next(r for r in (8, 4, 2, 1) if n_samples % r == 0 and (r == 1 or n_samples >= 2 * r * n_lines))
+    turns = np.outer(np.arange(1, n_lines + 1) / n_samples, np.arange(n_parts))
+    return np.asarray(np.exp(-2j * np.pi * turns).astype(np.complex64))
+
+
+def low_lines(record: FloatArray, n_lines: int) -> ComplexArray:
+    r"""Return the lowest lines of a Fourier transform, from the first one above 0 Hz, by decimation in time.
 
     With :math:`Y_s` the transform of every r-th sample from s on, :math:`X_k = \sum_s e^{-2\pi i k s/n} Y_s(k)`. The r
     short transforms fit into the cache and take a quarter of the time of the full one, of which few lines are needed.
     Rounding to single precision adds a millionth of the converter's noise.
-
-    Parameters
-    ----------
-    n_samples : int
-        Length of a record.
-    n_lines : int
-        Number of lines, from the first one above 0 Hz.
     """
+    from scipy.fft import rfft
 
-    def __init__(self, n_samples: int, n_lines: int) -> None:
-        self._n_parts = next(r for r in (8, 4, 2, 1) if n_samples % r == 0 and (r == 1 or n_samples >= 2 * r * n_lines))
-        self._lines = slice(1, n_lines + 1)
-        turns = np.outer(np.arange(1, n_lines + 1) / n_samples, np.arange(self._n_parts))
-        self._turned = np.exp(-2j * np.pi * turns).astype(np.complex64)
-
-    def __call__(self, record: FloatArray) -> ComplexArray:
-        """Return the lines of a record, (n_lines,) array."""
-        from scipy.fft import rfft
-
-        parts = rfft(record.astype(np.float32).reshape(-1, self._n_parts), axis=0)[self._lines]
-        return np.asarray(np.einsum("kr,kr->k", parts, self._turned), dtype=complex)
-
-
-low_transform = lru_cache(maxsize=1)(LowTransform)
-"""Cached, since the records of a scan have the same length at every point."""
+    turns = _turns(record.size, n_lines)
+    parts = rfft(record.astype(np.float32).reshape(-1, turns.shape[1]), axis=0)[1 : n_lines + 1]
+    return np.asarray(np.einsum("kr,kr->k", parts, turns), dtype=complex)
 
 
 class Spectra:
@@ -168,10 +157,9 @@ class Spectra:
         n = recording.time.size
         frequency = np.fft.rfftfreq(n, 1 / recording.sampling_rate)
         frequency = frequency[1 : int(np.searchsorted(frequency, self.highest, side="right"))]
-        transform = low_transform(n, frequency.size)
         # Process one record at a time: all together would take a hundred megabytes.
         velocity, drive = (
-            np.array([transform(record) for record in records]) / n
+            np.array([low_lines(record, frequency.size) for record in records]) / n
             for records in (recording.velocity, recording.drive[:, 0])
         )
         return {

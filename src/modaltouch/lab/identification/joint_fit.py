@@ -96,7 +96,8 @@ def find_more(responses: FrequencyResponses, fit: Evaluation, most: int) -> Eval
         peak = ends.pop() if ends else _left_over(fit, passed)
         if peak is None or fit.n_modes >= MOST_POLES or len(passed) == MOST_PASSED:
             break
-        tried = fit.poles.and_one(*peak)
+        frequency, ratio = np.append(fit.poles.natural_frequency, peak[0]), np.append(fit.poles.damping_ratio, peak[1])
+        tried = Poles(frequency, ratio, fit.poles.delay).sorted()
         finer = make_problem(responses, tried)
         before = refine(finer, fit.poles, most=3)
         after = _keep_sound_poles(responses, refine(finer, tried), SURE / 2)

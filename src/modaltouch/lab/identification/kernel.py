@@ -118,12 +118,6 @@ class Poles:
         """Return the number of poles within two half-power bandwidths of a frequency."""
         return int((np.abs(self.natural_frequency / frequency - 1) <= 4 * damping_ratio).sum())
 
-    def and_one(self, frequency: float, damping_ratio: float) -> Poles:
-        """Add a pole."""
-        return Poles(
-            np.append(self.natural_frequency, frequency), np.append(self.damping_ratio, damping_ratio), self.delay
-        ).sorted()
-
 
 @dataclass(frozen=True, eq=False)
 class LeastSquaresProblem:

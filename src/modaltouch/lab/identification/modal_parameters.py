@@ -248,6 +248,11 @@ class ModalParameters:
         driver, point = np.unravel_index(int(np.abs(residue).argmax()), residue.shape)
         magnitude = np.abs(self.responses.response[driver, point])
         peak = half_power(self.responses.frequency, magnitude, frequency, ratio * frequency)
+        picked = float("nan")
+        if gain and shape is not None and shape[point] != 0:
+            # The gain from the peak is 2 xi w |H| / phi (section III-B of the paper, corrected).
+            height = peak.height * 4 * np.pi * peak.peak_frequency * peak.damping_ratio
+            picked = float(np.sign(residue[driver, point]) * height / shape[point])
         return IdentifiedMode(
             label=label,
             natural_frequency=Estimate.of(
@@ -258,7 +263,7 @@ class ModalParameters:
             shape=shape,
             mac=likeness if shape is not None else float("nan"),
             half_power=peak,
-            half_power_gain=self._half_power_gain(peak, residue, shape if gain else None, int(driver), int(point)),
+            half_power_gain=picked,
             coherence=self._coherence(residue, frequency),
             rest=rest_about(fit, k, self.responses.response.shape[0]),
             residue=argand.ravel() if self.responses.n_points == 1 else argand[driver],
@@ -333,16 +338,6 @@ class ModalParameters:
             larger = float(square[near].sum()) / free / self.fit.variance
             worst.append(larger if larger > 1 + 3 * np.sqrt(2 / free) else 1.0)
         return np.sqrt(worst)
-
-    def _half_power_gain(
-        self, peak: HalfPower, residue: FloatArray, shape: FloatArray | None, driver: int, point: int
-    ) -> float:
-        r"""Estimate the gain from a peak: :math:`G = 2 \xi \omega |H| / \varphi` (section III-B, corrected)."""
-        if shape is None or shape[point] == 0:
-            return float("nan")
-        sign = np.sign(residue[driver, point])
-        height = peak.height * 4 * np.pi * peak.peak_frequency * peak.damping_ratio
-        return float(sign * height / shape[point])
 
     def _coherence(self, residue: FloatArray, frequency: float) -> float:
         if self.responses.coherence is None:

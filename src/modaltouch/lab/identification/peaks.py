@@ -265,24 +265,6 @@ def _rises(responses: FrequencyResponses, peaks: Sequence[_Peak]) -> bool:
     return bool(rising < RESONANCE_REST * whole and rising < CLEARLY_LESS * falling)
 
 
-def _refuse_rising(responses: FrequencyResponses, peaks: Sequence[_Peak], straight: float) -> None:
-    """Refuse responses whose phase increases through their resonances.
-
-    Conjugated responses are real at resonance (`straight` is 1), those with swapped parts imaginary (-1).
-    """
-    turning = sum(np.sign(peak.rotation) * np.sqrt(peak.height) for peak in peaks if peak.rotates)
-    if turning > 0 and _rises(responses, peaks):
-        raise ValueError(
-            "the phase of the responses rises through their resonances, but that of a beam falls: "
-            + (
-                "their real and imaginary parts are exchanged; export them again"
-                if straight < -0.5
-                else "they are conjugated, as if they followed exp(-i w t); say so with --conjugated, or export them "
-                "with exp(+i w t)"
-            )
-        )
-
-
 def first_delay(responses: FrequencyResponses, peaks: Sequence[_Peak]) -> float:
     """Return the delay that makes the responses real at their peaks [s].
 
@@ -298,7 +280,19 @@ def first_delay(responses: FrequencyResponses, peaks: Sequence[_Peak]) -> float:
         band = slice(max(0, int(low) - 1), int(high) + 1)
         own = peak.share[:, band] / low_pass(responses.frequency[band], responses.bandwidth)
         twice.append(complex((own**2).sum()) / max(float((np.abs(own) ** 2).sum()), 1e-300))
-    _refuse_rising(responses, peaks, float(np.mean(np.real(twice[:FEWEST_PHASES]))) if twice else 0.0)
+    turning = sum(np.sign(peak.rotation) * np.sqrt(peak.height) for peak in peaks if peak.rotates)
+    if turning > 0 and _rises(responses, peaks):
+        # Conjugated responses are real at resonance, those with exchanged parts imaginary.
+        exchanged = bool(twice) and float(np.mean(np.real(twice[:FEWEST_PHASES]))) < -0.5
+        raise ValueError(
+            "the phase of the responses rises through their resonances, but that of a beam falls: "
+            + (
+                "their real and imaginary parts are exchanged; export them again"
+                if exchanged
+                else "they are conjugated, as if they followed exp(-i w t); say so with --conjugated, or export them "
+                "with exp(+i w t)"
+            )
+        )
     if not resolved:
         return 0.0
     # Delays beyond half a cycle of the lowest frequency are ambiguous; the step is a sixteenth of one of the highest.
