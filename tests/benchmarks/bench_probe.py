@@ -24,7 +24,7 @@ from modaltouch.preflight import examine
 from modaltouch.protocol import Apparatus
 from modaltouch.protocol.fingers import FingersFile
 from modaltouch.stimulus import Finger, ModalModel, Probe, Stimulus
-from modaltouch.stimulus.real_form import RealSystem
+from modaltouch.stimulus.fingers import CoupledModes
 
 EXPECTED = (8e-5, 0.5, 500.0)
 SPEED, FROM_END, DELAY = 15e-3, 1e-3, 4e-6
@@ -61,10 +61,11 @@ class TwoMasses(Finger):
         return cls(finger.position, finger.mass / 2, finger.damping, finger.stiffness, finger.width)
 
 
-def real_system(model: ModalModel, stimulus: Stimulus) -> RealSystem:
+def real_system(model: ModalModel, stimulus: Stimulus) -> CoupledModes:
     """Return the coupled equations, those of masses behind springs assembled here."""
     if not any(isinstance(finger, TwoMasses) for finger in model.fingers):
-        return RealSystem.of(model, stimulus.amplifier)
+        given = model.angular_frequency, model.damping_ratio, model.modal_gain, model.loads
+        return CoupledModes.of(*given).behind(stimulus.amplifier.bandwidth, stimulus.amplifier.delay)
     n, omega = model.n_modes, model.angular_frequency
     mass, damping, stiffness = np.eye(n), np.diag(2 * model.damping_ratio * omega), np.diag(omega**2)
     for contact, finger in model.loads:
@@ -86,7 +87,7 @@ def real_system(model: ModalModel, stimulus: Stimulus) -> RealSystem:
     zeros = np.zeros_like(mass)
     matrix = np.concatenate([np.concatenate([zeros, np.diag(scale)], axis=1), lower[:, : 2 * len(mass)]])
     force = np.concatenate([np.zeros_like(gain), lower[:, 2 * len(mass) :]])
-    return RealSystem(matrix, force, len(mass), stimulus.amplifier.delay)
+    return CoupledModes(matrix, force, len(mass), stimulus.amplifier.delay)
 
 
 @dataclass(frozen=True)

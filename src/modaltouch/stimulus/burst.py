@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -253,6 +254,20 @@ class Timing:
         ideal = np.arange(self.n_samples + 1) * clocks
         late = np.ceil(ideal - 1e-6) - ideal
         return np.asarray(np.maximum(late, 0.0) / self.clock_rate)
+
+    def late_steps(self, voltage: FloatArray, start: int, stop: int) -> Iterator[FloatArray]:
+        """Yield the steps of samples times their delay [s], times its square, and so on, each in the same array."""
+        if self.clock_error is None:
+            return
+        # The silence after the last sample of the record is never late.
+        late = np.zeros(stop - start)
+        playing = self.clock_error[start : min(stop, self.n_samples)]
+        late[: playing.size] = playing
+        before = voltage[:, start - 1, None] if start else np.zeros((len(voltage), 1))
+        steps = np.diff(voltage[:, start:stop], axis=1, prepend=before)
+        while True:
+            steps *= late
+            yield steps
 
 
 LevelCorrections = tuple[tuple[float, float], ...]

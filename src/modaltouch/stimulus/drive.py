@@ -35,7 +35,7 @@ from modaltouch.stimulus.quantities import ComplexArray, FloatArray, require_pos
 from modaltouch.stimulus.reachability import GramianSolver, ReachabilityGramian, Taper
 
 if TYPE_CHECKING:
-    from modaltouch.stimulus.real_form import RealSystem
+    from modaltouch.stimulus.fingers import CoupledModes
 
 Law = Literal["exact", "paper"]
 Release = Literal["braked", "free"]
@@ -248,13 +248,15 @@ class Steering:
         return self.goal - reached.reshape(2, -1)[:, self.driven].ravel(), state
 
     @cached_property
-    def _real(self) -> RealSystem | None:
+    def _real(self) -> CoupledModes | None:
         """The true equations if the fingers of `system` are a few parts in 1e9 off their values; else None."""
         if self.system.exact:
             return None
-        from modaltouch.stimulus.real_form import RealSystem
+        from modaltouch.stimulus.fingers import CoupledModes
 
-        return RealSystem.of(self.model, self.amplifier)
+        model, amplifier = self.model, self.amplifier
+        modes = CoupledModes.of(model.angular_frequency, model.damping_ratio, model.modal_gain, model.loads)
+        return modes if amplifier is None else modes.behind(amplifier.bandwidth, amplifier.delay)
 
     def end(self, voltage: FloatArray, state: ComplexArray) -> None:
         """Write the voltages after the focusing instant, given the state at that instant."""

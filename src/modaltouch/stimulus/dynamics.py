@@ -17,7 +17,7 @@ this factor in d becomes further inputs, the steps times powers of d. A few term
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -252,7 +252,7 @@ class DiagonalSystem:
         played = voltage[:, :n_whole]
         driven = self.input_gain.T != 0
         states = moments(played, self.exponent, hold, driven) * self.held_gain(hold).T
-        for gain, late in zip(self._late_gains(timing), late_steps(played, timing, 0, n_whole), strict=False):
+        for gain, late in zip(self._late_gains(timing), timing.late_steps(played, 0, n_whole), strict=False):
             states += moments(late, self.exponent, hold, driven) * gain.T
         if remainder:
             states = states * np.exp(self.exponent * remainder)
@@ -334,21 +334,6 @@ def clock_inputs(voltage: FloatArray, timing: Timing, start: int, stop: int, n_i
     n_channels = len(voltage)
     inputs[:n_channels] = voltage[:, start:stop]
     rows = range(n_channels, n_inputs, n_channels)
-    for row, term in zip(rows, late_steps(voltage, timing, start, stop), strict=False):
+    for row, term in zip(rows, timing.late_steps(voltage, start, stop), strict=False):
         inputs[row : row + n_channels] = term
     return inputs
-
-
-def late_steps(voltage: FloatArray, timing: Timing, start: int, stop: int) -> Iterator[FloatArray]:
-    """Yield the steps times their delay on the clock [s], times its square, and so on, each time in the same array."""
-    if timing.clock_error is None:
-        return
-    # The silence after the last sample of the record is never late.
-    late = np.zeros(stop - start)
-    playing = timing.clock_error[start : min(stop, timing.n_samples)]
-    late[: playing.size] = playing
-    before = voltage[:, start - 1, None] if start else np.zeros((len(voltage), 1))
-    steps = np.diff(voltage[:, start:stop], axis=1, prepend=before)
-    while True:
-        steps *= late
-        yield steps

@@ -9,20 +9,21 @@ couples the modes; a second mass behind a spring adds :math:`k_2 (m_2 s + c_2) /
 
 The complex eigenvectors of the state :math:`(\omega\eta, \dot\eta)` uncouple these equations, which can then be treated
 like those of free modes. If two eigenvalues coincide (critical damping), the eigenvectors are ill-conditioned: the
-fingers are then perturbed by a few parts in 1e9, and the resulting error is computed with the true equations
-(`RealSystem`).
+fingers are then perturbed by a few parts in 1e9, and the resulting error is computed with the real equations
+(`CoupledModes.reached`).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
+from modaltouch.stimulus.burst import Timing
 from modaltouch.stimulus.quantities import ComplexArray, FloatArray, require_finite, require_positive
 
 _NODES = 12
@@ -39,6 +40,12 @@ _ALIKE = 1e-9
 
 _THIN = 1e-12
 """Magnitude, relative to the largest, below which an eigenvalue of a contact or a coupling is rounding error [1]."""
+
+_BLOCK = 256
+"""Samples per matrix product."""
+
+_TERMS = 5
+"""Number of powers of the clock delay of a step; the remainder is below 1e-12 at 90 kHz with a 250 MHz clock."""
 
 
 @dataclass(frozen=True)
@@ -170,11 +177,16 @@ class CoupledModes:
         Rate of each state per volt [m/s^2 per V].
     n_modes : int
         Number of modes.
+    delay : float
+        Delay from the generator's output to the beam [s].
     """
 
     matrix: FloatArray
     force: FloatArray
     n_modes: int
+    delay: float = 0.0
+    # Decays and effects already computed, by time.
+    _known: dict[float, tuple[FloatArray, FloatArray]] = field(default_factory=dict, init=False)
 
     @classmethod
     def of(cls, omega: FloatArray, damping_ratio: FloatArray, gain: FloatArray, loads: Sequence[Load]) -> CoupledModes:
@@ -222,6 +234,15 @@ class CoupledModes:
         force[n : 2 * n] = lower[:, n_states:]
         return cls(matrix, force, n)
 
+    def behind(self, bandwidth: float | None, delay: float) -> CoupledModes:
+        """Return the equations behind an amplifier with a bandwidth [Hz] and a delay [s], whose states come last."""
+        if bandwidth is None:
+            return replace(self, delay=delay)
+        pole, (n, n_channels) = 2 * np.pi * bandwidth, self.force.shape
+        matrix = np.block([[self.matrix, self.force], [np.zeros((n_channels, n)), -pole * np.eye(n_channels)]])
+        force = np.concatenate([np.zeros((n, n_channels)), pole * np.eye(n_channels)])
+        return CoupledModes(matrix, force, self.n_modes, delay)
+
     def uncoupled(self) -> tuple[Uncoupled, float]:
         """Return the uncoupled equations, and the condition number of the eigenvectors [1].
 
@@ -233,6 +254,72 @@ class CoupledModes:
         kept = exponent.imag >= 0
         weighted = vectors[:, kept] * np.where(exponent[kept].imag > 0, 2.0, 1.0)
         return (exponent[kept], pushed[kept], weighted[n : 2 * n], weighted[:n]), float(np.linalg.cond(vectors))
+
+    def reached(self, voltage: FloatArray, timing: Timing, instant: float) -> FloatArray:
+        """Return modal velocities, then displacements times angular frequency, from rest, (2 n_modes,) array [m/s].
+
+        Parameters
+        ----------
+        voltage : (n_channels, n_samples) array
+            Held samples at the beam from the start of the burst [V].
+        timing : Timing
+            Clock of the samples.
+        instant : float
+            Time from the start of the burst [s].
+        """
+        n_whole, remainder = timing.samples_until(instant - self.delay)
+        n_whole = min(n_whole, voltage.shape[1])
+        over, held = self._held(timing.hold)
+        state = np.zeros(len(self.matrix))
+        for effect, samples in self._inputs(voltage[:, :n_whole], timing, over, held):
+            state = state + _summed(samples, over, effect)
+        if remainder:
+            rest, begun = self._held(remainder)
+            state = rest @ state
+            if n_whole < min(voltage.shape[1], timing.n_samples):
+                wait = 0.0 if timing.clock_error is None else min(float(timing.clock_error[n_whole]), remainder)
+                late = self._held(remainder - wait)[1]
+                state = state + late @ voltage[:, n_whole]
+                if wait and n_whole:
+                    state = state + (begun - late) @ voltage[:, n_whole - 1]
+        n = self.n_modes
+        return np.concatenate([state[n : 2 * n], state[:n]])
+
+    def _held(self, time: float) -> tuple[FloatArray, FloatArray]:
+        """Return the decay matrix over a time [s] and the contribution of 1 V held for that time to the states."""
+        if time not in self._known:
+            from scipy.linalg import expm
+
+            n, n_channels = self.force.shape
+            whole = np.zeros((n + n_channels, n + n_channels))
+            whole[:n, :n], whole[:n, n:] = self.matrix * time, self.force * time
+            grown = expm(whole)
+            self._known[time] = grown[:n, :n], grown[:n, n:]
+        return self._known[time]
+
+    def _inputs(
+        self, voltage: FloatArray, timing: Timing, over: FloatArray, held: FloatArray
+    ) -> Iterator[tuple[FloatArray, FloatArray]]:
+        """Yield effects and inputs: the voltages, then the steps times powers of their clock delay."""
+        yield held, voltage
+        effect = over @ self.force
+        for term, steps in zip(range(1, _TERMS + 1), timing.late_steps(voltage, 0, voltage.shape[1]), strict=False):
+            effect = -effect / term if term == 1 else -(self.matrix @ effect) / term
+            yield effect, steps
+
+
+def _summed(samples: FloatArray, over: FloatArray, effect: FloatArray) -> FloatArray:
+    """Return the sum of ``over**(samples after it) @ effect @ sample``, (n_states,) array."""
+    rows, power = effect[None], over
+    while len(rows) < _BLOCK:
+        rows, power = np.concatenate([rows, power @ rows]), power @ power
+    filled = np.pad(samples, ((0, 0), (-samples.shape[1] % _BLOCK, 0)))
+    # Transpose the small array rather than the long one, and copy no channel.
+    turned = np.ascontiguousarray(rows[::-1].transpose(2, 0, 1))
+    state = np.zeros(len(over))
+    for push in (filled.reshape(len(samples), -1, _BLOCK) @ turned).sum(axis=0):
+        state = power @ state + push
+    return state
 
 
 def eigenvectors(matrix: FloatArray) -> tuple[ComplexArray, ComplexArray]:
