@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 from modaltouch.preflight import examine
 from modaltouch.protocol import Apparatus, Source
 from modaltouch.stimulus import DiagonalSystem, Finger, ModalModel, Stimulus, Timing
-from modaltouch.stimulus.blocks import BlockKernel
+from modaltouch.stimulus.vibration import BlockKernel
 from modaltouch.stimulus.quantised import QuantisedStimulus
 from modaltouch.stimulus.reachability import Taper
 

@@ -16,7 +16,7 @@ from peers import design, many_modes, milliseconds, modal_history, peak_velocity
 from threadpoolctl import threadpool_limits
 
 from modaltouch.rig.afg3022b import AFG3022B
-from modaltouch.stimulus.blocks import BlockKernel
+from modaltouch.stimulus.vibration import BlockKernel
 from modaltouch.stimulus.burst import Timing
 from modaltouch.stimulus.dynamics import DiagonalSystem, moments
 from modaltouch.stimulus.synthesis import synthesise

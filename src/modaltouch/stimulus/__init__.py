@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING
 from modaltouch.system import lazily
 
 if TYPE_CHECKING:
-    from modaltouch.stimulus.blocks import BlockKernel
     from modaltouch.stimulus.burst import Burst, Converter, Correction, Timing
     from modaltouch.stimulus.drive import Law, Release
     from modaltouch.stimulus.dynamics import Amplifier, DiagonalSystem
@@ -29,12 +28,11 @@ if TYPE_CHECKING:
     from modaltouch.stimulus.stimulus import Stimulus, design_stimulus
     from modaltouch.stimulus.target_field import TargetField
     from modaltouch.stimulus.timoshenko import TimoshenkoBeam
-    from modaltouch.stimulus.vibration import BlockStates
+    from modaltouch.stimulus.vibration import BlockKernel, BlockStates
 else:
     __getattr__ = lazily(
         __name__,
         {
-            "blocks": "BlockKernel",
             "burst": "Burst Converter Correction Timing",
             "drive": "Law Release",
             "fingers": "Finger",
@@ -49,7 +47,7 @@ else:
             "stimulus": "Stimulus design_stimulus",
             "target_field": "TargetField",
             "timoshenko": "TimoshenkoBeam",
-            "vibration": "BlockStates",
+            "vibration": "BlockKernel BlockStates",
         },
     )
 

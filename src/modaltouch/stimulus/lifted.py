@@ -13,9 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modaltouch.stimulus.blocks import SHORT, BlockKernel
 from modaltouch.stimulus.dynamics import DiagonalSystem
 from modaltouch.stimulus.quantities import ComplexArray, FloatArray
+from modaltouch.stimulus.vibration import SHORT, BlockKernel
 
 FINE = 0.4e-6
 """Approximate time between the instants at which speeds are computed [s]; lifting is tried at every sixteenth."""
@@ -88,7 +88,8 @@ class LiftedBeam:
         self, speed: FloatArray, output: ComplexArray, difference: ComplexArray, peak: FloatArray
     ) -> FloatArray:
         """Return the peaks, raised where the response without the fingers plus the decaying difference exceeds them."""
-        highest, size = _block_peaks(speed, _BLOCK), _BETWEEN * _block_peaks(difference, _BLOCK // SHORT)
+        highest = BlockKernel.blocks(np.abs(speed), _BLOCK).max(axis=2)
+        size = _BETWEEN * BlockKernel.blocks(np.abs(difference), _BLOCK // SHORT).max(axis=2)
         from_here = np.maximum.accumulate(highest[:, ::-1], axis=1)[:, ::-1]
         bound = from_here + np.abs(output) @ size
         n_blocks, rate = highest.shape[1], self.beam.exponent * self.hold
@@ -111,9 +112,3 @@ class LiftedBeam:
                         found[np.arange(some.size)[:, None] < since] = 0.0
                     peak[point] = max(peak[point], found.max())
         return peak
-
-
-def _block_peaks(values: FloatArray | ComplexArray, length: int) -> FloatArray:
-    """Return the largest magnitude in each block, (n_rows, n_blocks) array."""
-    filled = np.pad(np.abs(values), ((0, 0), (0, -values.shape[1] % length)))
-    return np.asarray(filled.reshape(len(values), -1, length).max(axis=2))

@@ -1,30 +1,332 @@
-"""Response of the beam: from sampled voltages to velocity histories and peak speeds.
+"""Response of the beam to held samples: velocity histories and peak speeds, computed in blocks of samples.
 
-Each state has one pole, x' = exponent x + input_gain v, and the samples are held. Within a short block of samples,
-every output is one matrix product of the block's voltages and its initial state; the initial states follow from a
-second level of blocks. Histories are written in chunks, so that memory does not grow with the burst. Only blocks whose
-upper bound exceeds the peak found so far are searched for a higher one.
+Over a sample each state decays, and the inputs of the sample add to it (the push). The outputs of a short block are one
+matrix product of its inputs and the states at its start; those states follow from the pushes of the blocks by the same
+recursion one level up. Histories are written in chunks of bounded memory. If only a peak is needed, an upper bound
+rules out most of the blocks.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.stimulus.blocks import SHORT, BlockKernel, PeakBound
 from modaltouch.stimulus.burst import Timing
 from modaltouch.stimulus.dynamics import DiagonalSystem, clock_inputs
 from modaltouch.stimulus.quantities import ComplexArray, FloatArray
 from modaltouch.stimulus.synthesis import BLOCK, decay, exponential_tables
+
+SHORT = 16
+"""Samples per block; this number needs the least work per sample."""
+
+LEVELS = 3
+"""Blocks, groups of blocks, groups of groups: three levels step over 16^4 samples, twice the longest chunk."""
+
+Sides = dict[tuple[tuple[int, ...], int], tuple[tuple[int, ...], FloatArray]]
+"""Left factors of the products, keyed by inputs and number of states, each with the states last written into it."""
+
+_CHUNK = 32_768
+"""Samples per chunk: bounds the memory and keeps a chunk of voltages in the second-level cache."""
+
+_LIKELIEST = 64
+"""Blocks computed first in the search for a peak; their peak rules out most of the others."""
 
 _OUTPUTS = 256
 """Number of outputs per batch in the search for peaks, which bounds the memory."""
 
 _DENSE = 0.25
 """Fraction of candidate blocks above which computing all samples is cheaper than selecting blocks [1]."""
+
+
+@dataclass(frozen=True, eq=False)
+class BlockRecursion:
+    """Recursion of the states from block to block, x[j + 1] = ratio x[j] + pushed[j], in groups of SHORT blocks.
+
+    Attributes
+    ----------
+    power : (n_states, LEVELS, SHORT + 1) complex array
+        Decays over 0 to SHORT blocks, groups of blocks, and so on [1].
+    triangle : (LEVELS, n_states, SHORT, SHORT) complex array
+        Contribution of each push of a group (rows) to the states before the later blocks of the group (columns).
+    """
+
+    power: ComplexArray
+    triangle: ComplexArray
+
+    @classmethod
+    def of(cls, exponent: ComplexArray, hold: float) -> BlockRecursion:
+        """Return the recursion of blocks of SHORT samples, each held for `hold` seconds."""
+        steps = np.outer(SHORT ** np.arange(1, LEVELS + 1), np.arange(SHORT + 1))
+        power = decay(exponent, hold, steps.ravel()).reshape(exponent.size, LEVELS, SHORT + 1)
+        later = np.zeros((LEVELS, exponent.size, 2 * SHORT), dtype=complex)
+        later[:, :, SHORT + 1 :] = power[:, :, : SHORT - 1].transpose(1, 0, 2)
+        return cls(power, np.lib.stride_tricks.sliding_window_view(later, SHORT, axis=2)[:, :, SHORT:0:-1])
+
+    def follow(self, pushed: ComplexArray, state: ComplexArray, level: int = 0) -> tuple[ComplexArray, ComplexArray]:
+        """Return the states before each block, (n_states, n_blocks) array, and after the last, (n_states,) array.
+
+        Level 0 steps over blocks, 1 over groups of them, and so on; `state` is the one before the first block.
+        """
+        n_states, n_blocks = pushed.shape
+        n_groups, rest = divmod(n_blocks, SHORT)
+        if n_groups == 0 or level == LEVELS - 1:
+            ratio = self.power[:, level, 1]
+            begin = np.empty((n_blocks, n_states), dtype=complex)
+            for row, push in zip(begin, pushed.T, strict=True):
+                row[:] = state
+                state = ratio * state + push
+            return begin.T, state
+        groups = pushed[:, : n_groups * SHORT].reshape(n_states, n_groups, SHORT)
+        starts, state = self.follow(self.total(groups, level), state, level + 1)
+        begin = np.empty((n_states, n_blocks), dtype=complex)
+        self.within(groups, starts, begin[:, : n_groups * SHORT].reshape(n_states, n_groups, SHORT), level)
+        if rest:
+            begin[:, n_groups * SHORT :], state = self.follow(pushed[:, n_groups * SHORT :], state, level)
+        return begin, state
+
+    def total(self, groups: ComplexArray, level: int = 0) -> ComplexArray:
+        """Return the push of each group of blocks, (n_states, n_groups, SHORT) array, on the states at its end."""
+        return np.asarray(np.matmul(groups, self.power[:, level, SHORT - 1 :: -1, None])[:, :, 0])
+
+    def within(self, pushed: ComplexArray, starts: ComplexArray, out: ComplexArray, level: int = 0) -> None:
+        """Write the states before each block, (n_states, n_groups, SHORT) array, from those before each group."""
+        np.matmul(pushed, self.triangle[level], out=out)
+        out += starts[:, :, None] * self.power[:, level, None, :SHORT]
+
+
+@dataclass(frozen=True, eq=False)
+class PeakBound:
+    """Upper bounds of the outputs in each block, from the initial states, the mean inputs and their deviations.
+
+    Attributes
+    ----------
+    size : (n_states, n_blocks) array
+        Magnitudes of the states at the starts of the blocks.
+    mean : (n_inputs, n_blocks) array
+        Magnitudes of the mean inputs.
+    swing : (n_inputs, n_blocks) array
+        Root of the sum of squared deviations of the inputs from their mean.
+    """
+
+    size: FloatArray
+    mean: FloatArray
+    swing: FloatArray
+
+    @classmethod
+    def of(cls, blocks: FloatArray, begin: ComplexArray) -> PeakBound:
+        """Return the bounds from inputs, (n_inputs, n_blocks, n) array, and the states `begin` at the starts."""
+        n = blocks.shape[2]
+        size = np.sqrt(begin.real**2 + begin.imag**2)
+        mean = blocks @ np.full(n, 1 / n)
+        energy = np.einsum("cji,cji->cj", blocks, blocks)
+        return cls(size, np.abs(mean), np.sqrt(np.maximum(energy * (1 + 1e-12) - n * mean**2, 0.0)))
+
+    def of_outputs(self, output: ComplexArray, push: ComplexArray, powers: ComplexArray) -> FloatArray:
+        """Return upper bounds of the outputs ``Re(output @ state)`` in each block, (n_outputs, n_blocks) array.
+
+        A unit of each input adds `push` to the states at the end of its sample; `powers` are the decays over a block.
+        """
+        impulse = ((output[:, None, :] * push.T) @ powers).real
+        steady, worst = np.abs(impulse.cumsum(axis=2)).max(axis=2), np.sqrt((impulse**2).sum(axis=2))
+        return np.asarray(np.abs(output) @ self.size + steady @ self.mean + worst @ self.swing)
+
+
+@dataclass(frozen=True, eq=False)
+class BlockKernel:
+    """Effect of a block of inputs and of its initial states on its outputs and final states; tables on first use.
+
+    Attributes
+    ----------
+    exponent : (n_states,) complex array
+        Exponents [1/s].
+    push : (n_states, n_inputs) complex array
+        Contribution of a unit of each input to the states at the end of its sample.
+    output : (n_outputs, n_states) complex array
+        The outputs are the real part of ``output @ state``.
+    hold : float
+        Length of a sample [s].
+    """
+
+    exponent: ComplexArray
+    push: ComplexArray
+    output: ComplexArray
+    hold: float
+
+    @classmethod
+    def of(cls, system: DiagonalSystem, output: ComplexArray, hold: float) -> BlockKernel:
+        """Return the kernel of a system for evenly held voltages; parameters as the attributes."""
+        return cls(system.exponent, system.held_gain(hold), output, hold)
+
+    @staticmethod
+    def blocks(inputs: FloatArray, length: int = SHORT) -> FloatArray:
+        """Split samples into blocks, the last padded with zeros, (n_inputs, n_blocks, length) array."""
+        beyond = -inputs.shape[1] % length
+        filled = np.pad(inputs, ((0, 0), (0, beyond))) if beyond else inputs
+        return filled.reshape(len(inputs), -1, length)
+
+    @cached_property
+    def powers(self) -> ComplexArray:
+        """Decays over 0 to SHORT - 1 samples, (n_states, SHORT) array [1]."""
+        return decay(self.exponent, self.hold, np.arange(SHORT))
+
+    @cached_property
+    def scan(self) -> BlockRecursion:
+        """Recursion of the states from block to block."""
+        return BlockRecursion.of(self.exponent, self.hold)
+
+    @cached_property
+    def _into_state(self) -> list[tuple[NDArray[np.intp], ComplexArray]]:
+        """For each input, the states that it drives and the contribution of each sample of a block to them."""
+        pushes = []
+        for column in self.push.T:
+            pushed = np.flatnonzero(column)
+            pushes.append((pushed, column[pushed, None] * self.powers[pushed, ::-1]))
+        return pushes
+
+    @cached_property
+    def _tables(self) -> list[tuple[tuple[int, ...], tuple[int, ...], FloatArray]]:
+        """For each output, the inputs and states that affect it and the right factor of its matrix product.
+
+        The rows of a right factor are the samples of the inputs, then the real and the imaginary parts of the states.
+        """
+        # Sample i of a block responds to sample m of an input after i - m - 1 samples of decay, if m < i.
+        heard = np.zeros((self.output.shape[0], self.push.shape[1], 2 * SHORT))
+        heard[:, :, SHORT + 1 :] = ((self.output[:, None, :] * self.push.T) @ self.powers[:, :-1]).real
+        toeplitz = np.lib.stride_tricks.sliding_window_view(heard, SHORT, axis=2)[:, :, SHORT:0:-1]
+        acts = np.abs(self.output) @ np.abs(self.push) > 0
+        tables = []
+        for row, hears, which in zip(self.output, toeplitz, acts, strict=True):
+            states, inputs = np.flatnonzero(row), np.flatnonzero(which)
+            weighted = row[states, None] * self.powers[states]
+            right = np.concatenate([hears[inputs].reshape(-1, SHORT), weighted.real, -weighted.imag])
+            tables.append((tuple(inputs.tolist()), tuple(states.tolist()), right))
+        return tables
+
+    def write(self, inputs: Callable[[int, int], FloatArray], out: FloatArray) -> None:
+        """Write the outputs at the starts of the samples, from rest, in chunks of bounded memory.
+
+        Parameters
+        ----------
+        inputs : callable
+            Returns the inputs of the samples from `start` up to but excluding `stop`, (n_inputs, n) array.
+        out : (n_outputs, n_samples) array
+            Receives the outputs; each row contiguous.
+        """
+        state = np.zeros(self.exponent.size, dtype=complex)
+        for start in range(0, out.shape[1], _CHUNK):
+            stop = min(start + _CHUNK, out.shape[1])
+            blocks = self.blocks(inputs(start, stop))
+            begin, state = self.states(blocks, state)
+            self.respond(blocks, begin, out[:, start:stop])
+
+    def peaks(self, blocks: FloatArray, pushed: ComplexArray, starts: ComplexArray) -> FloatArray:
+        """Return the largest magnitude of each output, (n_outputs,) array.
+
+        Parameters
+        ----------
+        blocks : (n_inputs, n_groups, SHORT**2) array
+            Inputs of groups of SHORT blocks.
+        pushed : (n_states, n_groups, SHORT) complex array
+            Push of each block on the states at its end.
+        starts : (n_states, n_groups) complex array
+            States at the start of each group.
+        """
+        peak, some = np.zeros(len(self.output)), np.empty((len(self.output), _CHUNK))
+        for start in range(0, starts.shape[1], _CHUNK // SHORT**2):
+            groups = slice(start, start + _CHUNK // SHORT**2)
+            part, first = blocks[:, groups].reshape(len(blocks), -1, SHORT), starts[:, groups]
+            begin = np.empty((*first.shape, SHORT), dtype=complex)
+            self.scan.within(pushed[:, groups], first, begin)
+            course = some[:, : part.shape[1] * SHORT]
+            self.respond(part, begin.reshape(len(first), -1), course)
+            peak = np.maximum(peak, np.maximum(course.max(axis=1), -course.min(axis=1)))
+        return peak
+
+    def states(self, blocks: FloatArray, state: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+        """Return the states at the starts of blocks, (n_states, n_blocks) array, and after the last, (n_states,) array.
+
+        The inputs are the `blocks`, (n_inputs, n_blocks, SHORT) array; `state` is the one before the first.
+        """
+        return self.scan.follow(self.pushed(blocks), state)
+
+    def pushed(self, blocks: FloatArray) -> ComplexArray:
+        """Return the push of each block of inputs on the states at its end, (n_states, n_blocks) array."""
+        together = np.zeros((self.exponent.size, blocks.shape[1]), dtype=complex)
+        for (states, column), rows in zip(self._into_state, blocks, strict=True):
+            parts = np.concatenate([column.real, column.imag]) @ rows.T
+            together.real[states] += parts[: states.size]
+            together.imag[states] += parts[states.size :]
+        return together
+
+    def respond(self, blocks: FloatArray, begin: ComplexArray, out: FloatArray, sides: Sides | None = None) -> None:
+        """Write the outputs at the starts of the samples; `blocks` and `begin` as in `states`.
+
+        Parameters
+        ----------
+        out : (n_outputs, n_samples) array
+            Receives the outputs of the samples, at most as many as the blocks hold; each row contiguous.
+        sides : dict, optional
+            Left factors from earlier calls with the same blocks and states; new ones are added.
+        """
+        n_whole, rest = divmod(out.shape[1], SHORT)
+        sides = {} if sides is None else sides
+        for (inputs, states, table), row in zip(self._tables, out, strict=True):
+            # Outputs with the same inputs share one left factor; only its states are rewritten, if they differ.
+            key = (inputs, len(states))
+            written, side = sides.get(key) or (None, _inputs_beside(blocks, inputs, len(states)))
+            if written != states:
+                _write_states(side, begin, states)
+                sides[key] = states, side
+            np.matmul(side[:n_whole], table, out=row[: n_whole * SHORT].reshape(n_whole, SHORT))
+            if rest:
+                row[n_whole * SHORT :] = side[n_whole] @ table[:, :rest]
+
+    def peak(self, place: int, blocks: FloatArray, begin: ComplexArray, bound: FloatArray, least: float) -> float:
+        """Return the largest magnitude of one output within the blocks, or `least` if that is higher.
+
+        Only blocks whose bound exceeds `least` are computed, those with the highest bounds first; `blocks` and `begin`
+        as in `states`.
+
+        Parameters
+        ----------
+        place : int
+            Index of the output.
+        bound : (n_blocks,) array
+            From `PeakBound`.
+        least : float
+            Magnitude that the output is known to reach.
+        """
+        if bound.max() <= least:
+            return least
+        inputs, states, table = self._tables[place]
+        order = np.argsort(-bound)
+        for some in (order[:_LIKELIEST], order[_LIKELIEST:]):
+            higher = some[bound[some] > least]
+            if higher.size:
+                side = _inputs_beside(blocks[:, higher], inputs, len(states))
+                _write_states(side, begin[:, higher], states)
+                part = side @ table
+                least = max(least, float(part.max()), -float(part.min()))
+        return least
+
+
+def _inputs_beside(blocks: FloatArray, inputs: tuple[int, ...], n_states: int) -> FloatArray:
+    """Return the left factor of a product: the samples of the inputs, and free columns for the states."""
+    side = np.empty((blocks.shape[1], SHORT * len(inputs) + 2 * n_states))
+    for place, which in enumerate(inputs):
+        side[:, place * SHORT : (place + 1) * SHORT] = blocks[which]
+    return side
+
+
+def _write_states(side: FloatArray, begin: ComplexArray, states: tuple[int, ...]) -> None:
+    """Write the states into the last columns of a left factor."""
+    n_states = len(states)
+    side[:, -2 * n_states : -n_states] = begin.real[states, :].T
+    side[:, -n_states:] = begin.imag[states, :].T
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,6 +339,8 @@ class BlockStates:
         The beam behind its amplifier.
     timing : Timing
         Clock of the samples.
+    push : (n_states, n_inputs) complex array
+        Contribution of a unit of each input to the states at the end of its sample.
     blocks : (n_inputs, n_blocks, BLOCK) array
         Voltages, then the steps times powers of their clock delay; the last block is padded with zeros.
     pushed : (n_states, n_blocks, SHORT) complex array
@@ -47,6 +351,7 @@ class BlockStates:
 
     system: DiagonalSystem
     timing: Timing
+    push: ComplexArray
     blocks: FloatArray
     pushed: ComplexArray
     begin: ComplexArray
@@ -56,14 +361,12 @@ class BlockStates:
         """Return the states for held samples at the beam, (n_channels, n_samples) array [V]."""
         push = system.clock_gain(timing)
         inputs = clock_inputs(voltage, timing, 0, voltage.shape[1], push.shape[1])
-        beyond = -inputs.shape[1] % BLOCK
-        filled = np.pad(inputs, ((0, 0), (0, beyond))) if beyond else inputs
-        blocks = filled.reshape(len(inputs), -1, BLOCK)
+        blocks = BlockKernel.blocks(inputs, BLOCK)
         kernel = BlockKernel(system.exponent, push, np.empty((0, system.exponent.size), complex), timing.hold)
         pushed = kernel.pushed(blocks.reshape(len(inputs), -1, SHORT)).reshape(-1, blocks.shape[1], SHORT)
         rest = np.zeros(system.exponent.size, dtype=complex)
         begin, left = kernel.scan.follow(kernel.scan.total(pushed), rest, 1)
-        return cls(system, timing, blocks, pushed, np.concatenate([begin, left[:, None]], axis=1))
+        return cls(system, timing, push, blocks, pushed, np.concatenate([begin, left[:, None]], axis=1))
 
     @cached_property
     def _peak_bound(self) -> PeakBound:
@@ -79,11 +382,11 @@ class BlockStates:
             starts = range(0, len(output), _OUTPUTS)
             return np.concatenate([self.peak(output[start : start + _OUTPUTS], floor) for start in starts])
         some, places = self._different(output)
-        kernel = BlockKernel(self.system.exponent, self._push, some, self.timing.hold)
+        kernel = BlockKernel(self.system.exponent, self.push, some, self.timing.hold)
         # The outputs at the starts of the blocks are lower bounds of the peaks, which rule out most blocks.
         peak = np.maximum(np.abs((some @ self.begin).real).max(axis=1), floor)
         fine, _ = exponential_tables(self.system.exponent, self.timing.hold, 1)
-        bound = self._peak_bound.of_outputs(some, self._push, fine[:, ::-1])
+        bound = self._peak_bound.of_outputs(some, self.push, fine[:, ::-1])
         which = np.flatnonzero((bound > peak[:, None]).any(axis=0))
         if which.size > _DENSE * bound.shape[1]:
             peak = np.maximum(peak, kernel.peaks(self.blocks, self.pushed, self.begin[:, :-1]))
@@ -92,11 +395,6 @@ class BlockStates:
         period = int(self.timing.sampling_rate / self.timing.repetition_rate)
         silence = max(0, period - BLOCK * bound.shape[1])
         return self._peak_of_decay(some * self.begin[:, -1], silence, peak)[places]
-
-    @cached_property
-    def _push(self) -> ComplexArray:
-        """Contribution of a unit of each input to the states at the end of its sample, (n_states, n_inputs) array."""
-        return self.system.clock_gain(self.timing)
 
     def _evaluate_blocks(self, which: NDArray[np.intp], kernel: BlockKernel, peak: FloatArray) -> None:
         """Raise the peaks, in place, to the maxima of the outputs within some blocks."""
@@ -107,7 +405,7 @@ class BlockStates:
         begin = np.empty_like(pushed)
         kernel.scan.within(pushed, self.begin[:, which], begin)
         short = begin.reshape(len(begin), -1)
-        bounds = PeakBound.of(blocks, short).of_outputs(kernel.output, self._push, kernel.powers)
+        bounds = PeakBound.of(blocks, short).of_outputs(kernel.output, self.push, kernel.powers)
         for place, bound in enumerate(bounds):
             peak[place] = kernel.peak(place, blocks, short, bound, float(peak[place]))
 
@@ -137,18 +435,14 @@ class BlockStates:
 
 
 def history(system: DiagonalSystem, output: ComplexArray, voltage: FloatArray, timing: Timing) -> FloatArray:
-    """Return the outputs at the starts of the samples of a burst from rest, (n_outputs, n_samples) array.
+    """Return the outputs ``Re(output @ state)`` at the starts of the samples of a burst from rest.
 
     Parameters
     ----------
-    system : DiagonalSystem
-        The beam behind its amplifier.
-    output : (n_outputs, n_states) complex array
-        The outputs are the real part of ``output @ state``.
+    system, output, timing
+        As in `BlockKernel.of`; the clock of the samples.
     voltage : (n_channels, n_samples) array
         Held samples at the beam [V].
-    timing : Timing
-        Their clock.
     """
     kernel = BlockKernel(system.exponent, system.clock_gain(timing), output, timing.hold)
     n_inputs, course = kernel.push.shape[1], np.empty((output.shape[0], voltage.shape[1]))
