@@ -8,8 +8,8 @@ from scipy.optimize import linprog
 
 from modaltouch.rig.afg3022b import AFG3022B
 from modaltouch.stimulus.burst import Timing
-from modaltouch.stimulus.contrast import least_peak
 from modaltouch.stimulus.dynamics import Amplifier
+from modaltouch.stimulus.other_drives import least_bound
 from modaltouch.stimulus.fingers import Finger
 from modaltouch.stimulus.target_field import TargetField
 
@@ -20,7 +20,7 @@ def test_the_programme_is_the_linear_one(rng):
     """Least s under |b + A x| <= s in forty rows and <= 1 in thirty: HiGHS between the bound and what is reached."""
     rows, offset = rng.standard_normal((70, 8)), 0.3 * rng.standard_normal(70)
     slack = np.repeat([1.0, 0.0], [40, 30])
-    weight, bound = least_peak(offset, rows, slack)
+    weight, bound = least_bound(offset, rows, slack)
     reached = np.abs(offset + rows @ weight)
     upper = np.concatenate([np.column_stack([rows, -slack]), np.column_stack([-rows, -slack])])
     allowed = np.concatenate([1 - slack - offset, 1 - slack + offset])

@@ -203,7 +203,7 @@ class QuantisedStimulus:
         return lifted.peaks(left.model.shapes(positions), known, floor)
 
     def highest_contrast(self, focus: float, points: FloatArray, level: float) -> tuple[QuantisedStimulus, float]:
-        """Return the beam under the drive of highest contrast, and the upper bound (see `stimulus.contrast`).
+        """Return the beam under the drive of highest contrast, and the upper bound (see `contrast_drive`).
 
         Parameters
         ----------
@@ -219,7 +219,7 @@ class QuantisedStimulus:
         bound : float
             Upper bound, over all drives of the family, of the level over the highest speed of the other points [1].
         """
-        from modaltouch.stimulus.contrast import HOLD, contrast_drive
+        from modaltouch.stimulus.other_drives import HOLD, contrast_drive
 
         timing = replace(self.timing, n_samples=2 * round(self.timing.duration / HOLD / 2))
         drive, bound = contrast_drive(self.model, self.amplifier, timing, np.append(focus, points), level)
