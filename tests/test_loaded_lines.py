@@ -58,7 +58,7 @@ def test_a_simulated_session_loads_neither_lab_nor_analysis_nor_screen(tmp_path)
         "rig.watchdog_client",
         "session.console.keyboard",
         "session.resumption",
-        "stimulus.timoshenko",
+        "stimulus.other_shapes",
         "window.masking",
         "window.screen",
     }

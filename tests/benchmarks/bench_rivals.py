@@ -15,9 +15,9 @@ from threadpoolctl import threadpool_limits
 from modaltouch.preflight import examine
 from modaltouch.protocol import Apparatus, Source
 from modaltouch.stimulus import DiagonalSystem, Finger, ModalModel, Stimulus, Timing
-from modaltouch.stimulus.vibration import BlockKernel
 from modaltouch.stimulus.quantised import QuantisedStimulus
 from modaltouch.stimulus.reachability import Taper
+from modaltouch.stimulus.vibration import BlockKernel
 
 ZONES = (-0.04, -0.02, 0.0, 0.02, 0.04)
 N_TRAINED, N_JUDGED = 9, 40

@@ -16,10 +16,10 @@ from peers import design, many_modes, milliseconds, modal_history, peak_velocity
 from threadpoolctl import threadpool_limits
 
 from modaltouch.rig.afg3022b import AFG3022B
-from modaltouch.stimulus.vibration import BlockKernel
 from modaltouch.stimulus.burst import Timing
 from modaltouch.stimulus.dynamics import DiagonalSystem, moments
 from modaltouch.stimulus.synthesis import synthesise
+from modaltouch.stimulus.vibration import BlockKernel
 
 MODES = (6, 12, 25, 50, 100, 200)
 SAMPLES = tuple(2**power for power in range(10, 23, 2))

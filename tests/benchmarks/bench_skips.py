@@ -24,9 +24,9 @@ from modaltouch.rig.generator import Generator
 from modaltouch.rig.simulator import Simulator
 from modaltouch.stimulus import synthesis
 from modaltouch.stimulus.burst import Burst, Timing
-from modaltouch.stimulus.sample_count import SampleCount, cheapest_samples
 from modaltouch.stimulus.stimulus import Stimulus
 from modaltouch.stimulus.synthesis import synthesise
+from modaltouch.stimulus.tolerances import SampleCount, cheapest_samples
 
 APPARATUS = Path(__file__).resolve().parents[2] / "protocols" / "apparatus" / "beam_100x6x2.yaml"
 TOLERANCE = 1e-3

@@ -37,9 +37,9 @@ from tradeoff_figure import draw
 from modaltouch.rig.afg3022b import AFG3022B
 from modaltouch.stimulus.burst import Timing
 from modaltouch.stimulus.modes import ModalModel
-from modaltouch.stimulus.sample_count import cheapest_samples
 from modaltouch.stimulus.stimulus import Stimulus
 from modaltouch.stimulus.target_field import TargetField
+from modaltouch.stimulus.tolerances import cheapest_samples
 
 SAMPLES = (12_500, 25_000, 62_500, 125_000)
 MODES = (3, 6, 9)

@@ -9,8 +9,8 @@ from scipy.optimize import linprog
 from modaltouch.rig.afg3022b import AFG3022B
 from modaltouch.stimulus.burst import Timing
 from modaltouch.stimulus.dynamics import Amplifier
-from modaltouch.stimulus.other_drives import least_bound
 from modaltouch.stimulus.fingers import Finger
+from modaltouch.stimulus.other_drives import least_bound
 from modaltouch.stimulus.target_field import TargetField
 
 LEVEL, LIMIT = 0.2, 250.0

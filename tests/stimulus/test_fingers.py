@@ -15,7 +15,7 @@ from modaltouch.stimulus.burst import Timing
 from modaltouch.stimulus.dynamics import Amplifier, DiagonalSystem
 from modaltouch.stimulus.fingers import CoupledModes, Finger, _gauss
 from modaltouch.stimulus.modes import ModalModel
-from modaltouch.stimulus.sensitivity import derivative
+from modaltouch.stimulus.tolerances import derivative
 
 LONG = np.longdouble
 MASS = 3.3e-3

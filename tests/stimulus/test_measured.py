@@ -8,7 +8,7 @@ import pytest
 from modaltouch.rig.afg3022b import AFG3022B
 from modaltouch.stimulus.burst import Timing
 from modaltouch.stimulus.dynamics import Amplifier
-from modaltouch.stimulus.measured_shapes import MeasuredShapes
+from modaltouch.stimulus.other_shapes import MeasuredShapes
 from modaltouch.stimulus.shapes import mode_shapes
 from modaltouch.stimulus.stimulus import design_stimulus
 from modaltouch.stimulus.target_field import Projection, TargetField

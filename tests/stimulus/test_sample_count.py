@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from forward import modal_history
 
-from modaltouch.stimulus.sample_count import cheapest_samples
+from modaltouch.stimulus.tolerances import cheapest_samples
 
 PLACES = np.linspace(-0.05, 0.05, 21)
 

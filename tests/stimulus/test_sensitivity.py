@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from modaltouch.stimulus.sensitivity import derivative, focus_sensitivity, scatter
+from modaltouch.stimulus.tolerances import derivative, focus_sensitivity, scatter
 
 PARAMETERS = ("natural_frequency", "damping_ratio", "modal_gain")
 

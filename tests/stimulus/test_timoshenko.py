@@ -12,10 +12,10 @@ from scipy.optimize import brentq
 from modaltouch.rig.afg3022b import AFG3022B
 from modaltouch.stimulus.burst import Timing
 from modaltouch.stimulus.dynamics import Amplifier
+from modaltouch.stimulus.other_shapes import TimoshenkoBeam
 from modaltouch.stimulus.shapes import characteristic_root, mode_shapes
 from modaltouch.stimulus.stimulus import design_stimulus
 from modaltouch.stimulus.target_field import Projection, TargetField
-from modaltouch.stimulus.timoshenko import TimoshenkoBeam
 
 SHIPPED = TimoshenkoBeam(length=0.1, thickness=2e-3)
 THICK = TimoshenkoBeam(length=0.1, thickness=0.02)

@@ -18,16 +18,14 @@ if TYPE_CHECKING:
     from modaltouch.stimulus.drive import Law, Release
     from modaltouch.stimulus.dynamics import Amplifier, DiagonalSystem
     from modaltouch.stimulus.fingers import Finger
-    from modaltouch.stimulus.measured_shapes import MeasuredShapes
     from modaltouch.stimulus.modes import ModalModel
+    from modaltouch.stimulus.other_shapes import MeasuredShapes, TimoshenkoBeam
     from modaltouch.stimulus.probe import Probe
     from modaltouch.stimulus.reachability import Taper
-    from modaltouch.stimulus.sample_count import cheapest_samples
-    from modaltouch.stimulus.sensitivity import focus_sensitivity, scatter
     from modaltouch.stimulus.shapes import characteristic_root, mode_shapes
     from modaltouch.stimulus.stimulus import Stimulus, design_stimulus
     from modaltouch.stimulus.target_field import TargetField
-    from modaltouch.stimulus.timoshenko import TimoshenkoBeam
+    from modaltouch.stimulus.tolerances import cheapest_samples, focus_sensitivity, scatter
     from modaltouch.stimulus.vibration import BlockKernel, BlockStates
 else:
     __getattr__ = lazily(
@@ -37,16 +35,14 @@ else:
             "drive": "Law Release",
             "fingers": "Finger",
             "dynamics": "Amplifier DiagonalSystem",
-            "measured_shapes": "MeasuredShapes",
             "modes": "ModalModel",
+            "other_shapes": "MeasuredShapes TimoshenkoBeam",
             "probe": "Probe",
             "reachability": "Taper",
-            "sample_count": "cheapest_samples",
-            "sensitivity": "focus_sensitivity scatter",
             "shapes": "characteristic_root mode_shapes",
             "stimulus": "Stimulus design_stimulus",
             "target_field": "TargetField",
-            "timoshenko": "TimoshenkoBeam",
+            "tolerances": "cheapest_samples focus_sensitivity scatter",
             "vibration": "BlockKernel BlockStates",
         },
     )

@@ -16,8 +16,7 @@ from modaltouch.stimulus.shapes import mode_shapes, patch_gains
 
 if TYPE_CHECKING:
     from modaltouch.stimulus.fingers import Finger, Load
-    from modaltouch.stimulus.measured_shapes import MeasuredShapes
-    from modaltouch.stimulus.timoshenko import TimoshenkoBeam
+    from modaltouch.stimulus.other_shapes import MeasuredShapes, TimoshenkoBeam
 
 _POINTS = 4096
 """Number of points per batch when modes are summed."""

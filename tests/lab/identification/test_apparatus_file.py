@@ -20,7 +20,7 @@ from modaltouch.protocol import InputError
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.source import Source
 from modaltouch.rig.simulator.true_beam import TrueBeam
-from modaltouch.stimulus.measured_shapes import MeasuredShapes
+from modaltouch.stimulus.other_shapes import MeasuredShapes
 
 pytestmark = pytest.mark.usefixtures("svg_alone")
 

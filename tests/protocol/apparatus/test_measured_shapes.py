@@ -10,8 +10,8 @@ import pytest
 
 from modaltouch.preflight import examine
 from modaltouch.protocol.apparatus import Apparatus
+from modaltouch.stimulus.other_shapes import TimoshenkoBeam
 from modaltouch.stimulus.shapes import mode_shapes
-from modaltouch.stimulus.timoshenko import TimoshenkoBeam
 
 Edit = Callable[..., Path]
 BEAM = "apparatus/beam_100x6x2.yaml"
