@@ -309,7 +309,7 @@ def test_peak_of_the_record_counts_at_the_beam(apparatus: Apparatus, burst: Burs
 
 
 @pytest.mark.parametrize(
-    "module", ["generator", "connection", "controls", "player", "pacing", "link", "watchdog_client"]
+    "module", ["generator", "connection", "controls", "player", "pacing", "visa", "watchdog_client"]
 )
 def test_promises_are_kept_without_the_commands_of_one_instrument(module: str) -> None:
     """Headers and memories of the AFG3022B stand in its table alone."""

@@ -8,8 +8,10 @@ from unittest.mock import Mock
 
 import pytest
 
+from modaltouch.rig.afg3022b import AFG3022B
+from modaltouch.rig.controls import Controls, describe_block, split_reply
 from modaltouch.rig.interface import LinkError
-from modaltouch.rig.link import InUse, Link, describe_block, split_reply
+from modaltouch.rig.visa import InUse
 
 
 class Transport:
@@ -35,12 +37,12 @@ class Transport:
 
 
 @pytest.fixture
-def link(heard: Any) -> Callable[[object], tuple[Link, Transport]]:
+def link(heard: Any) -> Callable[[object], tuple[Controls, Transport]]:
     """Return what opens a link over a transport that answers as told."""
 
-    def open_link(reply: object) -> tuple[Link, Transport]:
+    def open_link(reply: object) -> tuple[Controls, Transport]:
         transport = Transport(reply)
-        opened = Link(transport, log=heard, timeout=0.5, copy_timeout=1)
+        opened = Controls(transport, AFG3022B, revive=Mock(), log=heard, timeout=0.5, copy_timeout=1)
         opened.open()
         return opened, transport
 
@@ -131,7 +133,7 @@ def test_failure_to_open_is_told(heard: Any, fault: Exception, kind: type[Except
     transport = Transport(b"")
     transport.open = Mock(side_effect=fault)  # type: ignore[method-assign]
     with pytest.raises(kind, match=words):
-        Link(transport, log=heard, timeout=1, copy_timeout=1).open()
+        Controls(transport, AFG3022B, revive=Mock(), log=heard, timeout=1, copy_timeout=1).open()
     assert heard.of("link")[0]["failed"].startswith(type(fault).__name__)
 
 

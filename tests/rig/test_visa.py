@@ -15,10 +15,9 @@ from pyvisa.ctwrapper import IVIVisaLibrary
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig.generator import Generator
 from modaltouch.rig.interface import RigError
-from modaltouch.rig.link import InUse
 from modaltouch.rig.simulator import Simulator
 from modaltouch.rig.simulator.vxi11 import Links
-from modaltouch.rig.visa import VisaSession, find_by, find_instruments
+from modaltouch.rig.visa import InUse, VisaSession, find_by, find_instruments
 
 
 def test_found_instruments_are_no_serial_ports(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -17,9 +17,9 @@ import numpy as np
 from modaltouch.protocol import Apparatus
 from modaltouch.rig.catalogue import instrument_of
 from modaltouch.rig.connection import Connection, Patience
+from modaltouch.rig.controls import split_reply
 from modaltouch.rig.instrument import Setting
 from modaltouch.rig.interface import LinkError, Rig, Unconfirmed
-from modaltouch.rig.link import split_reply
 from modaltouch.rig.scope import Scope
 from modaltouch.rig.watchdog_client import WatchdogClient
 from modaltouch.stimulus import Burst

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 
 from modaltouch.protocol import Apparatus
 from modaltouch.rig.catalogue import instrument_of, instruments
-from modaltouch.rig.controls import Controls
+from modaltouch.rig.controls import Controls, Log
 from modaltouch.rig.instrument import Setting
 from modaltouch.rig.interface import LinkError, RigError, Unconfirmed
-from modaltouch.rig.link import InUse, Log
 from modaltouch.rig.pacing import BurstPlayer
+from modaltouch.rig.visa import InUse
 from modaltouch.system import SYSTEM_CLOCK, Clock
 
 
@@ -119,8 +119,9 @@ class Connection:
         self._log = log
         self.patience = patience
         self._clock = clock
-        times = {"timeout": patience.reply, "copy_timeout": patience.copy}
-        self.controls = Controls(guard, self.instrument, revive=self._revive, log=log, **times)
+        self.controls = Controls(
+            guard, self.instrument, revive=self._revive, log=log, timeout=patience.reply, copy_timeout=patience.copy
+        )
 
     def open(self) -> None:
         """Open the connection, check the instrument's model, and set it to a known state, outputs off.

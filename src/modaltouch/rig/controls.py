@@ -1,24 +1,34 @@
-"""Settings of the generator, each read back when applied; sessions and safety are handled elsewhere."""
+"""Logged exchanges with the generator, and its settings, each read back; sessions and safety are handled elsewhere."""
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
+import time
+import typing
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.rig.instrument import Instrument, Setting
-from modaltouch.rig.interface import Unconfirmed
-from modaltouch.rig.link import Link, Transport, split_reply
+from modaltouch.rig.interface import LinkError, Unconfirmed
+from modaltouch.rig.visa import InUse, Transport, block_bounds, describe_error
 
 NO_ERROR, UNDEFINED_HEADER = 0, -113
 QUERIES_PER_MESSAGE = 12
 MOST_ERRORS = 64
 
+Log = Callable[..., None]
+"""``log(event, **facts)`` logs one event."""
 
-class Controls(Link):
-    """A link that applies settings with read-back and uploads records; raises LinkError or Unconfirmed on failure.
+T = typing.TypeVar("T")
+
+
+class Controls:
+    """Exchanges with one generator: applies settings with read-back and uploads records.
+
+    Failures and timeouts raise LinkError, replies that do not confirm a command Unconfirmed.
 
     Parameters
     ----------
@@ -28,8 +38,10 @@ class Controls(Link):
         The instrument at the other end.
     revive : callable
         Reopens the connection to the same instrument after a failed exchange, outputs off.
-    **options
-        Log and timeouts of the link.
+    log : callable
+        Called with ``link`` events and, for each exchange, an ``scpi`` event: sent, reply, seconds.
+    timeout, copy_timeout : float
+        Longest wait for a reply, and for an upload, a copy between memories or ``*OPC?`` [s].
 
     Attributes
     ----------
@@ -38,13 +50,118 @@ class Controls(Link):
     """
 
     def __init__(
-        self, transport: Transport, instrument: Instrument, *, revive: Callable[[], object], **options: Any
+        self,
+        transport: Transport,
+        instrument: Instrument,
+        *,
+        revive: Callable[[], object],
+        log: Log,
+        timeout: float,
+        copy_timeout: float,
     ) -> None:
-        super().__init__(transport, **options)
+        self._transport = transport
+        self.log = log
+        self._timeout = timeout
+        self._copy_timeout = copy_timeout
+        self._open = False
         self._instrument = instrument
         self._table = instrument.commands
         self.revive = revive
         self.stored: dict[str, str] = {}
+
+    def open(self) -> None:
+        """Reopen the session.
+
+        Raises
+        ------
+        InUse
+            If another program has the instrument.
+        LinkError
+            If the instrument cannot be reached.
+        """
+        self.close()
+        started = time.perf_counter()
+        try:
+            shut = self._transport.open()
+        # Backends raise VisaIOError, OSError, ValueError and plain Exception here.
+        except Exception as error:
+            self.log("link", did="open", failed=describe_error(error), seconds=_since(started))
+            if isinstance(error, InUse):
+                raise
+            raise LinkError(f"it cannot be opened ({describe_error(error)})") from error
+        self._open = True
+        self.log("link", did="open", others=shut, seconds=_since(started))
+
+    def close(self, *, broken: bool = False) -> None:
+        """Close the session in any state; if broken, without notifying the other end."""
+        was_open, self._open = self._open, False
+        if was_open:
+            # The other end may have gone; nothing can be done about it.
+            with contextlib.suppress(Exception):
+                self._transport.close(broken=broken)
+
+    def ask(self, query: str, *, timeout: float | None = None) -> str:
+        """Send a message that contains a query and return the reply."""
+
+        def read(reply: bytes, facts: dict[str, str]) -> str:
+            text = reply.decode("ascii").strip()
+            facts["reply"] = text
+            if not text.isprintable():
+                raise ValueError(f"reply {text!r} is not text")
+            return text
+
+        return self._exchange(query, query.encode("ascii"), timeout, read)
+
+    def send(self, message: str) -> None:
+        """Send a message without a query; return when the instrument has accepted it."""
+        self._exchange(message, message.encode("ascii"), None, None)
+
+    def send_block(self, command: str, block: bytes) -> None:
+        """Send a command whose last argument is a definite-length block."""
+        length = str(len(block))
+        message = f"{command},#{len(length)}{length}".encode("ascii") + block
+        self._exchange(f"{command},{describe_block(block)}", message, self._copy_timeout, None)
+
+    def ask_block(self, query: str) -> bytes:
+        """Query a definite-length block and return its content; the reply may take as long as a copy."""
+
+        def read(reply: bytes, facts: dict[str, str]) -> bytes:
+            start, end = block_bounds(reply)
+            if len(reply) < end:
+                raise ValueError(f"the block announces {end - start} bytes, but {len(reply) - start} came")
+            facts["reply"] = describe_block(reply[start:end])
+            return reply[start:end]
+
+        return self._exchange(query, query.encode("ascii"), self._copy_timeout, read)
+
+    def _exchange(
+        self,
+        shown: str,
+        message: bytes,
+        timeout: float | None,
+        read: Callable[[bytes, dict[str, str]], T] | None,
+    ) -> T:
+        """Carry out and log an exchange within its timeout; a failure closes the session."""
+        if not self._open:
+            raise LinkError("the connection is closed")
+        started = time.perf_counter()
+        facts: dict[str, str] = {}
+        value: T | None = None
+        try:
+            limit = self._timeout if timeout is None else timeout
+            reply = self._transport.exchange(message + b"\n", timeout=limit, reply=read is not None)
+            if read is not None:
+                value = read(reply, facts)
+        except Exception as error:
+            self.close(broken=True)
+            self.log("scpi", sent=shown, **facts, failed=describe_error(error), seconds=_since(started))
+            raise LinkError(f"'{shown[:60]}' failed ({describe_error(error)})") from error
+        except BaseException:
+            # After an interruption by a signal a reply may still arrive, so the session is no longer usable.
+            self.close(broken=True)
+            raise
+        self.log("scpi", sent=shown, **facts, seconds=_since(started))
+        return typing.cast("T", value)
 
     def clear_errors(self) -> None:
         """Clear the error queue and the status registers, without reading them."""
@@ -195,3 +312,24 @@ def _error_number(reply: str) -> int:
         return int(reply.partition(",")[0])
     except ValueError:
         return -300
+
+
+def describe_block(block: bytes) -> str:
+    """Return the length and a short hash of a block, for the log; BLAKE2 is five times as fast as SHA-256."""
+    return f"<{len(block)} bytes, blake2b {hashlib.blake2b(block, digest_size=8).hexdigest()}>"
+
+
+def split_reply(reply: str) -> list[str]:
+    """Split the reply to a compound query at semicolons outside quotes."""
+    parts, quoted = [""], False
+    for letter in reply:
+        quoted ^= letter == '"'
+        if letter == ";" and not quoted:
+            parts.append("")
+        else:
+            parts[-1] += letter
+    return [part.strip() for part in parts]
+
+
+def _since(started: float) -> float:
+    return round(time.perf_counter() - started, 6)

@@ -11,8 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
-from modaltouch.rig.link import Transport, describe_error
-from modaltouch.rig.visa import VisaSession
+from modaltouch.rig.visa import Transport, VisaSession, describe_error
 from modaltouch.system import Clock, VirtualClock
 
 LATEST = 0.05

@@ -1,4 +1,4 @@
-"""PyVISA sessions, one per instrument on this machine, and discovery of instruments."""
+"""Transport to an instrument: PyVISA sessions, one per instrument on this machine, and discovery of instruments."""
 
 from __future__ import annotations
 
@@ -10,13 +10,65 @@ import struct
 import tempfile
 import time
 import traceback
+import typing
 import warnings
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
-from modaltouch.rig.interface import RigError
-from modaltouch.rig.link import InUse, block_bounds
+from modaltouch.rig.interface import LinkError, RigError
 from modaltouch.system import lock
+
+
+class InUse(LinkError):  # noqa: N818
+    """The instrument is in use by another program."""
+
+
+class TransportError(Exception):
+    """A failure at the other end of a transport, already described by its text."""
+
+
+class Transport(typing.Protocol):
+    """A transport to one instrument; every failure raises, and the transport must then be closed and reopened."""
+
+    def open(self) -> str:
+        """Reopen the transport; return a sentence on how other programs are locked out.
+
+        Raises
+        ------
+        InUse
+            If another program has the instrument.
+        """
+
+    def exchange(self, message: bytes, *, timeout: float, reply: bool) -> bytes:
+        """Send a message and return the reply, if one is expected; each may take up to `timeout` [s]."""
+
+    def close(self, *, broken: bool) -> None:
+        """Close the transport; if broken, without notifying the other end."""
+
+
+def block_bounds(reply: bytes) -> tuple[int, int]:
+    """Return start and end of the content of a definite-length block (IEEE 488.2, 8.7.9).
+
+    Raises
+    ------
+    ValueError
+        If the reply does not begin with a block header.
+    """
+    n_digits = reply[1:2]
+    length = reply[2 : 2 + int(n_digits)] if n_digits.isdigit() else b""
+    if not (reply[:1] == b"#" and length.isdigit()):
+        raise ValueError(f"reply {reply[:20]!r} is not a block")
+    start = 2 + int(n_digits)
+    return start, start + int(length)
+
+
+def describe_error(error: BaseException) -> str:
+    """Return type and text of an error in one line; for a TransportError, the text alone."""
+    text = " ".join(str(error).split())[:200]
+    if isinstance(error, TransportError):
+        return text
+    return f"{type(error).__name__}: {text}" if text else type(error).__name__
+
 
 CONNECT_TIMEOUT = 2.0
 """Timeout of a TCP connection to the instrument [s]; a lost packet is resent after one second."""
@@ -67,7 +119,7 @@ NO_MORE_SESSIONS = "error creating link: 9"
 
 
 class VisaSession:
-    """A VISA session with one instrument, as a `modaltouch.rig.link.Transport`.
+    """A VISA session with one instrument, as a `Transport`.
 
     A lock file ensures that only one program on this machine uses an instrument at a time. The VXI-11 lock of the
     instrument is not used, since a lock held by a dead link would prevent any program from switching the outputs off.
@@ -119,7 +171,7 @@ class VisaSession:
                 if time.monotonic() > self._counted_until:
                     raise InUse("it admits no further session") from error
                 time.sleep(0.02)
-        message_based = cast("pyvisa.resources.MessageBasedResource", resource)
+        message_based = typing.cast("pyvisa.resources.MessageBasedResource", resource)
         message_based.chunk_size = CHUNK
         if self._is_socket:
             message_based.read_termination = "\n"
