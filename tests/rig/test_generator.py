@@ -23,7 +23,7 @@ from modaltouch.rig.interface import Bursts, RigError
 from modaltouch.rig.pacing import HELD_UP
 from modaltouch.rig.player import RELAYS_SETTLE
 from modaltouch.rig.simulator import Simulator
-from modaltouch.rig.simulator.followed import FollowedSession
+from modaltouch.rig.simulator.session_files import FollowedSession
 from modaltouch.stimulus.burst import Burst
 from modaltouch.stimulus.fingers import Finger
 from modaltouch.system.clock import VirtualClock

@@ -28,10 +28,9 @@ from modaltouch.rig.simulator.vxi11 import Vxi11Server
 from modaltouch.system import SYSTEM_CLOCK, Clock, VirtualClock
 
 if TYPE_CHECKING:
-    from modaltouch.rig.simulator.followed import FollowedSession
-    from modaltouch.rig.simulator.played import PlayedLog
     from modaltouch.rig.simulator.scope import SimulatedScope
     from modaltouch.rig.simulator.scpi import CommandTable
+    from modaltouch.rig.simulator.session_files import FollowedSession, PlayedLog
     from modaltouch.stimulus import Finger
 
 
@@ -106,11 +105,11 @@ class Simulator(AbstractContextManager["Simulator"]):
         self._played: PlayedLog | None = None
         self._followed: FollowedSession | None = None
         if follow is not None:
-            from modaltouch.rig.simulator.followed import FollowedSession
+            from modaltouch.rig.simulator.session_files import FollowedSession
 
             self._followed = FollowedSession(follow, apparatus)
         if played is not None:
-            from modaltouch.rig.simulator.played import PlayedLog
+            from modaltouch.rig.simulator.session_files import PlayedLog
 
             self._played = PlayedLog(played, self.twin, self.afg.settle, lambda: self.touched)
             self.afg.timeline.on_burst = self._played.take

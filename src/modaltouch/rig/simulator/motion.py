@@ -8,7 +8,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from modaltouch.rig.simulator.held import ComplexArray, FloatArray, Held, refined, start_state
+from modaltouch.rig.simulator.true_beam import ComplexArray, FloatArray, Held, refined, start_state
 from modaltouch.stimulus import Amplifier, BlockKernel, DiagonalSystem
 
 SAME_POLE = 1e-6

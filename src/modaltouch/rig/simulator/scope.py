@@ -12,9 +12,9 @@ import numpy as np
 from modaltouch.rig.acquisition import Acquisition, Inputs, Recording
 from modaltouch.rig.interface import RigError
 from modaltouch.rig.scope import Scope
-from modaltouch.rig.simulator.held import FloatArray
 from modaltouch.rig.simulator.motion import AT_ONCE, Motion
 from modaltouch.rig.simulator.timeline import Playback, Timeline
+from modaltouch.rig.simulator.true_beam import FloatArray
 from modaltouch.rig.simulator.twin import Twin
 from modaltouch.stimulus import Finger
 

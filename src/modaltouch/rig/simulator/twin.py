@@ -11,9 +11,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from modaltouch.protocol import Apparatus
-from modaltouch.rig.simulator.held import LONGEST_SILENCE, ComplexArray, FloatArray, Held, peak, refined, state_at
 from modaltouch.rig.simulator.timeline import Playback
-from modaltouch.rig.simulator.true_beam import generator_gains, true_amplifier, true_beam
+from modaltouch.rig.simulator.true_beam import (
+    LONGEST_SILENCE,
+    ComplexArray,
+    FloatArray,
+    Held,
+    generator_gains,
+    peak,
+    refined,
+    state_at,
+    true_amplifier,
+    true_beam,
+)
 from modaltouch.stimulus import DiagonalSystem
 
 if TYPE_CHECKING:
