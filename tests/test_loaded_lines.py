@@ -54,7 +54,7 @@ def test_a_simulated_session_loads_neither_lab_nor_analysis_nor_screen(tmp_path)
         "protocol.calibration",
         "protocol.levels",
         "record.audit",
-        "rig.acquisition",
+        "rig.scope",
         "rig.watchdog_client",
         "session.console.keyboard",
         "session.resumption",

@@ -28,7 +28,7 @@ from modaltouch.lab.calibration.plant import DATA_SHEET
 from modaltouch.preflight import Preflight, examine
 from modaltouch.preflight.examination import design_to_fit
 from modaltouch.protocol.apparatus import Apparatus
-from modaltouch.rig.acquisition import Acquisition, Recording
+from modaltouch.rig.scope import Acquisition, Recording
 
 
 def calibrated(

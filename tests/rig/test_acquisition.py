@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from modaltouch.rig.acquisition import Acquisition, Inputs
 from modaltouch.rig.interface import RigError
+from modaltouch.rig.scope import Acquisition, Inputs
 
 INPUTS = Inputs(sensitivity=0.05, highest_velocity=0.5, attenuation=100.0)
 

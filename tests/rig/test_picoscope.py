@@ -14,9 +14,8 @@ import numpy as np
 import pytest
 
 from modaltouch.protocol.apparatus import Apparatus
-from modaltouch.rig.acquisition import Acquisition
 from modaltouch.rig.interface import RigError
-from modaltouch.rig.scope import PicoScope
+from modaltouch.rig.scope import Acquisition, PicoScope
 from modaltouch.system import SYSTEM_CLOCK
 
 FULL_SCALE = 32512

@@ -18,24 +18,22 @@ from typing import TYPE_CHECKING
 from modaltouch.system import lazily
 
 if TYPE_CHECKING:
-    from modaltouch.rig.acquisition import Acquisition, Recording
     from modaltouch.rig.catalogue import instrument_of
     from modaltouch.rig.checklist import check_rig
     from modaltouch.rig.generator import Generator
     from modaltouch.rig.interface import Firing, Rig, RigError, StimulusLost
-    from modaltouch.rig.scope import Scope
+    from modaltouch.rig.scope import Acquisition, Recording, Scope
     from modaltouch.rig.simulator import Simulator
     from modaltouch.rig.visa import find_instruments
 else:
     __getattr__ = lazily(
         __name__,
         {
-            "acquisition": "Acquisition Recording",
             "catalogue": "instrument_of",
             "checklist": "check_rig",
             "generator": "Generator",
             "interface": "Firing Rig RigError StimulusLost",
-            "scope": "Scope",
+            "scope": "Acquisition Recording Scope",
             "simulator": "Simulator",
             "visa": "find_instruments",
         },

@@ -1,29 +1,177 @@
-"""The scope that records the vibrometer: common interface of simulated and real scopes, and a PicoScope 3000 driver."""
+"""The scope that records vibrometer and drive: settings, results, interface, and a PicoScope 3000 driver.
+
+While the generator plays, its trigger starts every record. The zero-order hold of its samples produces images around
+multiples of the sample rate. If the scope samples no faster than the generator, these alias onto the drive, and a
+transfer function lacks the droop and the half-sample delay of the hold: sample a few times faster than the record is
+played.
+"""
 
 from __future__ import annotations
 
 import abc
 import contextlib
 import ctypes
-import functools
 import importlib
-import operator
+import math
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.protocol import Apparatus
-from modaltouch.rig.acquisition import INPUT_RANGES, Acquisition, Inputs, Recording
 from modaltouch.rig.interface import RigError
 from modaltouch.system import SYSTEM_CLOCK
+
+FloatArray = NDArray[np.float64]
+
+INPUT_RANGES = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
+"""Input ranges of a PicoScope 3404 [V, peak]."""
+
+OUTPUTS = (1, 2)
+"""Generator outputs whose drive can be measured."""
+
+
+@dataclass(frozen=True)
+class Acquisition:
+    """Settings of vibrometer and scope for a measurement.
+
+    Attributes
+    ----------
+    sampling_rate : float
+        Samples per second [Hz]; the scope uses its nearest available rate, which is stated in the recording.
+    n_samples : int
+        Samples per record, including those before the trigger.
+    n_records : int
+        Number of consecutive records, each started by the generator's trigger; they are not averaged, so that coherence
+        can be computed.
+    drives : tuple of int
+        Generator outputs whose voltage at the beam is measured together with the velocity.
+    start : float
+        Time of the first sample relative to the trigger at the start of a burst [s]; negative for pre-trigger samples.
+    velocity_range, drive_range : float, optional
+        Highest expected velocity [m/s] and voltage at the beam [V]; the smallest sufficient input range is used.
+        None for the full range of the vibrometer or of the scope input.
+    """
+
+    sampling_rate: float = 500e3
+    n_samples: int = 131_072
+    n_records: int = 1
+    drives: tuple[int, ...] = (1,)
+    start: float = 0.0
+    velocity_range: float | None = None
+    drive_range: float | None = None
+
+    def __post_init__(self) -> None:
+        """Reject settings impossible for any scope."""
+        for name, value, unit in (
+            ("sampling_rate", self.sampling_rate, "Hz"),
+            ("velocity_range", self.velocity_range, "m/s"),
+            ("drive_range", self.drive_range, "V"),
+        ):
+            if value is not None and not (math.isfinite(value) and value > 0):
+                raise ValueError(f"{name} is {value} {unit}: give a number above 0")
+        for name, number, least in (("n_samples", self.n_samples, 2), ("n_records", self.n_records, 1)):
+            if number < least:
+                raise ValueError(f"{name} is {number}: give at least {least}")
+        if not math.isfinite(self.start):
+            raise ValueError(f"start is {self.start} s: give a finite time from the trigger")
+        if len(set(self.drives)) < len(self.drives) or not set(self.drives) <= set(OUTPUTS):
+            raise ValueError(f"drives are {self.drives}: name each generator output of {OUTPUTS} at most once")
+
+    @property
+    def n_channels(self) -> int:
+        """Scope inputs in use."""
+        return 1 + len(self.drives)
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """A measurement at one position, in SI units.
+
+    Attributes
+    ----------
+    position : float
+        Position along the beam, origin at mid-beam [m].
+    time : (n_samples,) array
+        Time since the trigger, on the clock of the scope [s].
+    velocity : (n_records, n_samples) array
+        Velocity of the point [m/s].
+    drive : (n_records, n_drives, n_samples) array
+        Voltage at the beam of each measured drive [V].
+    sampling_rate : float
+        Sampling rate on the clock of the scope [Hz].
+    overloaded : tuple of str
+        Signals that reached their full scale in any record: ``velocity``, ``drive 1``, ``drive 2``.
+    """
+
+    position: float
+    time: FloatArray
+    velocity: FloatArray
+    drive: FloatArray
+    sampling_rate: float
+    overloaded: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """Scale factors of the scope inputs, and the choice of input ranges.
+
+    Attributes
+    ----------
+    sensitivity, highest_velocity : float
+        Sensitivity of the vibrometer [m/s per V] and its full scale [m/s].
+    attenuation : float
+        Attenuation of the probes that measure the drive [V at the beam per V].
+    """
+
+    sensitivity: float
+    highest_velocity: float
+    attenuation: float
+
+    @classmethod
+    def of(cls, apparatus: Apparatus) -> Inputs:
+        """Return the inputs of an apparatus, as its section ``acquisition`` describes them."""
+        knobs = apparatus.acquisition
+        return cls(knobs.sensitivity_mm_s_per_V * 1e-3, knobs.range_mm_s * 1e-3, knobs.probe_attenuation)
+
+    def ranges(self, acquisition: Acquisition) -> tuple[float, float]:
+        """Return the input ranges for velocity and drive [V, peak at the input]; RigError if none is wide enough."""
+        wanted = acquisition.velocity_range or self.highest_velocity
+        if wanted > self.highest_velocity * (1 + 1e-9):
+            raise RigError(
+                f"a velocity of {wanted * 1e3:g} mm/s is to be measured, but the vibrometer's range ends at "
+                f"{self.highest_velocity * 1e3:g} mm/s; choose a wider range at the vibrometer, and enter it in the "
+                "apparatus file"
+            )
+        velocity = self._smallest(wanted / self.sensitivity, f"{wanted * 1e3:g} mm/s")
+        if acquisition.drive_range is None:
+            return velocity, INPUT_RANGES[-1]
+        return velocity, self._smallest(acquisition.drive_range / self.attenuation, f"{acquisition.drive_range:g} V")
+
+    @staticmethod
+    def _smallest(volts: float, what: str) -> float:
+        fitting = [each for each in INPUT_RANGES if each >= volts * (1 - 1e-9)]
+        if not fitting:
+            raise RigError(
+                f"{what} is {volts:g} V at the scope's input: at most {INPUT_RANGES[-1]:g} V; use another sensitivity "
+                "or a probe with more attenuation, and enter it in the apparatus file"
+            )
+        return fitting[0]
 
 
 class Scope(contextlib.AbstractContextManager["Scope"]):
     """A vibrometer and the scope that records it, simulated or real.
+
+    Usage::
+
+        scope.configure(Acquisition(sampling_rate=500e3, n_samples=131_072, n_records=10, drives=(1,)))
+        recordings = [scope.measure(position) for position in np.linspace(-0.05, 0.05, 41)]
+
+    Its methods raise RigError if the scope is not found, does not support what is asked, fails, or gets no trigger.
 
     Attributes
     ----------
@@ -33,15 +181,12 @@ class Scope(contextlib.AbstractContextManager["Scope"]):
 
     slowest = 120.0
 
+    def __init__(self, apparatus: Apparatus) -> None:
+        self._inputs = Inputs.of(apparatus)
+
     @staticmethod
     def open(apparatus: Apparatus) -> Scope:
-        """Return the scope of an apparatus, a PicoScope.
-
-        Raises
-        ------
-        RigError
-            If its library or the scope is not found.
-        """
+        """Return the scope of an apparatus, a PicoScope."""
         return PicoScope(apparatus)
 
     @property
@@ -51,57 +196,22 @@ class Scope(contextlib.AbstractContextManager["Scope"]):
 
     @abc.abstractmethod
     def configure(self, acquisition: Acquisition) -> Acquisition:
-        """Apply the settings and return them.
-
-        Raises
-        ------
-        RigError
-            If the scope does not support these settings.
-        """
+        """Apply the settings and return them."""
 
     @abc.abstractmethod
     def measure(self, position: float, across: float = 0.0) -> Recording:
-        """Measure velocity and drive at a point: position along the beam from mid-beam, across from the mid-line [m].
-
-        Raises
-        ------
-        RigError
-            If no trigger arrives, or the scope fails.
-        """
+        """Measure velocity and drive at a point, `position` along the beam and `across` it from its middle [m]."""
 
     def arm(self) -> None:
-        """Arm the scope to record the next burst, without waiting for it.
-
-        Raises
-        ------
-        RigError
-            If the scope fails or does not support arming.
-        """
+        """Arm the scope to record the next burst, without waiting for it."""
         raise RigError(f"{self.identity}: it cannot wait for a single burst; use a PicoScope")
 
     def fetch(self, position: float) -> Recording:
-        """Return the record of the burst for which the scope was armed.
-
-        Parameters
-        ----------
-        position : float
-            Measured point, origin at mid-beam [m].
-
-        Raises
-        ------
-        RigError
-            If no trigger arrived, or the scope fails.
-        """
+        """Return the record of the burst for which the scope was armed, at a `position` as in `measure`."""
         raise RigError(f"{self.identity}: it was not armed for a burst")
 
     def time_trigger(self, send: Callable[[], object]) -> tuple[float, float]:
-        """Call `send`, which triggers one burst, and return the earliest and latest instant of its onset [s].
-
-        Raises
-        ------
-        RigError
-            If no trigger arrives, or the scope cannot time it.
-        """
+        """Call `send`, which triggers one burst, and return the earliest and latest instant of its onset [s]."""
         raise RigError(f"{self.identity}: cannot tell when a burst began; use a PicoScope")
 
     @abc.abstractmethod
@@ -126,10 +236,8 @@ EXTERNAL_THRESHOLD = 6553
 FIRST_RANGE = 2
 """Pico's code for the 50 mV range, the first of INPUT_RANGES."""
 
-CLOCK = 125e6
-"""Clock rate [Hz]; for time bases from 3, sampling rates are integer fractions of it."""
-
-ALL_INPUTS = (0, 1, 2, 3)
+CLOCK, N_INPUTS = 125e6, 4
+"""Clock rate [Hz], of which sampling rates are integer fractions for time bases from 3; number of inputs."""
 
 SHORT = Acquisition(sampling_rate=1e6, n_samples=100, drives=())
 """A short record, whose end indicates the instant of its trigger."""
@@ -149,26 +257,14 @@ class PicoScope(Scope):
         Longest wait for the generator's trigger [s].
     driver : object, optional
         Object with the functions of the Pico library; by default the installed library.
-
-    Raises
-    ------
-    RigError
-        If the library or the scope is not found.
     """
 
     identity = ""
 
-    def __init__(
-        self,
-        apparatus: Apparatus,
-        *,
-        trigger_wait: float = 2.0,
-        driver: Any = None,
-    ) -> None:
+    def __init__(self, apparatus: Apparatus, *, trigger_wait: float = 2.0, driver: Any = None) -> None:
+        super().__init__(apparatus)
         self._driver = load_driver() if driver is None else driver
         self._trigger_wait = trigger_wait
-        knobs = apparatus.acquisition
-        self._inputs = Inputs(knobs.sensitivity_mm_s_per_V * 1e-3, knobs.range_mm_s * 1e-3, knobs.probe_attenuation)
         self._handle = ctypes.c_int16()
         self._open = self._waits = False
         self._start()
@@ -192,21 +288,14 @@ class PicoScope(Scope):
         self._disarm()
         velocity_range, drive_range = self._inputs.ranges(acquisition)
         wanted = {0: velocity_range} | dict.fromkeys(acquisition.drives, drive_range)
-        for channel in ALL_INPUTS:
+        for channel in range(N_INPUTS):
             number = INPUT_RANGES.index(wanted.get(channel, INPUT_RANGES[-1])) + FIRST_RANGE
             self._call("SetChannel", channel, int(channel in wanted), DC, number, 0.0)
         time_base = round(CLOCK / acquisition.sampling_rate) + 2
         interval, room = ctypes.c_float(), ctypes.c_int32()
-        self._call(
-            "GetTimebase2",
-            time_base,
-            acquisition.n_samples,
-            ctypes.byref(interval),
-            1,
-            ctypes.byref(room),
-            0,
-            failing=f"{acquisition.n_samples} samples of {acquisition.n_channels} channels do not fit its memory",
-        )
+        failing = f"{acquisition.n_samples} samples of {acquisition.n_channels} channels do not fit its memory"
+        given = time_base, acquisition.n_samples, ctypes.byref(interval), 1, ctypes.byref(room), 0
+        self._call("GetTimebase2", *given, failing=failing)
         rate = 1e9 / interval.value
         delay = max(0, round(acquisition.start * rate))
         self._call("SetSimpleTrigger", 1, EXTERNAL, EXTERNAL_THRESHOLD, RISING, delay, 0)
@@ -235,8 +324,8 @@ class PicoScope(Scope):
 
     def _recording(self, position: float, records: Sequence[tuple[NDArray[np.int16], int]]) -> Recording:
         """Convert records from counts and overload bits to SI units."""
-        asked, counts = self._asked, np.array([each for each, _ in records])
-        over = functools.reduce(operator.or_, (each for _, each in records))
+        asked, (counts, overs) = self._asked, map(np.array, zip(*records, strict=True))
+        over = np.bitwise_or.reduce(overs)
         first = round(asked.start * self._rate)
         scale = {0: self._inputs.sensitivity} | dict.fromkeys(asked.drives, self._inputs.attenuation)
         values = [

@@ -15,8 +15,8 @@ from modaltouch.preflight import Preflight
 from modaltouch.preflight.examination import design_to_fit
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.twin import TrueAmplifier, Vibrometer
-from modaltouch.rig.acquisition import Acquisition, Recording
 from modaltouch.rig.interface import RigError
+from modaltouch.rig.scope import Acquisition, Recording
 
 
 class Spoilt:

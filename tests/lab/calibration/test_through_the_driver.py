@@ -21,7 +21,7 @@ from modaltouch.lab.laboratory import Laboratory, open_laboratory
 from modaltouch.preflight import examine
 from modaltouch.record.chain import read_chain
 from modaltouch.record.session import Session
-from modaltouch.rig.acquisition import Recording
+from modaltouch.rig.scope import Recording
 
 N_BEAMS = int(os.environ.get("MODALTOUCH_CALIBRATED_BEAMS", "1"))
 

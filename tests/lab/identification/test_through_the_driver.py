@@ -31,8 +31,8 @@ from modaltouch.lab.scan import ScanPlan, read_scan, take_scan
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.source import Source
 from modaltouch.record.chain import RecordInputError
-from modaltouch.rig.acquisition import Acquisition
 from modaltouch.rig.interface import RigError
+from modaltouch.rig.scope import Acquisition
 from modaltouch.stimulus.shapes import mode_shapes
 
 APPARATUS = Path(__file__).parents[3] / "protocols" / "apparatus" / "beam_100x6x2.yaml"

@@ -20,8 +20,8 @@ from modaltouch.lab.recorded_files import RecordedFiles
 from modaltouch.preflight import examine
 from modaltouch.preflight.examination import design_to_fit
 from modaltouch.protocol.apparatus import Apparatus
-from modaltouch.rig.acquisition import Acquisition, Recording
 from modaltouch.rig.interface import RigError
+from modaltouch.rig.scope import Acquisition, Recording
 from modaltouch.rig.simulator import Simulator
 
 PROTOCOLS = Path(__file__).parents[3] / "protocols"

@@ -11,8 +11,8 @@ import pytest
 
 from modaltouch.lab.laboratory import ATTEMPTS, Laboratory, MeasurementProgress
 from modaltouch.protocol.apparatus import Apparatus
-from modaltouch.rig.acquisition import Acquisition, Recording
 from modaltouch.rig.interface import Firing, RigError, StimulusLost
+from modaltouch.rig.scope import Acquisition, Recording
 
 APPARATUS = Apparatus.read(Path(__file__).parents[3] / "protocols" / "apparatus" / "beam_100x6x2.yaml")
 SOUND = Firing((1.0, 1.0), (1.0, 1.0), 0.0, 0.001, started=True, confirmed=True)

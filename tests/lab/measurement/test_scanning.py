@@ -17,9 +17,9 @@ from modaltouch.lab.scan import ScanPlan, position_file, read_scan, take_scan
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.source import Source
 from modaltouch.record.chain import RecordError, RecordInputError
-from modaltouch.rig.acquisition import Acquisition
 from modaltouch.rig.afg3022b import AFG3022B
 from modaltouch.rig.interface import RigError
+from modaltouch.rig.scope import Acquisition
 from modaltouch.stimulus.burst import Burst
 
 APPARATUS = Path(__file__).parents[3] / "protocols" / "apparatus" / "beam_100x6x2.yaml"

@@ -9,7 +9,7 @@ import pytest
 
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.twin import TwinSection
-from modaltouch.rig.acquisition import Acquisition
+from modaltouch.rig.scope import Acquisition
 from modaltouch.rig.simulator.scope import SimulatedScope
 from modaltouch.rig.simulator.timeline import Delays, Playback, Timeline
 from modaltouch.rig.simulator.twin import PLAYS, Twin, lagging

@@ -12,10 +12,10 @@ from scipy.stats import norm
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.fingers import FingerSection
 from modaltouch.protocol.twin import ScopeSection, TrueAmplifier, Vibrometer
-from modaltouch.rig.acquisition import Acquisition, Recording
 from modaltouch.rig.afg3022b import AFG3022B
 from modaltouch.rig.generator import Generator
 from modaltouch.rig.interface import RigError
+from modaltouch.rig.scope import Acquisition, Recording
 from modaltouch.rig.simulator import Simulator
 from modaltouch.rig.simulator.scope import _moved, normal_quantiles
 from modaltouch.rig.simulator.timeline import Playback

@@ -9,9 +9,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from modaltouch.rig.acquisition import Acquisition, Inputs, Recording
 from modaltouch.rig.interface import RigError
-from modaltouch.rig.scope import Scope
+from modaltouch.rig.scope import Acquisition, Recording, Scope
 from modaltouch.rig.simulator.motion import AT_ONCE, Motion
 from modaltouch.rig.simulator.timeline import Playback, Timeline
 from modaltouch.rig.simulator.true_beam import FloatArray
@@ -63,16 +62,11 @@ class SimulatedScope(Scope):
         touched: Callable[[], Sequence[Finger]],
         timeline: Timeline,
     ) -> None:
+        super().__init__(twin.apparatus)
         self._twin = twin
         self._playing = playing
         self._touched = touched
         self._timeline = timeline
-        knobs = twin.apparatus.acquisition
-        self._inputs = Inputs(
-            sensitivity=knobs.sensitivity_mm_s_per_V * 1e-3,
-            highest_velocity=knobs.range_mm_s * 1e-3,
-            attenuation=knobs.probe_attenuation,
-        )
         # A separate random stream, so that measurements do not change the beam.
         self._rng = np.random.Generator(np.random.SFC64([twin.seed, 1]))
         self._noise = np.empty(AT_ONCE)
