@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import threading
 from typing import Any
 
 import pytest
@@ -99,3 +100,17 @@ def test_absent_instrument_is_an_error(apparatus: Apparatus) -> None:
     """Nobody there: said as everywhere else."""
     with pytest.raises(RigError, match="no generator answers"):
         check_rig("TCPIP::127.0.0.1,1::inst0::INSTR", apparatus, patience=PATIENCE)
+
+
+def test_another_instrument_is_left_as_it_is(apparatus: Apparatus) -> None:
+    """Its outputs may drive another experiment: neither the check nor its watchdog switches them off."""
+    facts = apparatus.model_dump(mode="json")
+    facts["generator"]["model"] = "AFG3022C"
+    with Simulator(apparatus) as simulator:
+        simulator.front_panel("OUTP1 ON;:OUTP2 ON")
+        with pytest.raises(RigError, match="says it is .*; no output was switched on"):
+            check_rig(simulator.address, Apparatus.model_validate(facts), patience=PATIENCE)
+        for thread in threading.enumerate():
+            if thread.name == "watchdog-reaper":
+                thread.join()
+        assert simulator.outputs == (True, True)

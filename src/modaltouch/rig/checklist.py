@@ -278,8 +278,8 @@ def check_rig(
         log=lambda event, **facts: None,
         patience=patience or Patience(),
     )
+    connection.open()
     try:
-        connection.open()
         rows = [
             _ask(connection, number, question, partial(_trigger, scope=scope) if find is _trigger else find)
             for number, question, find in QUESTIONS

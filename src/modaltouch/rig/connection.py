@@ -126,11 +126,20 @@ class Connection:
     def open(self) -> None:
         """Open the connection, check the instrument's model, and set it to a known state, outputs off.
 
+        On any failure the watchdog is released: nothing was switched on, and another instrument is left as it is.
+
         Raises
         ------
         RigError
             If no such instrument responds, or it does not accept its settings.
         """
+        with contextlib.ExitStack() as unless_open:
+            unless_open.callback(self.guard.release, clean=True)
+            self._take_over()
+            unless_open.pop_all()
+
+    def _take_over(self) -> None:
+        """Open the connection, identify the instrument, and set it to a known state."""
         try:
             self.controls.open()
             self.identity = self.controls.ask("*IDN?")

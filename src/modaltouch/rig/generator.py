@@ -102,12 +102,7 @@ class Generator(contextlib.AbstractContextManager["Generator"]):
         )
         repetition = repetition or apparatus.generator.repeats
         self._player = Player(self._connection.controls, self._connection.limits, repetition, clock)
-        try:
-            self._connection.open()
-        except BaseException:
-            # No output was ever on, so the watchdog has nothing to switch off.
-            self._connection.guard.release(clean=True)
-            raise
+        self._connection.open()
         self.identity, self.address = self._connection.identity, address
         self._opened_in = time.perf_counter() - began
 
