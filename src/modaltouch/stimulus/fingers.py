@@ -18,13 +18,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.stimulus.burst import Timing
 from modaltouch.stimulus.quantities import ComplexArray, FloatArray, require_finite, require_positive
+from modaltouch.stimulus.shapes import gauss_legendre
 
 _NODES = 12
 """Quadrature points of a contact per tenth of the beam: exact for products of shapes with six sign changes there."""
@@ -139,22 +139,10 @@ class Finger:
     def _over_contact(self, shapes: Callable[[FloatArray], FloatArray], length: float) -> tuple[FloatArray, FloatArray]:
         left, right = max(self.position - self.width / 2, -length / 2), min(self.position + self.width / 2, length / 2)
         tenths = max(1, math.ceil(10 * (right - left) / length * (1 - 1e-9)))
-        nodes, weights = _gauss(_NODES * tenths)
+        nodes, weights = gauss_legendre(_NODES * tenths)
         values = shapes((left + right) / 2 + (right - left) / 2 * nodes)
         repeats = values.shape[1] // nodes.size
         return values, np.tile(weights, repeats) / (2 * repeats)
-
-
-@lru_cache(maxsize=16)
-def _gauss(n: int) -> tuple[FloatArray, FloatArray]:
-    """Return nodes and weights of the Gauss-Legendre rule, two (n,) arrays, after Golub and Welsch (1969).
-
-    NumPy's rule would import all its polynomials, which takes as long as the check of a finger.
-    """
-    order = np.arange(1, n)
-    beside = order / np.sqrt(4.0 * order**2 - 1)
-    nodes, vectors = np.linalg.eigh(np.diag(beside, 1) + np.diag(beside, -1))
-    return nodes, 2 * vectors[0] ** 2
 
 
 Uncoupled = tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from functools import cache
+from functools import cache, lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -153,6 +153,18 @@ def scaled_position(position: ArrayLike, length: float) -> FloatArray:
             f"measure from mid-beam"
         )
     return np.asarray(np.clip(y, -0.5, 0.5))
+
+
+@lru_cache(maxsize=16)
+def gauss_legendre(n: int) -> tuple[FloatArray, FloatArray]:
+    """Return nodes and weights of the Gauss-Legendre rule, two (n,) arrays, after Golub and Welsch (1969).
+
+    NumPy's rule would import all its polynomials, which takes longer than designing the whole stimulus.
+    """
+    order = np.arange(1, n)
+    beside = order / np.sqrt(4.0 * order**2 - 1)
+    nodes, vectors = np.linalg.eigh(np.diag(beside, 1) + np.diag(beside, -1))
+    return nodes, 2 * vectors[0] ** 2
 
 
 def _bending(labels: list[int], y: FloatArray, derivative: int) -> FloatArray:

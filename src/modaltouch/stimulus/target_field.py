@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Literal, get_args
 
 import numpy as np
@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.quantities import FloatArray, require_finite, require_positive
-from modaltouch.stimulus.shapes import mode_shapes
+from modaltouch.stimulus.shapes import gauss_legendre, mode_shapes
 
 Shape = Literal["triangle", "box", "half_cosine", "raised_cosine", "gaussian", "sampled"]
 
@@ -143,23 +143,13 @@ class TargetField:
         return [-half, *sorted({x for x in inner if -half < x < half}), half]
 
 
-@lru_cache(maxsize=1)
-def _gauss_rule() -> tuple[FloatArray, FloatArray]:
-    # From the eigenvalues of the Jacobi matrix (Golub and Welsch), since importing numpy.polynomial takes longer than
-    # designing the whole stimulus.
-    k = np.arange(1, _NODES)
-    beside = k / np.sqrt(4.0 * k**2 - 1)
-    node, vector = np.linalg.eigh(np.diag(beside, 1) + np.diag(beside, -1))
-    return node, 2 * vector[0] ** 2
-
-
 def quadrature(edges: list[float], phase_rate: float) -> tuple[FloatArray, FloatArray]:
     """Return nodes and weights [m] that integrate products of smooth pieces and mode shapes to rounding accuracy.
 
     The pieces are separated by `edges`, increasing [m]; `phase_rate` is the highest wave number of the integrand
     [rad/m].
     """
-    node, weight = _gauss_rule()
+    node, weight = gauss_legendre(_NODES)
     borders: list[float] = []
     for left, right in zip(edges[:-1], edges[1:], strict=True):
         n_panels = max(1, math.ceil((right - left) * phase_rate / _PHASE_PER_PANEL))
@@ -215,20 +205,23 @@ class Projection:
                 f"only: decompose on at least {max(self.model.label)}"
             )
 
-    @cached_property
-    def _nodes(self) -> tuple[FloatArray, FloatArray]:
-        phase_rate = (self.target_field.n_decomposed + 1) * 2 * np.pi / self.model.length
+    def _nodes(self, highest: int) -> tuple[FloatArray, FloatArray]:
+        """Return nodes and weights that integrate the field times modes up to a label."""
+        phase_rate = (highest + 1) * 2 * np.pi / self.model.length
         return quadrature(self.target_field.edges(self.model.length), phase_rate)
+
+    def _coefficients(self, highest: int, shapes: Callable[[FloatArray], FloatArray]) -> FloatArray:
+        """Return the coefficients of the field at unit velocity on orthogonal modes up to a label."""
+        position, weight = self._nodes(highest)
+        profile = self.target_field.profile(position)
+        alive = profile != 0
+        return np.asarray(shapes(position[alive]) @ (weight * profile)[alive] / self.model.length)
 
     @cached_property
     def decomposition(self) -> FloatArray:
         """Coefficients of the target field at unit velocity on modes 1 to `n_decomposed`, (n_decomposed,) array [1]."""
-        position, weight = self._nodes
-        profile = self.target_field.profile(position)
-        alive = profile != 0
-        labels = np.arange(1, self.target_field.n_decomposed + 1)
-        shapes = mode_shapes(labels, position[alive], self.model.length)
-        return np.asarray(shapes @ (weight * profile)[alive] / self.model.length)
+        n = self.target_field.n_decomposed
+        return self._coefficients(n, lambda position: mode_shapes(np.arange(1, n + 1), position, self.model.length))
 
     @cached_property
     def coefficient(self) -> FloatArray:
@@ -236,16 +229,12 @@ class Projection:
         if self.model.basis is not None:
             # With few scan points a sum would be off by a quarter; least squares is not.
             return self.model.basis.project(self.target_field.profile(self.model.basis.position))
-        phase_rate = (max(self.model.label) + 1) * 2 * np.pi / self.model.length
-        position, weight = quadrature(self.target_field.edges(self.model.length), phase_rate)
-        profile = self.target_field.profile(position)
-        if self.model.beam is not None:
-            # With rotary inertia, the deflections alone are not quite orthogonal.
-            shapes = self.model.shapes(position)
-            return np.asarray(np.linalg.solve((shapes * weight) @ shapes.T, shapes @ (weight * profile)))
-        alive = profile != 0
-        shapes = self.model.shapes(position[alive])
-        return np.asarray(shapes @ (weight * profile)[alive] / self.model.length)
+        if self.model.beam is None:
+            return self._coefficients(max(self.model.label), self.model.shapes)
+        # With rotary inertia, the deflections alone are not quite orthogonal.
+        position, weight = self._nodes(max(self.model.label))
+        shapes, profile = self.model.shapes(position), self.target_field.profile(position)
+        return np.asarray(np.linalg.solve((shapes * weight) @ shapes.T, shapes @ (weight * profile)))
 
     @cached_property
     def selected(self) -> tuple[int, ...]:
@@ -305,7 +294,7 @@ class Projection:
     @cached_property
     def reconstruction_error(self) -> float:
         """Ratio of the root mean squares of the residual and of the target field [1]."""
-        position, weight = self._nodes
+        position, weight = self._nodes(self.target_field.n_decomposed)
         ideal = self.target_field.velocity * self.target_field.profile(position)
         return math.sqrt(float(weight @ self.residual(position) ** 2) / float(weight @ ideal**2))
 
