@@ -136,16 +136,8 @@ class Generator(contextlib.AbstractContextManager["Generator"]):
         RigError
             If the instrument does not confirm the upload; the outputs are off.
         """
-        bursts = (burst, *further)
-        n_channels = len(self._connection.instrument.channels)
-        odd = next((each for each in bursts if each.codes.shape[0] != n_channels), None)
-        if odd is not None:
-            raise RigError(
-                f"the burst has {odd.codes.shape[0]} channels: the generator has {n_channels}; the "
-                "outputs are off; give each output an actuator set in the apparatus file"
-            )
         self.stop()
-        self._player.take(bursts, repetition)
+        self._player.take((burst, *further), repetition)
         self._bring(self._player.replay)
 
     def fire(

@@ -90,8 +90,8 @@ class Player:
         Raises
         ------
         RigError
-            If a burst does not begin and end at rest, has more records than the instrument has memories, or is to be
-            repeated by a timer that the instrument lacks.
+            If a burst has other channels than the instrument, does not begin and end at rest, has more records than
+            there are memories, or is to be repeated by a timer that the instrument lacks.
         """
         self._bursts, self._settings, self._levels = (), (), ()
         self.repetition = repetition or self._usual
@@ -100,7 +100,13 @@ class Player:
                 f"the repetition `timer` was asked for, but a {self._instrument.models[0]} has no timer that its "
                 "channels share; the outputs are off; write generator.repetition: single"
             )
+        n_channels = len(self._instrument.channels)
         for burst in bursts:
+            if len(burst.codes) != n_channels:
+                raise RigError(
+                    f"the burst has {len(burst.codes)} channels: the generator has {n_channels}; the outputs are off; "
+                    "give each output an actuator set in the apparatus file"
+                )
             _refuse_steps(burst)
         n_records, n_memories = max(map(self._n_records, bursts), default=0), self._instrument.records.n_memories
         if n_records > n_memories:
