@@ -93,11 +93,11 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
 @contextmanager
 def _blank(*kinds: str) -> Iterator[None]:
     """Make every figure, and leave its files of some kinds undrawn: drawing takes longer than most analyses."""
-    from modaltouch.report import style
+    from modaltouch.report import page
 
-    render = style.render
+    render = page.render
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(style, "render", lambda figure, kind: b"<svg/>" if kind in kinds else render(figure, kind))
+        patch.setattr(page, "render", lambda figure, kind: b"<svg/>" if kind in kinds else render(figure, kind))
         yield
 
 

@@ -9,7 +9,7 @@ import modaltouch
 from generator.field import typical_finger
 from generator.pages import write
 from modaltouch.report import CONDITION_COLOURS, FAINT, PAIR_COLOURS, house_style, quiet_grid
-from modaltouch.report.style import render
+from modaltouch.report.page import render
 
 PLACE = np.linspace(-50, 50, 401)
 """Along the beam [mm]."""

@@ -13,7 +13,7 @@ from generator.runs import COHORT, protocols, run_all
 from generator.screens import png, screens
 from modaltouch.protocol import Schedule
 from modaltouch.report import CONDITION_COLOURS, PAIR_COLOURS, house_style, quiet_grid
-from modaltouch.report.style import render
+from modaltouch.report.page import render
 
 ROOT = Path(__file__).parents[2]
 PARTICIPANT, SEED = "p01", 1

@@ -14,7 +14,7 @@ from modaltouch.analysis.figures import draw_counts
 from modaltouch.analysis.report import NOTHING, OTHER_COLOURS, TIED, ZONE_COLOURS, participant_strips
 from modaltouch.analysis.tables import zone_table
 from modaltouch.protocol import AnswerList
-from modaltouch.report.style import FAINT, INK, PAIR_COLOURS, render
+from modaltouch.report.page import FAINT, INK, PAIR_COLOURS, render
 
 
 def bars(figure):

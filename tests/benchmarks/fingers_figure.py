@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from modaltouch.report.style import FAINT, INK, house_style
+from modaltouch.report.page import FAINT, INK, house_style
 from modaltouch.stimulus import Finger, ModalModel, Stimulus
 
 COLOURS = {"free": "#c2541b", "typical": "#5bb8e8", "known": "#0b3c8c"}

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
-from modaltouch.report.style import INK, house_style
+from modaltouch.report.page import INK, house_style
 
 SIZES = {12_500: 18, 25_000: 36, 62_500: 64, 125_000: 110}
 """Area of the mark of each number of samples [pt^2]."""

@@ -9,7 +9,7 @@ from modaltouch.analysis.counts import AnswerCounts, count_answers
 from modaltouch.analysis.figures import draw_counts
 from modaltouch.analysis.means import BoundedMean
 from modaltouch.analysis.tables import figure_names, zone_table
-from modaltouch.report.style import PAIR_COLOURS
+from modaltouch.report.page import PAIR_COLOURS
 
 
 @pytest.fixture

@@ -13,22 +13,25 @@ from modaltouch.system import lazily
 
 if TYPE_CHECKING:
     from modaltouch.report.output import refuse_other, write_files
-    from modaltouch.report.page import ReportFigure, format_number, page_files, render_page
-    from modaltouch.report.style import (
+    from modaltouch.report.page import (
         CONDITION_COLOURS,
         FAINT,
         INK,
         PAIR_COLOURS,
+        ReportFigure,
+        format_number,
         house_style,
+        page_files,
         quiet_grid,
+        render_page,
     )
 else:
     __getattr__ = lazily(
         __name__,
         {
             "output": "refuse_other write_files",
-            "page": "ReportFigure page_files render_page format_number",
-            "style": "CONDITION_COLOURS FAINT INK PAIR_COLOURS house_style quiet_grid",
+            "page": "CONDITION_COLOURS FAINT INK PAIR_COLOURS ReportFigure format_number house_style page_files "
+            "quiet_grid render_page",
         },
     )
 

@@ -87,7 +87,7 @@ def write_files(
 def _drawn(figures: Mapping[str, Figure]) -> dict[str, bytes]:
     if not figures:
         return {}
-    from modaltouch.report.style import figure_files
+    from modaltouch.report.page import figure_files
 
     return figure_files(figures)
 
