@@ -104,15 +104,13 @@ class Simulator(AbstractContextManager["Simulator"]):
         self._touched: dict[str, Finger] = {}
         self._played: PlayedLog | None = None
         self._followed: FollowedSession | None = None
-        if follow is not None:
-            from modaltouch.rig.simulator.session_files import FollowedSession
+        if follow is not None or played is not None:
+            from modaltouch.rig.simulator.session_files import FollowedSession, PlayedLog
 
-            self._followed = FollowedSession(follow, apparatus)
-        if played is not None:
-            from modaltouch.rig.simulator.session_files import PlayedLog
-
-            self._played = PlayedLog(played, self.twin, self.afg.settle, lambda: self.touched)
-            self.afg.timeline.on_burst = self._played.take
+            self._followed = None if follow is None else FollowedSession(follow, apparatus)
+            if played is not None:
+                self._played = PlayedLog(played, self.twin, self.afg.settle, lambda: self.touched)
+                self.afg.timeline.on_burst = self._played.take
         self._instrument = SimulatedInstrument(self.afg, table, self.faults)
         self._port = port
         self._sends = sends

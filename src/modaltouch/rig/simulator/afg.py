@@ -253,13 +253,8 @@ def _waveform(afg: Afg) -> dict[str, Command]:
             )(number, arguments),
         ),
         "[SOURce#]:FREQuency:CONCurrent[:STATe]": common.switch(afg, "frequency_concurrent"),
-        "[SOURce#]:PHASe[:ADJust]": Command(
-            set=lambda n, a: setattr(
-                afg.channels[n],
-                "phase",
-                quantity(a, {"RAD": 1.0, "DEG": math.pi / 180}, -math.pi, math.pi, 0.0),
-            ),
-            get=common.get_number(afg, "phase", -math.pi, math.pi, "{:.4E}"),
+        "[SOURce#]:PHASe[:ADJust]": common.number(
+            afg, "phase", {"RAD": 1.0, "DEG": math.pi / 180}, -math.pi, math.pi, "{:.4E}", 0.0
         ),
         "[SOURce#]:PHASe:INITiate": Command(set=bare(lambda _: afg.align())),
     }
@@ -313,7 +308,7 @@ def _levels(afg: Afg) -> dict[str, Command]:
             afg, "load", {"OHM": 1.0}, 1, 10e3, "{:.4E}", common.SOURCE_IMPEDANCE, endless=True
         ),
         "OUTPut#:POLarity": common.keyword(afg, "polarity", ("NORMal", "INVerted")),
-        "OUTPut#[:STATe]": common.on(afg, "output"),
+        "OUTPut#[:STATe]": common.switch(afg, "output"),
     }
 
 
@@ -334,13 +329,13 @@ def _triggers(afg: Afg) -> dict[str, Command]:
         "[SOURce#]:BURSt:MODE": common.keyword(afg, "burst_mode", ("TRIGgered", "GATed")),
         "[SOURce#]:BURSt:NCYCles": common.number(afg, "n_cycles", {}, 1, 1e6, "{:.4E}", 5.0, endless=True),
         "[SOURce#]:BURSt:TDELay": common.number(afg, "delay", {"S": 1.0}, 0, 85, "{:.4E}", 0.0),
-        "TRIGger[:SEQuence]:SOURce": common.choice(afg, "trigger_source", ("TIMer", "EXTernal")),
+        "TRIGger[:SEQuence]:SOURce": common.keyword(afg, "trigger_source", ("TIMer", "EXTernal")),
         "TRIGger[:SEQuence]:TIMer": Command(
             set=timer, get=lambda c, a: f"{asked(a, afg.timer, 1e-6, 500):.{afg.behaviour.timer_digits - 1}E}"
         ),
         "TRIGger[:SEQuence][:IMMediate]": Command(set=bare(lambda _: afg.trigger())),
-        "SOURce:ROSCillator:SOURce": common.choice(afg, "clock_source", ("INTernal", "EXTernal")),
-        "OUTPut:TRIGger:MODE": common.choice(afg, "trigger_output", ("TRIGger", "SYNC")),
+        "SOURce:ROSCillator:SOURce": common.keyword(afg, "clock_source", ("INTernal", "EXTernal")),
+        "OUTPut:TRIGger:MODE": common.keyword(afg, "trigger_output", ("TRIGger", "SYNC")),
     }
 
 

@@ -370,31 +370,24 @@ def number(
     return Command(set=change, get=get_number(state, name, low, high, form))
 
 
-def on(state: State, name: str) -> Command:
-    """Return the command for a boolean setting of a channel."""
+def _holder(state: State, name: str) -> Callable[[int], Any]:
+    """Return a function that gives the holder of a setting for a channel number: the instrument, or that channel."""
+    return (lambda _: state) if hasattr(state, name) else (lambda number: state.channels[number])
+
+
+def switch(state: State, name: str) -> Command:
+    """Return the command for a boolean setting of a channel or of the instrument."""
+    holder = _holder(state, name)
     return Command(
-        set=lambda n, a: setattr(state.channels[n], name, read_boolean(one(a))),
-        get=get_of(state, lambda channel: flag(getattr(channel, name))),
+        set=lambda n, a: setattr(holder(n), name, read_boolean(one(a))),
+        get=bare(lambda n: flag(getattr(holder(n), name))),
     )
 
 
 def keyword(state: State, name: str, choices: tuple[str, ...]) -> Command:
-    """Return the command for a keyword setting of a channel."""
+    """Return the command for a keyword setting of a channel or of the instrument."""
+    holder = _holder(state, name)
     return Command(
-        set=lambda n, a: setattr(state.channels[n], name, read_choice(one(a), choices)),
-        get=get_of(state, lambda channel: str(getattr(channel, name))),
-    )
-
-
-def choice(state: State, name: str, choices: tuple[str, ...]) -> Command:
-    """Return the command for a keyword setting of the instrument."""
-    return Command(
-        set=lambda n, a: setattr(state, name, read_choice(one(a), choices)), get=bare(lambda _: getattr(state, name))
-    )
-
-
-def switch(state: State, name: str) -> Command:
-    """Return the command for a boolean setting of the instrument."""
-    return Command(
-        set=lambda n, a: setattr(state, name, read_boolean(one(a))), get=bare(lambda _: flag(getattr(state, name)))
+        set=lambda n, a: setattr(holder(n), name, read_choice(one(a), choices)),
+        get=bare(lambda n: str(getattr(holder(n), name))),
     )

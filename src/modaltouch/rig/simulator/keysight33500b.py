@@ -251,7 +251,7 @@ def _data(state: Trueform) -> dict[str, Command]:
         "MMEMory:STORe:DATA#": Command(set=store),
         "MMEMory:UPLoad": Command(get=upload),
         "MMEMory:DELete": Command(set=lambda n, a: state.files.pop(str(one(a)).upper(), None) and None),
-        "FORMat:BORDer": common.choice(state, "byte_order", ("NORMal", "SWAPped")),
+        "FORMat:BORDer": common.keyword(state, "byte_order", ("NORMal", "SWAPped")),
     }
 
 
@@ -284,7 +284,7 @@ def _levels(state: Trueform) -> dict[str, Command]:
             set=lambda n, a: state.change(n, limited=scpi.read_boolean(one(a))),
             get=common.get_of(state, lambda channel: scpi.flag(channel.limited)),
         ),
-        "OUTPut#": common.on(state, "output"),
+        "OUTPut#": common.switch(state, "output"),
         "OUTPut#:LOAD": common.number(state, "load", {"OHM": 1.0}, 1, 10e3, NUMBER, SOURCE_IMPEDANCE, endless=True),
         "OUTPut#:POLarity": common.keyword(state, "polarity", ("NORMal", "INVerted")),
     }
@@ -292,7 +292,7 @@ def _levels(state: Trueform) -> dict[str, Command]:
 
 def _triggers(state: Trueform) -> dict[str, Command]:
     return {
-        "[SOURce#]:BURSt:STATe": common.on(state, "burst"),
+        "[SOURce#]:BURSt:STATe": common.switch(state, "burst"),
         "[SOURce#]:BURSt:MODE": common.keyword(state, "burst_mode", ("TRIGgered", "GATed")),
         "[SOURce#]:BURSt:NCYCles": common.number(state, "n_cycles", {}, 1, 1e8, NUMBER, endless=True),
         "[SOURce#]:BURSt:PHASe": common.number(state, "burst_phase", {"DEG": 1.0}, -360, 360, NUMBER),
