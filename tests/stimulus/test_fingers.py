@@ -656,9 +656,9 @@ def test_a_contact_of_any_width_is_averaged(uneven_beam, width):
 @pytest.mark.parametrize(
     ("values", "said"),
     [
-        ({"mass": -1e-4}, r"the mass of a finger is -0\.0001 kg; it must be 0 or above"),
-        ({"damping": -1.0}, r"the damping of a finger is -1\.0 N s/m; it must be 0 or above"),
-        ({"stiffness": -1.0}, r"the stiffness of a finger is -1\.0 N/m; it must be 0 or above"),
+        ({"mass": -1e-4}, r"the mass of a finger is -0\.0001 kg; it must be 0 kg or above"),
+        ({"damping": -1.0}, r"the damping of a finger is -1\.0 N s/m; it must be 0 N s/m or above"),
+        ({"stiffness": -1.0}, r"the stiffness of a finger is -1\.0 N/m; it must be 0 N/m or above"),
         ({"mass": float("nan")}, "the mass of a finger is nan"),
         ({"damping": float("inf")}, "the damping of a finger is inf"),
         ({"stiffness": float("nan")}, "the stiffness of a finger is nan"),
@@ -670,6 +670,8 @@ def test_a_contact_of_any_width_is_averaged(uneven_beam, width):
         ({"maxwell": ((900.0, float("nan")),)}, "the relaxation time of a Maxwell term is nan"),
         ({"second_mass": (0.0, 900.0, 0.5)}, "the second mass of a finger is 0"),
         ({"second_mass": (1e-3, 0.0, 0.5)}, "the stiffness before a second mass is 0"),
+        ({"second_mass": (1e-3, 900.0, -0.5)}, "the damping of a second mass is -0.5 N s/m; it must be 0 N s/m or"),
+        ({"second_mass": (1e-3, 900.0, float("nan"))}, "the damping of a second mass is nan"),
     ],
 )
 def test_what_is_no_finger_is_refused(values, said):

@@ -53,5 +53,5 @@ def test_no_count_undercuts_the_highest_mode(shipped):
 
 def test_tolerance_of_nothing_is_refused(shipped):
     """A tolerance is above zero."""
-    with pytest.raises(ValueError, match=r"tolerance on the field is 0\.0"):
+    with pytest.raises(ValueError, match=r"tolerance on the field is 0\.0; it must be a finite number above 0: 1e-3"):
         cheapest_samples(shipped, 0.0, PLACES)

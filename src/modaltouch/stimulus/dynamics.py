@@ -16,7 +16,6 @@ this factor in d becomes further inputs, the steps times powers of d. A few term
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -26,7 +25,7 @@ from numpy.typing import NDArray
 
 from modaltouch.stimulus.burst import Timing
 from modaltouch.stimulus.modes import ModalModel
-from modaltouch.stimulus.quantities import ComplexArray, FloatArray, require_positive
+from modaltouch.stimulus.quantities import ComplexArray, FloatArray, require_not_negative, require_positive
 from modaltouch.stimulus.synthesis import BLOCK, CHUNK, decay, exponential_tables
 
 if TYPE_CHECKING:
@@ -63,8 +62,7 @@ class Amplifier:
         require_positive("the limit of the amplifier", self.limit, "V", "read it off its data sheet")
         if self.bandwidth is not None:
             require_positive("the bandwidth of the amplifier", self.bandwidth, "Hz", "give none if unknown")
-        if not (math.isfinite(self.delay) and self.delay >= 0):
-            raise ValueError(f"the delay of the amplifier is {self.delay} s; it must be 0 s or above: measure it")
+        require_not_negative("the delay of the amplifier", self.delay, "s", "measure it")
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,12 +22,26 @@ def require_positive(name: str, value: float, unit: str, remedy: str) -> None:
     ValueError
         If the value is not finite, not above zero, or not between 1 / `EXTREME` and `EXTREME`.
     """
+    unit = f" {unit}" if unit else ""
     if not (math.isfinite(value) and value > 0):
-        raise ValueError(f"{name} is {value} {unit}; it must be a finite number above 0 {unit}: {remedy}")
+        raise ValueError(f"{name} is {value}{unit}; it must be a finite number above 0{unit}: {remedy}")
     if not 1 / EXTREME <= value <= EXTREME:
         raise ValueError(
-            f"{name} is {value} {unit}; it must lie between {1 / EXTREME:g} and {EXTREME:g} {unit}: {remedy}"
+            f"{name} is {value}{unit}; it must lie between {1 / EXTREME:g} and {EXTREME:g}{unit}: {remedy}"
         )
+
+
+def require_not_negative(name: str, value: float, unit: str, remedy: str) -> None:
+    """Reject a quantity that is not a finite number from 0.
+
+    Raises
+    ------
+    ValueError
+        If the value is not finite, or below zero.
+    """
+    unit = f" {unit}" if unit else ""
+    if not (math.isfinite(value) and value >= 0):
+        raise ValueError(f"{name} is {value}{unit}; it must be 0{unit} or above: {remedy}")
 
 
 def require_finite(name: str, value: float, unit: str, remedy: str) -> None:

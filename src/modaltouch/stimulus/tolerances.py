@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from modaltouch.stimulus.dynamics import DiagonalSystem
 from modaltouch.stimulus.modes import ModalModel
-from modaltouch.stimulus.quantities import FloatArray, require_positive
+from modaltouch.stimulus.quantities import FloatArray, require_not_negative, require_positive
 from modaltouch.stimulus.stimulus import Stimulus
 from modaltouch.stimulus.vibration import history
 
@@ -156,8 +156,7 @@ def scatter(
     if n_draws < 2:
         raise ValueError(f"{n_draws} beams are drawn; a scatter needs at least 2: draw 200")
     for name, value in (("frequency", natural_frequency), ("damping", damping_ratio), ("gain", modal_gain)):
-        if not value >= 0:
-            raise ValueError(f"the relative deviation of the {name} is {value}; it must be 0 or above")
+        require_not_negative(f"the relative deviation of the {name}", value, "", "give the spread of the beams")
     rng = np.random.default_rng(seed)
     model = stimulus.model
     shapes = model.shapes(positions)
