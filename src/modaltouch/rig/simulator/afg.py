@@ -7,6 +7,7 @@ import re
 from collections import ChainMap
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ import numpy as np
 from modaltouch.rig.simulator import common
 from modaltouch.rig.simulator.common import Behaviour, GeneratorState, OutputChannel, bare, get_of
 from modaltouch.rig.simulator.scpi import (
+    PERCENT,
     Argument,
     Arguments,
     Command,
@@ -216,13 +218,7 @@ def afg_twin(model: str, behaviour: Behaviour | None, **hardware: Any) -> tuple[
     # Trigger commands change no setting and must not be delayed.
     forced = ("*TRG", "TRIGger[:SEQuence][:IMMediate]")
     commands = common.noticed(afg, ChainMap(*(group(afg) for group in groups)), forced)
-    return afg, CommandTable(commands, afg.n_channels, further=_further)
-
-
-def _further() -> dict[str, Command]:
-    from modaltouch.rig.simulator.defaults import AFG3000, not_simulated
-
-    return not_simulated(AFG3000, "{:.4E}")
+    return afg, CommandTable(commands, afg.n_channels, further=partial(common.further_commands, "AFG3000", "{:.4E}"))
 
 
 def _waveform(afg: Afg) -> dict[str, Command]:
@@ -244,8 +240,8 @@ def _waveform(afg: Afg) -> dict[str, Command]:
 
     return {
         "[SOURce#]:FUNCtion[:SHAPe]": Command(set=shape, get=get_of(afg, lambda channel: channel.function)),
-        "[SOURce#]:FUNCtion:RAMP:SYMMetry": common.number(afg, "symmetry", common.PERCENT, 0, 100, "{:.4E}", 50.0),
-        "[SOURce#]:PULSe:DCYCle": common.number(afg, "duty_cycle", common.PERCENT, 0.001, 99.999, "{:.4E}", 50.0),
+        "[SOURce#]:FUNCtion:RAMP:SYMMetry": common.number(afg, "symmetry", PERCENT, 0, 100, "{:.4E}", 50.0),
+        "[SOURce#]:PULSe:DCYCle": common.number(afg, "duty_cycle", PERCENT, 0.001, 99.999, "{:.4E}", 50.0),
         "[SOURce#]:FREQuency[:CW|FIXed]": Command(
             set=frequency,
             get=lambda number, arguments: common.get_number(

@@ -261,9 +261,6 @@ class GeneratorState(ABC, Generic[C]):
 
 State = GeneratorState[Any]
 
-PERCENT, SECONDS, HERTZ = {"PCT": 1.0}, {"S": 1.0}, {"HZ": 1.0}
-"""Units of settings."""
-
 
 def noticed(state: State, commands: Mapping[str, Command], forced: tuple[str, ...]) -> dict[str, Command]:
     """Wrap commands so that a change of settings truncates a running burst; those in `forced` are unchanged."""
@@ -313,6 +310,13 @@ def common_commands(state: State) -> dict[str, Command]:
         "SYSTem:ERRor[:NEXT]": Command(get=bare(lambda _: state.next_error())),
         "SYSTem:VERSion": Command(get=bare(lambda _: "1999.0")),
     }
+
+
+def further_commands(series: str, form: str) -> dict[str, Command]:
+    """Return the commands of settings that are not simulated; their table is loaded only when one is used."""
+    from modaltouch.rig.simulator import defaults
+
+    return defaults.not_simulated(getattr(defaults, series), form)
 
 
 def _register(state: State, name: str) -> Command:

@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from modaltouch.rig.simulator.common import HERTZ, PERCENT, SECONDS
 from modaltouch.rig.simulator.scpi import (
+    HERTZ,
+    PERCENT,
+    SECONDS,
     Arguments,
     Command,
     ScpiError,

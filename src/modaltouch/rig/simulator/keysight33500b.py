@@ -1,9 +1,8 @@
 """A simulated Keysight 33522B (or 33512B), after its operating and service guide: state and SCPI commands.
 
-An amplitude is that of the record, from its lowest to its highest code, as implied by the guide's figure for "Sinc"
-and measured by users of the series. Not modelled: filters (a record not played with FILTer OFF moves nothing),
-modulation, sweeps, sequences, pulses and ramps, amplitudes in VRMS and DBM, triggering one of two channels in burst
-mode.
+An amplitude is that of the record, from its lowest to its highest code, as implied by the guide's figure for "Sinc" and
+measured by users. Not modelled: filters (a record not played with FILTer OFF moves nothing), modulation, sweeps,
+sequences, pulses and ramps, amplitudes in VRMS and DBM, triggering one of two channels in burst mode.
 """
 
 from __future__ import annotations
@@ -12,6 +11,7 @@ import math
 import re
 from collections import ChainMap
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -81,11 +81,8 @@ class TrueformChannel(OutputChannel):
         """Highest amplitude within the enabled voltage limits, or otherwise within the range of an output [V]."""
         edges = (self.limit_low, self.limit_high) if self.limited else (-HIGHEST / 2, HIGHEST / 2)
         sides = zip((-1, 1), edges, self.ends, strict=True)
-        return (
-            min(((edge - self.offset) / end for side, edge, end in sides if side * end > 0), default=1.0)
-            * 2
-            * self.span
-        )
+        shares = [(edge - self.offset) / end for side, edge, end in sides if side * end > 0]
+        return min(shares, default=1.0) * 2 * self.span
 
 
 @dataclass
@@ -196,13 +193,8 @@ def keysight_twin(model: str, behaviour: Behaviour | None, **hardware: Any) -> t
     state.identity = f"Agilent Technologies,{model},SIMULATED,4.00-1.19-2.00-58-00"
     groups = ChainMap(*(group(state) for group in (common.common_commands, _waveform, _data, _levels, _triggers)))
     commands = common.noticed(state, groups, ("*TRG", "TRIGger#[:IMMediate]"))
-    return state, CommandTable(commands, state.n_channels, largest_reply=1 << 22, further=_further)
-
-
-def _further() -> dict[str, Command]:
-    from modaltouch.rig.simulator.defaults import KEYSIGHT_33500B, not_simulated
-
-    return not_simulated(KEYSIGHT_33500B, NUMBER)
+    further = partial(common.further_commands, "KEYSIGHT_33500B", NUMBER)
+    return state, CommandTable(commands, state.n_channels, largest_reply=1 << 22, further=further)
 
 
 def _waveform(state: Trueform) -> dict[str, Command]:
