@@ -348,6 +348,14 @@ def test_a_followed_log_is_read_by_several_threads_at_once(apparatus: Apparatus,
             reader.join()
 
 
+def test_line_cut_by_a_crash_is_passed_over_in_a_followed_session(apparatus: Apparatus, tmp_path: Path) -> None:
+    """It stays in the log of a session that was resumed (`modaltouch.record.chain`); its trial is presented again."""
+    log = tmp_path / "session.jsonl"
+    placed = '{"event":"placement","zone_left":"A","zone_right":"C"}\n'
+    log.write_text(f'{placed}{{"event":"trial","answ\n{placed.replace("A", "B")}', encoding="utf-8")
+    assert list(FollowedSession(log, apparatus).fingers()) == ["B", "C"]
+
+
 def test_fingers_differ_between_the_placements_of_a_followed_session(apparatus: Apparatus, tmp_path: Path) -> None:
     """As the twin says they do, drawn from the session: none while hands are off, the same where it is read again."""
     spread = {"mass": 0.2, "damping": 0.2, "stiffness": 0.2, "offset_mm": 2.0}

@@ -163,7 +163,9 @@ class FollowedSession:
                 for line in (each for each in lines if each.endswith(b"\n")):
                     self._read += len(line)
                     if any(kind in line for kind in KINDS):
-                        self._take(json.loads(line))
+                        # A line cut by a crash stays in a resumed log.
+                        with contextlib.suppress(json.JSONDecodeError, UnicodeDecodeError):
+                            self._take(json.loads(line))
         return self._fingers
 
     def _take(self, event: dict[str, Any]) -> None:
