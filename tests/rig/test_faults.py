@@ -377,6 +377,19 @@ def test_unreadable_blocks_fall_back_to_spots(
     assert_plays(simulator, burst, (6.0, 4.0))
 
 
+def test_spots_are_those_of_the_memory_that_is_played(
+    simulator: Simulator, open_generator: Callable[..., Generator], burst: Burst
+) -> None:
+    """Where both copies back are lost, the edit memory still holds what was sent, whatever USER1 holds."""
+    at = int(burst.codes[0].argmax())
+    spoil = f"DATA:DATA:VAL EMEM,{at + 1},8191;:DATA:COPY USER1;:DATA:DATA:VAL EMEM,{at + 1},{burst.codes[0, at]}"
+    simulator.faults.inject("front_panel", when="COPY USER1,EMEM", value=spoil, times=2)
+    simulator.faults.inject("ignored_message", when="COPY EMEM,USER1", times=2)
+    rig = open_generator(patience=Patience(reply=0.2, copy=0.4, tries=2, pause=0.02))
+    with pytest.raises(RigError, match="USER1 does not hold the record that was sent, after two uploads"):
+        rig.load(burst)
+
+
 def test_record_that_stays_wrong_is_refused(
     simulator: Simulator, open_generator: Callable[..., Generator], burst: Burst
 ) -> None:

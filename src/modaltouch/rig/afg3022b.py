@@ -90,14 +90,16 @@ class EditMemory:
                 return self._read_back(controls, memory) == codes.astype(">u2").tobytes()
             except LinkError:
                 controls.revive()
-        return self._spots_agree(controls, codes)
+        return self._spots_agree(controls, memory, codes)
 
     def _read_back(self, controls: Controls, memory: str) -> bytes:
         _complete(controls, f"DATA:COPY EMEM,USER{memory}")
         return controls.ask_block("DATA:DATA? EMEM")
 
-    def _spots_agree(self, controls: Controls, codes: NDArray[np.uint16]) -> bool:
-        """Test whether the edit memory agrees with a record in length, largest points and evenly spaced points."""
+    def _spots_agree(self, controls: Controls, memory: str, codes: NDArray[np.uint16]) -> bool:
+        """Test whether a memory agrees with a record in length, largest points and evenly spaced points."""
+        # If the copies to be read back were lost, the edit memory would still hold what was sent.
+        _complete(controls, f"DATA:COPY EMEM,USER{memory}")
         controls.log("record_spot_check", n_spots=N_SPOTS, why="its blocks cannot be read back")
         if controls.ask("DATA:POIN? EMEM") != str(codes.size):
             return False
