@@ -193,14 +193,14 @@ class QuantisedStimulus:
         floor : float
             Smallest value returned; lower peaks are not resolved [m/s].
         """
-        from modaltouch.stimulus.lifted import FINE, LiftedBeam
+        from modaltouch.stimulus.lifted import FINE, peaks_when_lifted
 
         times = max(1, round(self.timing.hold / FINE))
         systems = self.system, left.system, DiagonalSystem.of(left.model)
         voltage = np.repeat(self.codes * unit[:, None], times, axis=1)
-        lifted = LiftedBeam(*systems, voltage, self.timing.hold / times)
         known = np.stack([each.peak_velocity(positions, unit) for each in (self, left)])
-        return lifted.peaks(left.model.shapes(positions), known, floor)
+        shapes = left.model.shapes(positions)
+        return peaks_when_lifted(systems, voltage, self.timing.hold / times, shapes, known, floor)
 
     def highest_contrast(self, focus: float, points: FloatArray, level: float) -> tuple[QuantisedStimulus, float]:
         """Return the beam under the drive of highest contrast, and the upper bound (see `contrast_drive`).
