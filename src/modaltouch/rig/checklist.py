@@ -240,11 +240,7 @@ QUESTIONS: tuple[tuple[int, str, Callable[[Connection], Finding]], ...] = (
 
 
 def check_rig(
-    address: str,
-    apparatus: Apparatus,
-    *,
-    patience: Patience | None = None,
-    scope: Scope | None = None,
+    address: str, apparatus: Apparatus, *, patience: Patience | None = None, scope: Scope | None = None
 ) -> list[dict[str, Any]]:
     """Answer the open questions about a generator listed in its `Instrument`.
 

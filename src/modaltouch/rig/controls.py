@@ -135,11 +135,7 @@ class Controls:
         return self._exchange(query, query.encode("ascii"), self._copy_timeout, read)
 
     def _exchange(
-        self,
-        shown: str,
-        message: bytes,
-        timeout: float | None,
-        read: Callable[[bytes, dict[str, str]], T] | None,
+        self, shown: str, message: bytes, timeout: float | None, read: Callable[[bytes, dict[str, str]], T] | None
     ) -> T:
         """Carry out and log an exchange within its timeout; a failure closes the session."""
         if not self._open:

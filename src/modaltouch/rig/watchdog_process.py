@@ -208,10 +208,7 @@ class WatchdogProcess:
 
         pacer = self._pacer = Pacer(order, trigger, lambda: self._clock.now() - self._heard, self._clock)
         self._pacing = threading.Thread(
-            target=pacer.run,
-            args=(lambda: answer(self._encoded_report()),),
-            daemon=True,
-            name="pacer",
+            target=pacer.run, args=(lambda: answer(self._encoded_report()),), daemon=True, name="pacer"
         )
         self._pacing.start()
 

@@ -87,10 +87,7 @@ class ModalModel:
         for name, values in (
             ("natural_frequency", self.natural_frequency),
             ("damping_ratio", self.damping_ratio),
-            (
-                "modal_gain",
-                self.modal_gain[:, :1].ravel() if self.modal_gain.ndim == 2 else self.modal_gain[:0],
-            ),
+            ("modal_gain", self.modal_gain[:, :1].ravel() if self.modal_gain.ndim == 2 else self.modal_gain[:0]),
         ):
             if values.shape != (n_modes,):
                 raise ValueError(

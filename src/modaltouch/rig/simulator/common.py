@@ -320,10 +320,7 @@ def further_commands(series: str, form: str) -> dict[str, Command]:
 
 
 def _register(state: State, name: str) -> Command:
-    return Command(
-        set=lambda c, a: setattr(state, name, whole(a, 0, 255)),
-        get=lambda c, a: str(getattr(state, name)),
-    )
+    return Command(set=lambda c, a: setattr(state, name, whole(a, 0, 255)), get=lambda c, a: str(getattr(state, name)))
 
 
 def bare(carry_out: Callable[[int], str | None]) -> Handler:

@@ -149,12 +149,7 @@ _MULTIPLIERS = {"G": 1e9, "MA": 1e6, "K": 1e3, "": 1.0, "M": 1e-3, "U": 1e-6, "N
 
 
 def read_number(
-    argument: Argument,
-    *,
-    units: Mapping[str, float],
-    minimum: float,
-    maximum: float,
-    default: float | None = None,
+    argument: Argument, *, units: Mapping[str, float], minimum: float, maximum: float, default: float | None = None
 ) -> float:
     """Convert a numeric argument to the unit with factor 1 in `units`.
 

@@ -145,10 +145,7 @@ class Links:
         self._procedures: dict[int, tuple[typing.Callable[[_Link, bytes], bytes | None], int]] = {
             _WRITE: (self._write, 4),
             _READ: (self._read, 8),
-            _READ_STATUS: (
-                lambda link, _: struct.pack(">I", device.afg.status_byte | (16 if link.leaving else 0)),
-                4,
-            ),
+            _READ_STATUS: (lambda link, _: struct.pack(">I", device.afg.status_byte | (16 if link.leaving else 0)), 4),
             _TRIGGER: (lambda link, _: device.trigger(0 if link.panel else link.number), 0),
             _CLEAR: (self._clear, 0),
             **dict.fromkeys((_REMOTE, _LOCAL, _ENABLE_SERVICE), (lambda link, _: None, 0)),
