@@ -228,17 +228,7 @@ class Player:
             self._controls.apply(self._let_go)
 
     def order(self, n_bursts: int, first: float, timeout: float) -> Order:
-        """Return the order for a pacer.
-
-        Parameters
-        ----------
-        n_bursts : int
-            Maximum number of bursts.
-        first : float
-            Due instant of the first burst [s].
-        timeout : float
-            Longest wait for the instrument to accept a trigger [s].
-        """
+        """Return the order for a pacer: the `first` burst due then, each to be accepted within `timeout` [s]."""
         return Order(self._trigger_command, n_bursts, first, self.period, self.duration, timeout)
 
     def set_levels(self, commanded: tuple[float, ...]) -> tuple[str, ...]:

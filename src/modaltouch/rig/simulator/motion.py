@@ -56,17 +56,7 @@ class StateHistory:
 
     @classmethod
     def of(cls, system: DiagonalSystem, held: Held, span: tuple[float, float]) -> Self:
-        """Return the states after many bursts.
-
-        Parameters
-        ----------
-        system : DiagonalSystem
-            The beam behind its amplifier.
-        held : Held
-            The bursts.
-        span : (float, float)
-            First and last instant that will be requested, from the first sample of a burst at the beam [s].
-        """
+        """Return the states after many bursts, for a span of instants since a first sample reached the beam [s]."""
         voltage, hold = refined(system, held)
         n_instants, end = voltage.shape[1], math.inf
         # Before a burst or after its period, another burst decays, which requires a whole burst.
@@ -215,13 +205,7 @@ class DriveVoltage:
         return cls(held, channel, pole, before + left * np.exp(-faded * np.arange(voltage.size)))
 
     def at(self, time: FloatArray) -> FloatArray:
-        """Return the voltage at instants [V].
-
-        Parameters
-        ----------
-        time : (n_times,) array
-            Instants, since the first sample of a burst reached the beam [s].
-        """
+        """Return the voltage at instants since the first sample reached the beam [s], (n_times,) array [V]."""
         since, hold, target = (
             self.held.within_period(time),
             self.held.hold,
@@ -240,16 +224,8 @@ def low_passed(
     """Return equations and output with a first-order low-pass, which adds one state for each channel.
 
     Beam and low-pass are linear, so their order is irrelevant: the low-pass is placed before the beam, like an
-    amplifier, so that the equations are the same for every output.
-
-    Parameters
-    ----------
-    system : DiagonalSystem
-        The equations.
-    output : (n_states,) complex array
-        Output row; the output is ``Re(output @ state)``.
-    bandwidth : float or None
-        Corner frequency of the low-pass [Hz]; None for no low-pass.
+    amplifier, so that the equations are the same for every output. `bandwidth` is its corner frequency [Hz]; None for
+    no low-pass.
     """
     if bandwidth is None:
         return system, output

@@ -249,17 +249,7 @@ class SimulatedScope(Scope):
         return np.take(table, drawn, out=self._noise[:n], mode="wrap")
 
     def _convert(self, values: FloatArray, per_volt: float, input_range: float) -> bool:
-        """Convert values in place like the converter; return whether the end of its range was reached.
-
-        Parameters
-        ----------
-        values : (n_samples,) array
-            Measured values.
-        per_volt : float
-            Measured value per volt at the input.
-        input_range : float
-            Largest voltage at the input [V].
-        """
+        """Convert values in place, with a value per volt and an input range [V]; return whether its end was reached."""
         scope = self._twin.apparatus.twin.scope
         highest = 2 ** (scope.bits - 1) - 1
         step = input_range / highest

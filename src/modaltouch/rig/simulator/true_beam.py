@@ -100,16 +100,8 @@ class TrueBeam:
     def equations(self, amplifier: Amplifier, touched: Sequence[Finger] = (), stretch: float = 1.0) -> DiagonalSystem:
         """Return the equations of the beam behind its amplifier, with fingers on it.
 
-        Fingers couple all modes, torsion included (see `modaltouch.stimulus.fingers`).
-
-        Parameters
-        ----------
-        amplifier : Amplifier
-            Pole and delay of the amplifier; the inputs of the equations are its output voltages without these.
-        touched : sequence of Finger
-            Fingers on the beam; none on a free beam.
-        stretch : float
-            Factor on every natural frequency [1].
+        Fingers couple all modes, torsion included (see `modaltouch.stimulus.fingers`). The inputs are the amplifier's
+        output voltages without its pole and delay; `stretch` is a factor on every natural frequency [1].
         """
         loads = [(finger.contact(self._over_width, self.table.length) / self.mass, finger) for finger in touched]
         return DiagonalSystem.of_modes(
@@ -126,15 +118,9 @@ def true_beam(apparatus: Apparatus, seed: int) -> TrueBeam:
     """Return the true beam, which deviates from the identified one.
 
     Natural frequencies, damping ratios and modal gains are those of the table times a log-normal factor with the
-    specified relative spread. Each actuator set also drives the modes that the table assigns to another one, and there
-    are modes not in the table.
-
-    Parameters
-    ----------
-    apparatus : Apparatus
-        The identified beam; its section ``twin`` specifies the deviations.
-    seed : int
-        Equal seeds give equal beams; changing one deviation does not affect the draws of the others.
+    relative spread in section ``twin``. Each actuator set also drives the modes that the table assigns to another one,
+    and there are modes not in the table. Equal seeds give equal beams; changing one deviation does not affect the draws
+    of the others.
     """
     twin, model = apparatus.twin, apparatus.modal_model()
     streams = np.random.default_rng(seed).spawn(3)
@@ -163,15 +149,7 @@ def true_beam(apparatus: Apparatus, seed: int) -> TrueBeam:
 
 
 def generator_gains(apparatus: Apparatus, seed: int) -> FloatArray:
-    """Return the true output voltage per volt set on each generator output, (n_channels,) array [V/V].
-
-    Parameters
-    ----------
-    apparatus : Apparatus
-        The apparatus; its section ``twin`` specifies the spread.
-    seed : int
-        Equal seeds give equal errors.
-    """
+    """Return the true output voltage per volt set on each generator output, (n_channels,) array [V/V]."""
     n_channels = apparatus.modal_model().n_channels
     draw = np.random.default_rng(seed).spawn(4)[3].standard_normal(n_channels)
     return np.asarray(np.exp(apparatus.twin.generator_gain_mismatch * draw))
@@ -250,18 +228,9 @@ def start_state(system: DiagonalSystem, held: Held) -> ComplexArray:
 
 
 def state_at(system: DiagonalSystem, held: Held, instant: float, *, first: bool) -> ComplexArray:
-    """Return the state at an instant of a burst, on the generator's true clock, (n_states,) array.
+    """Return the state at an instant since a trigger [s], on the generator's true clock, (n_states,) array.
 
-    Parameters
-    ----------
-    system : DiagonalSystem
-        The beam behind its amplifier.
-    held : Held
-        The bursts.
-    instant : float
-        Time since a trigger, at most a period [s].
-    first : bool
-        Whether the burst starts from rest rather than after many bursts.
+    The instant is at most a period; the `first` burst starts from rest, others after many bursts.
     """
     instant -= held.delay
     if instant < 0:
@@ -278,16 +247,9 @@ def state_at(system: DiagonalSystem, held: Held, instant: float, *, first: bool)
 
 
 def peak(system: DiagonalSystem, output: ComplexArray, held: Held) -> FloatArray:
-    """Return the largest magnitudes of outputs during one burst from rest and the pause after it, (n_outputs,) array.
+    """Return the largest magnitudes of the outputs ``Re(output @ state)``, (n_outputs,) array.
 
-    Parameters
-    ----------
-    system : DiagonalSystem
-        The beam behind its amplifier.
-    output : (n_outputs, n_states) complex array
-        Output matrix; the outputs are the real part of its product with the states.
-    held : Held
-        The bursts.
+    They are those during one burst from rest and the pause after it; `output` is an (n_outputs, n_states) array.
     """
     voltage, _ = refined(system, held)
     n_samples = voltage.shape[1]

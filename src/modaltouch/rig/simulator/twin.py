@@ -106,15 +106,7 @@ class Twin:
         return [] if section is None else [section.at(position) for position in positions]
 
     def system(self, touched: Sequence[Finger] = (), stretch: float = 1.0) -> DiagonalSystem:
-        """Return the equations of the beam with fingers on it, behind its amplifier.
-
-        Parameters
-        ----------
-        touched : sequence of Finger
-            Fingers on the beam.
-        stretch : float
-            Factor on every natural frequency, from the method `stretch` [1].
-        """
+        """Return the equations of the beam with fingers on it, behind its amplifier; `stretch` from that method."""
         return self._system(stretch, tuple(finger for finger in touched if finger.loads_beam))
 
     def stretch(self, playbacks: Sequence[Playback | None]) -> float:
@@ -136,19 +128,8 @@ class Twin:
     ) -> FloatArray:
         """Return the peak speed at points of the beam for the output of the generator.
 
-        Parameters
-        ----------
-        playbacks : sequence of Playback or None
-            Output of each channel.
-        positions : sequence of float
-            Positions of the points, origin at mid-beam [m].
-        touched : sequence of Finger, optional
-            Fingers on the beam; by default one at each of these points.
-
-        Returns
-        -------
-        (n_positions,) array
-            Highest speed over one burst and the decay after it [m/s]; 0 while nothing plays.
+        The speed is the highest over one burst and the decay after it, (n_positions,) array [m/s]; 0 while nothing
+        plays. Positions are from mid-beam [m]; by default, one finger is at each of them.
         """
         level = max((abs(playback.amplitude) for playback in playbacks if playback is not None), default=0.0)
         if self.tripped or level == 0:
@@ -175,25 +156,18 @@ class Twin:
         touched: Sequence[Finger],
         span: tuple[float, float],
     ) -> list[Motion]:
-        """Return the low-passed velocity of a point, as a sum of parts.
+        """Return the low-passed velocity of a point, one part for each group of channels with equal timing [m/s].
 
         Parameters
         ----------
-        playbacks : sequence of Playback or None
-            Output of each channel.
+        playbacks, touched
+            Output of each channel, and the fingers on the beam.
         position, offset : float
             Position along and across the beam, relative to its middle [m].
         bandwidth : float or None
             Corner frequency of the low-pass [Hz]; None for no low-pass.
-        touched : sequence of Finger
-            Fingers on the beam.
         span : (float, float)
             First and last instant that will be requested, from the first sample of a burst at the beam [s].
-
-        Returns
-        -------
-        list of Motion
-            One part for each group of channels with equal timing [m/s].
         """
         if self.tripped:
             return []
@@ -229,15 +203,13 @@ class Twin:
 
         Parameters
         ----------
-        playbacks : sequence of Playback or None
-            Output of each channel.
+        playbacks, touched
+            As in `motions`.
         instant : float
             Time since a trigger [s]; the first sample leaves the generator at 0, or after its trigger delay, and moves
             the beam after the amplifier's delay.
         first : bool
             Whether the burst starts from rest rather than after many bursts.
-        touched : sequence of Finger
-            Fingers on the beam.
         """
         system = self.system(touched, self.stretch(playbacks))
         state = np.zeros(system.exponent.size, dtype=complex)
