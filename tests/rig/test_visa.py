@@ -13,6 +13,7 @@ from cable import Cable
 from pyvisa.ctwrapper import IVIVisaLibrary
 
 from modaltouch.protocol.apparatus import Apparatus
+from modaltouch.rig import visa
 from modaltouch.rig.generator import Generator
 from modaltouch.rig.interface import RigError
 from modaltouch.rig.simulator import Simulator
@@ -96,3 +97,25 @@ def test_session_that_was_cut_may_still_be_counted(single_link: Simulator, monke
             VisaSession(single_link.address, shares=True).open()
     finally:
         session.release()
+
+
+@pytest.mark.parametrize("other", ["TCPIP::{host}::INSTR", "TCPIP0::{host}::inst0::INSTR", "tcpip::{host}::INSTR"])
+def test_instrument_in_use_is_known_by_any_spelling_of_its_address(
+    simulator: Simulator, monkeypatch: pytest.MonkeyPatch, other: str
+) -> None:
+    """Board number, device name and resource class may be left out (VPP-4.3, 4.3.1)."""
+    monkeypatch.setattr(visa, "LOCK_TIMEOUT", 0.0)
+    session = VisaSession(simulator.address)
+    session.open()
+    try:
+        with pytest.raises(InUse, match="another program on this machine is using it"):
+            VisaSession(other.format(host=f"127.0.0.1,{simulator.server.port}")).open()
+    finally:
+        session.release()
+
+
+def test_usb_instrument_is_known_by_hexadecimal_and_decimal_numbers() -> None:
+    """PyVISA-py lists 1689 for what the manual calls 0x0699."""
+    assert visa.lock_name("USB::0x0699::0x0349::C012345::INSTR") == visa.lock_name("USB0::1689::841::C012345::0::INSTR")
+    assert visa.lock_name("USB0::0x0699::0x0349::C012346::INSTR") != visa.lock_name("USB0::0x0699::0x0349::C1::INSTR")
+    assert visa.lock_name("no address") == "no address"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
+import re
 import socket
 import struct
 import tempfile
@@ -220,9 +221,18 @@ class VisaSession:
             os.close(descriptor)
 
 
+def lock_name(address: str) -> str:
+    """Return one name for every spelling of an address; PyVISA-py lists the numbers of a USB address as decimals."""
+    from pyvisa import rname
+
+    with contextlib.suppress(rname.InvalidResourceName):
+        address = rname.to_canonical_name(address)
+    return re.sub("0x[0-9a-f]+", lambda number: str(int(number[0], 16)), address.lower())
+
+
 def _take_instrument(address: str) -> int:
     """Return the descriptor of a lock file that reserves an instrument on this machine until closed."""
-    name = hashlib.sha256(address.upper().encode()).hexdigest()[:16]
+    name = hashlib.sha256(lock_name(address).encode()).hexdigest()[:16]
     path = Path(tempfile.gettempdir()) / f"modaltouch-{name}.lock"
     # Another user's file in a shared folder may be opened, but not with the flag O_CREAT.
     flags = os.O_RDONLY if path.exists() else os.O_RDWR | os.O_CREAT
