@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from itertools import groupby
 
-from modaltouch.protocol.order_limits import LIMITS, NoOrderError
+from modaltouch.protocol.schedule_section import LIMITS, NoOrderError
 from modaltouch.protocol.streams import Stream
 
 Pair = tuple[str, ...]

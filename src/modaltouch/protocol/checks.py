@@ -13,10 +13,10 @@ from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.contacts import check_contacts
 from modaltouch.protocol.intervals import presented_levels
 from modaltouch.protocol.masking import check_masking
-from modaltouch.protocol.order_limits import LIMITS
 from modaltouch.protocol.problems import Problem, suggest
 from modaltouch.protocol.questions import MOST_ANSWERS, check_key, check_questions
 from modaltouch.protocol.reading import Reading, repeats
+from modaltouch.protocol.schedule_section import LIMITS
 from modaltouch.protocol.sections import AnswersSection, Protocol
 from modaltouch.protocol.stimulus_sections import check_target_field, is_elsewhere
 from modaltouch.protocol.trial import TIME_OUT

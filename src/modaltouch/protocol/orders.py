@@ -12,12 +12,12 @@ from operator import itemgetter
 from typing import TYPE_CHECKING
 
 from modaltouch.protocol.conditions import Cell
-from modaltouch.protocol.order_limits import LIMITS, least_limit, refuse_runs
+from modaltouch.protocol.schedule_section import LIMITS
 from modaltouch.protocol.sections import Protocol
 from modaltouch.protocol.streams import Stream
 
 if TYPE_CHECKING:
-    from modaltouch.protocol.order_walk import Limit
+    from modaltouch.protocol.limited_orders import Limit
 
 
 def order_cells(
@@ -63,7 +63,7 @@ def are_certain(protocol: Protocol) -> bool:
         counts = [*Counter(cell[0] for cell in protocol.cells(name) * protocol.scheduled_repetitions).values()]
         if limit is None or limit >= max(counts):
             continue
-        from modaltouch.protocol.limited_orders import STATE_LIMIT, n_states_at_most
+        from modaltouch.protocol.limited_orders import STATE_LIMIT, least_limit, n_states_at_most
 
         if limit < least_limit(counts) or (limit > 1 and n_states_at_most(counts) > STATE_LIMIT):
             return False
@@ -104,7 +104,7 @@ def _shuffled(protocol: Protocol, cells: list[Cell], stream: Stream, effort: flo
     kind_of: Callable[[Cell], object] = itemgetter(0)
     running, key = schedule.max_same_pair_running, LIMITS[0]
     if any(getattr(schedule, key) for key in LIMITS[1:]):
-        from modaltouch.protocol.order_walk import draw_by_walk
+        from modaltouch.protocol.limited_orders import draw_by_walk
 
         first, *others = limits = limits_of(protocol)
         kind_of, running, key = first.kind_of, first.running, first.key
@@ -120,7 +120,7 @@ def _shuffled(protocol: Protocol, cells: list[Cell], stream: Stream, effort: flo
 
 def limits_of(protocol: Protocol) -> list[Limit[Cell]]:
     """Return the limits of a protocol on its shuffled orders."""
-    from modaltouch.protocol.order_walk import Limit
+    from modaltouch.protocol.limited_orders import Limit
 
     def side(cell: Cell) -> int | None:
         focus = protocol.stimulus_of(cell[2]).focus
@@ -166,23 +166,15 @@ def draw_order(counts: Sequence[int], limit: int | None, stream: Stream, key: st
     """
     if limit is None or limit >= max(counts):
         return stream.shuffled(kind for kind, count in enumerate(counts) for _ in range(count))
-    refuse_runs(counts, limit, key)
-    from modaltouch.protocol.limited_orders import (
-        STATE_LIMIT,
-        draw_by_rejection,
-        draw_counted,
-        draw_unlike_neighbours,
-        n_states_at_most,
-    )
+    from modaltouch.protocol import limited_orders
 
+    limited_orders.refuse_runs(counts, limit, key)
     if limit == 1:
-        return draw_unlike_neighbours(tuple(counts), stream)
-    if n_states_at_most(counts) <= STATE_LIMIT:
-        return draw_counted(counts, limit, stream)
-    drawn = draw_by_rejection(counts, limit, stream)
+        return limited_orders.draw_unlike_neighbours(tuple(counts), stream)
+    if limited_orders.n_states_at_most(counts) <= limited_orders.STATE_LIMIT:
+        return limited_orders.draw_counted(counts, limit, stream)
+    drawn = limited_orders.draw_by_rejection(counts, limit, stream)
     if drawn is None:
-        from modaltouch.protocol.order_walk import Limit, draw_by_walk
-
         kinds = [kind for kind, count in enumerate(counts) for _ in range(count)]
-        drawn = draw_by_walk(kinds, [Limit(key, lambda kind: kind, limit)], stream)
+        drawn = limited_orders.draw_by_walk(kinds, [limited_orders.Limit(key, lambda kind: kind, limit)], stream)
     return drawn

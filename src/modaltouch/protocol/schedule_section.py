@@ -9,7 +9,32 @@ from pydantic import Field
 from modaltouch.protocol.occasions import SessionKind, Sessions
 from modaltouch.protocol.section import Count, Positive, Section, described
 
+LIMITS = (
+    "max_same_pair_running",
+    "max_same_level_running",
+    "max_same_stimulus_running",
+    "max_same_side_running",
+    "min_same_cell_distance",
+)
+"""Keys of the section schedule that limit the sequence of trials in shuffled orders."""
+
 _ABSENT: dict[str, Any] = {"default": None, "exclude_if": lambda given: given is None}
+
+
+class NoOrderError(ValueError):
+    """Raised if no order keeps a limit, or if such orders are too rare to find.
+
+    Parameters
+    ----------
+    key : str
+        Key of the limit in the section schedule.
+    given, allowed, remedy : str
+        As in `Problem`.
+    """
+
+    def __init__(self, key: str, given: str, allowed: str, remedy: str) -> None:
+        super().__init__(f"schedule.{key}: given {given}; {allowed or remedy}")
+        self.key, self.said = key, (given, allowed, remedy)
 
 
 class ResumeSection(Section):

@@ -3,7 +3,7 @@
 import pytest
 
 from modaltouch.protocol.catches import place_catches
-from modaltouch.protocol.order_limits import NoOrderError
+from modaltouch.protocol.schedule_section import NoOrderError
 from modaltouch.protocol.streams import Stream
 
 ORDER = [("A", "C"), ("B", "D"), ("A", "C"), ("A", "C"), ("C", "E"), ("B", "D")] * 4

@@ -12,11 +12,10 @@ import pytest
 from scipy.stats import chi2, chi2_contingency
 
 from modaltouch.preflight import examine
-from modaltouch.protocol import Findings, InputError, Protocol, Schedule, order_walk
-from modaltouch.protocol.limited_orders import longest_run
-from modaltouch.protocol.order_limits import NoOrderError
-from modaltouch.protocol.order_walk import Limit, draw_by_walk
+from modaltouch.protocol import Findings, InputError, Protocol, Schedule, limited_orders
+from modaltouch.protocol.limited_orders import Limit, draw_by_walk, longest_run
 from modaltouch.protocol.orders import are_certain, limits_of
+from modaltouch.protocol.schedule_section import NoOrderError
 from modaltouch.protocol.streams import Stream
 from modaltouch.session import wire_run
 
@@ -76,7 +75,7 @@ def test_all_orders_that_keep_the_limits_are_equally_likely(
     cells: str, given: dict[str, int], n_orders: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Chi-squared over every order that trying each permutation finds, after a tenth of the steps; p above 0.001."""
-    monkeypatch.setattr(order_walk, "SWEEPS", 10)
+    monkeypatch.setattr(limited_orders, "SWEEPS", 10)
     limits, items = [LIMITS[name](limit) for name, limit in given.items()], cells.split()
     valid = every_order(items, limits)
     stream = Stream(1, "p01", 1, "a test")
@@ -87,7 +86,7 @@ def test_all_orders_that_keep_the_limits_are_equally_likely(
 
 def test_the_walk_draws_as_rejection_does(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of 18 trials, limits on pair and level: neighbours of one pair come as often, after a tenth of the steps."""
-    monkeypatch.setattr(order_walk, "SWEEPS", 10)
+    monkeypatch.setattr(limited_orders, "SWEEPS", 10)
     cells = [pair + level for pair in "AB" for level in "123"] * 3
     limits, stream = [LIMITS["pair"](4), LIMITS["level"](3)], Stream(1, "p01", 1, "a test")
 
@@ -154,8 +153,8 @@ def test_a_participant_without_an_order_is_told_and_is_rare(
     """A check gives up after a quarter of the work; who has no order all the same gets words, no traceback."""
     words = ("  max_same_pair_running: 2", "  max_same_level_running: 1\n  min_same_cell_distance: 3")
     preflight = examine(edit("demo.yaml", words, ("repetitions: 1", "repetitions: 4"))).require()
-    monkeypatch.setattr(order_walk, "SWEEPS", 10**6)
-    monkeypatch.setattr(order_walk, "STEPS_OUTSIDE", 0)
+    monkeypatch.setattr(limited_orders, "SWEEPS", 10**6)
+    monkeypatch.setattr(limited_orders, "STEPS_OUTSIDE", 0)
     with pytest.raises(InputError, match="orders that keep it together .* too rare to find") as caught:
         wire_run(preflight, "p01", answers="simulated", results=tmp_path)
     assert caught.value.__notes__ == ["this is the order of p01: another --seed draws another"]

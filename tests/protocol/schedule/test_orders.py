@@ -14,15 +14,16 @@ from hypothesis import strategies as st
 from scipy.stats import chi2
 
 from modaltouch.protocol.limited_orders import (
+    Limit,
     count_states,
     draw_by_rejection,
+    draw_by_walk,
     draw_counted,
     draw_unlike_neighbours,
+    least_limit,
     longest_run,
     moves,
 )
-from modaltouch.protocol.order_limits import least_limit
-from modaltouch.protocol.order_walk import Limit, draw_by_walk
 from modaltouch.protocol.orders import draw_order
 from modaltouch.protocol.streams import Stream
 
