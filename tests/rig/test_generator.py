@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 
 from modaltouch.protocol.apparatus import Apparatus
+from modaltouch.protocol.apparatus_sections import Latency
 from modaltouch.protocol.fingers import FingerSection, FingerSpread
-from modaltouch.protocol.twin import Latency
 from modaltouch.rig.generator import Generator
 from modaltouch.rig.interface import Bursts, RigError
 from modaltouch.rig.pacing import HELD_UP

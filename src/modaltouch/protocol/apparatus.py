@@ -15,7 +15,15 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from modaltouch.protocol.identified import Identified, Intervals, Provenance, ShapeTable, check_shapes
+from modaltouch.protocol.apparatus_sections import (
+    Identified,
+    Intervals,
+    Latency,
+    Provenance,
+    ShapeTable,
+    TwinSection,
+    check_shapes,
+)
 from modaltouch.protocol.problems import InputError, Problem
 from modaltouch.protocol.reading import Reading, read, repeats
 from modaltouch.protocol.section import (
@@ -32,7 +40,6 @@ from modaltouch.protocol.section import (
     described,
 )
 from modaltouch.protocol.source import Source
-from modaltouch.protocol.twin import Latency, TwinSection
 
 if TYPE_CHECKING:
     from modaltouch.stimulus import Amplifier as AmplifierValues

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 from pydantic import Discriminator, Field, Tag
 
-from modaltouch.protocol.identified import Interval
 from modaltouch.protocol.reading import read
-from modaltouch.protocol.section import NotNegative, Number, Positive, Section, Spread, Text, described
+from modaltouch.protocol.section import Interval, NotNegative, Number, Positive, Section, Spread, Text, described
 from modaltouch.protocol.source import Source
 
 if TYPE_CHECKING:

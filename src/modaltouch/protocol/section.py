@@ -68,6 +68,16 @@ FileName = Annotated[
 ]
 
 
+def _ordered(pair: tuple[float, float]) -> tuple[float, float]:
+    if pair[0] > pair[1]:
+        raise fault(f"an interval from {pair[0]:g} to {pair[1]:g}", "the lower end first", "exchange them")
+    return pair
+
+
+Interval = Annotated[tuple[Number, Number], AfterValidator(_ordered)]
+"""Lower and upper bounds."""
+
+
 def plain_word(name: object) -> str:
     """Return the `Word` nearest to a name.
 

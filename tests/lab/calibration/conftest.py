@@ -14,7 +14,7 @@ from modaltouch.lab.laboratory import SILENT_PROGRESS
 from modaltouch.preflight import Preflight, examine
 from modaltouch.preflight.examination import design_to_fit
 from modaltouch.protocol.apparatus import Apparatus
-from modaltouch.protocol.twin import TrueAmplifier
+from modaltouch.protocol.apparatus_sections import TrueAmplifier
 from modaltouch.rig.scope import Acquisition, Recording
 from modaltouch.rig.simulator.scope import SimulatedScope
 from modaltouch.rig.simulator.timeline import Delays, Playback, Timeline

@@ -12,7 +12,7 @@ from modaltouch.lab.calibration.acquisition import DecayRecorder, identifying_bu
 from modaltouch.lab.calibration.plant import VibrometerDelay, fit_drive, fit_vibrometer
 from modaltouch.preflight import Preflight
 from modaltouch.protocol.apparatus import Apparatus
-from modaltouch.protocol.twin import TrueAmplifier
+from modaltouch.protocol.apparatus_sections import TrueAmplifier
 
 
 @pytest.mark.parametrize(("kilohertz", "delay"), [(100.0, 5.0), (300.0, 1.0), (30.0, 20.0)])

@@ -14,7 +14,7 @@ from modaltouch.lab.calibration.plausibility import mark_of
 from modaltouch.preflight import Preflight
 from modaltouch.preflight.examination import design_to_fit
 from modaltouch.protocol.apparatus import Apparatus
-from modaltouch.protocol.twin import TrueAmplifier, Vibrometer
+from modaltouch.protocol.apparatus_sections import TrueAmplifier, Vibrometer
 from modaltouch.rig.interface import RigError
 from modaltouch.rig.scope import Acquisition, Recording
 

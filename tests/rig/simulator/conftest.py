@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from modaltouch.protocol.apparatus import Apparatus
-from modaltouch.protocol.twin import TrueAmplifier
+from modaltouch.protocol.apparatus_sections import TrueAmplifier
 from modaltouch.rig.afg3022b import AFG3022B
 from modaltouch.rig.simulator.timeline import Playback
 from modaltouch.rig.simulator.twin import Twin

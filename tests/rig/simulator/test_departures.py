@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from modaltouch.protocol.apparatus import Apparatus
-from modaltouch.protocol.twin import TwinSection
+from modaltouch.protocol.apparatus_sections import TwinSection
 from modaltouch.rig.scope import Acquisition
 from modaltouch.rig.simulator.scope import SimulatedScope
 from modaltouch.rig.simulator.timeline import Delays, Playback, Timeline
