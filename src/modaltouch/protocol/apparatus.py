@@ -24,7 +24,7 @@ from modaltouch.protocol.apparatus_sections import (
     TwinSection,
     check_shapes,
 )
-from modaltouch.protocol.problems import InputError, Problem
+from modaltouch.protocol.problems import InputError, Problem, format_path
 from modaltouch.protocol.reading import Reading, read, repeats
 from modaltouch.protocol.section import (
     Count,
@@ -390,7 +390,6 @@ def check_apparatus(reading: Reading[Apparatus]) -> list[Problem]:
         *_check_zones(reading),
         *_check_actuator_sets(reading),
         *_check_modes(reading),
-        *_check_unlisted(reading),
         *check_shapes(reading),
         *check_patches(reading),
     ]
@@ -420,35 +419,19 @@ def _check_actuator_sets(reading: Reading[Apparatus]) -> Iterator[Problem]:
 
 
 def _check_modes(reading: Reading[Apparatus]) -> Iterator[Problem]:
-    sets, taken = reading.keys("actuator_sets"), dict[int, int]()
-    for index in range(reading.length("modes") or 0):
-        mode = ("modes", index)
-        label = reading.sound(*mode, "label")
-        if label in taken:
-            given = f"{label}, which is also the label of modes[{taken[label]}]"
-            yield reading.problem((*mode, "label"), given, "each label once", "remove one of them")
-        elif label is not None:
-            taken[label] = index
-        named = reading.keys(*mode, "gain_mm_s2_per_V") or []
-        yield from reading.unlisted(
-            (*mode, "gain_mm_s2_per_V"), "a set of actuator_sets", named if sets is None else sets, at_key=True
-        )
-        yield from reading.unlisted(
-            (*mode, "intervals_95", "gain_mm_s2_per_V"), "a set of actuator_sets", named, at_key=True
-        )
-        yield from reading.unlisted((*mode, "assumed"), "a set with a gain in this mode", named)
-
-
-def _check_unlisted(reading: Reading[Apparatus]) -> Iterator[Problem]:
-    n_modes = reading.length("modes") or 0
-    taken = {("bending", reading.sound("modes", index, "label")): f"modes[{index}]" for index in range(n_modes)}
-    for index in range(reading.length("twin", "unlisted_modes") or 0):
-        mode = ("twin", "unlisted_modes", index)
-        label, family = reading.sound(*mode, "label"), reading.sound(*mode, "family")
-        if label is not None and (family, label) in taken:
-            given = f"{label}, which is also the label of {taken[(family, label)]}"
-            yield reading.problem((*mode, "label"), given, "each mode once", "remove one of them")
-        taken.setdefault((family, label), f"twin.unlisted_modes[{index}]")
-        yield from reading.unlisted(
-            (*mode, "gain_mm_s2_per_V"), "a set of actuator_sets", reading.keys("actuator_sets") or [], at_key=True
-        )
+    """Yield repeated labels and unknown actuator sets of the modelled modes and of the twin's unlisted ones."""
+    sets = reading.keys("actuator_sets")
+    labels: list[tuple[tuple[str | int, ...], tuple[str, int]]] = []
+    for table in (("modes",), ("twin", "unlisted_modes")):
+        for mode in [(*table, index) for index in range(reading.length(*table) or 0)]:
+            label, family = reading.sound(*mode, "label"), reading.sound(*mode, "family")
+            labels += [] if label is None else [(mode, ("bending" if table == ("modes",) else family, label))]
+            gains, named = (*mode, "gain_mm_s2_per_V"), reading.keys(*mode, "gain_mm_s2_per_V") or []
+            known, intervals = named if sets is None else sets, (*mode, "intervals_95", "gain_mm_s2_per_V")
+            yield from reading.unlisted(gains, "a set of actuator_sets", known, at_key=True)
+            yield from reading.unlisted(intervals, "a set of actuator_sets", named, at_key=True)
+            yield from reading.unlisted((*mode, "assumed"), "a set with a gain in this mode", named)
+    for mode, (_, label), first in repeats(labels):
+        given = f"{label}, which is also the label of {format_path(first)}"
+        allowed = "each label once" if mode[0] == "modes" else "each mode once"
+        yield reading.problem((*mode, "label"), given, allowed, "remove one of them")

@@ -10,15 +10,14 @@ from typing import Any
 from modaltouch.protocol.adaptive import check_adaptive, check_sensation_levels, contacts, is_adaptive, offered_answers
 from modaltouch.protocol.answers import SHIPPED
 from modaltouch.protocol.apparatus import Apparatus
-from modaltouch.protocol.contacts import check_contacts
+from modaltouch.protocol.conditions import check_contacts
 from modaltouch.protocol.intervals import presented_levels
-from modaltouch.protocol.masking import check_masking
 from modaltouch.protocol.problems import Problem, suggest
 from modaltouch.protocol.questions import MOST_ANSWERS, check_key, check_questions
 from modaltouch.protocol.reading import Reading, repeats
 from modaltouch.protocol.schedule_section import LIMITS
 from modaltouch.protocol.sections import AnswersSection, Protocol
-from modaltouch.protocol.stimulus_sections import check_target_field, is_elsewhere
+from modaltouch.protocol.stimulus_sections import check_masking, check_target_field, is_elsewhere
 from modaltouch.protocol.trial import TIME_OUT
 
 TRIAL_LIMIT = 10_000

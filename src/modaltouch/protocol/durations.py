@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from modaltouch.protocol.apparatus import Apparatus
-from modaltouch.protocol.contacts import check_way
+from modaltouch.protocol.conditions import check_way
 from modaltouch.protocol.intervals import STANDARD_LEVEL
 from modaltouch.protocol.problems import Problem
 from modaltouch.protocol.reading import Reading

@@ -13,12 +13,11 @@ from modaltouch.protocol.adaptive import AdaptiveSection
 from modaltouch.protocol.answers import AnswerList, Side
 from modaltouch.protocol.conditions import Cell, CellsSection, ConditionsSection, FingerCondition
 from modaltouch.protocol.intervals import IntervalsSection, Meaning
-from modaltouch.protocol.masking import MaskingSection
 from modaltouch.protocol.people import PersonField
 from modaltouch.protocol.questions import AskedSection, KeyName, QuestionSection
 from modaltouch.protocol.schedule_section import Overrides, ScheduleSection
 from modaltouch.protocol.section import Count, FileName, NotNegative, Positive, Section, Text, Word, described
-from modaltouch.protocol.stimulus_sections import StimulusSection, StimulusVariant
+from modaltouch.protocol.stimulus_sections import MaskingSection, StimulusSection, StimulusVariant
 from modaltouch.protocol.trial import Trial
 
 
