@@ -197,15 +197,7 @@ def _done(found: planning.Power) -> str:
 
 
 def tell(found: planning.Power, target: float) -> None:
-    """Print a power analysis: power by family and size, participants needed, and minimum numbers for significance.
-
-    Parameters
-    ----------
-    found : Power
-        The power analysis.
-    target : float
-        Target power [1].
-    """
+    """Print a power analysis: power by family and size, participants needed, and minimum numbers for significance."""
     from rich.markup import escape
 
     study = found.study

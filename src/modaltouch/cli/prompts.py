@@ -20,18 +20,7 @@ def can_ask() -> bool:
 
 
 def ask_rig(may_ask: bool) -> str:
-    """Prompt for the generator's VISA address, listing those visible to this machine; return it or ``simulated``.
-
-    Parameters
-    ----------
-    may_ask : bool
-        Whether the experimenter can be prompted.
-
-    Raises
-    ------
-    typer.BadParameter
-        If they cannot: a forgotten option must not leave a participant at a silent beam.
-    """
+    """Prompt for the generator's VISA address, listing those visible to this machine; return it or ``simulated``."""
     if not may_ask:
         raise typer.BadParameter(
             "a session needs a rig: give --rig with the generator's VISA address (`modaltouch rig list` shows what "
@@ -57,18 +46,7 @@ def ask_rig(may_ask: bool) -> str:
 
 
 def ask_participant(dataset: Path) -> str:
-    """Prompt for a participant id until it is valid in a file name, and return it.
-
-    Parameters
-    ----------
-    dataset : Path
-        Dataset with the previous participants; the next number is proposed.
-
-    Raises
-    ------
-    typer.BadParameter
-        If there is no terminal to prompt in.
-    """
+    """Prompt for a participant id until it is valid in a file name, and return it."""
     if not can_ask():
         raise typer.BadParameter("a session needs a participant id: give it with -p, for example -p p01")
     while True:
@@ -81,20 +59,7 @@ def ask_participant(dataset: Path) -> str:
 
 
 def ask_people(fields: Mapping[str, Any], may_ask: bool) -> dict[str, Any]:
-    """Prompt for the answers to the protocol's questions, consents first; stop if a required consent is refused.
-
-    Parameters
-    ----------
-    fields : mapping
-        Questions of the protocol, by name.
-    may_ask : bool
-        Whether the experimenter can be prompted.
-
-    Raises
-    ------
-    typer.BadParameter
-        If they cannot.
-    """
+    """Prompt for the answers to the protocol's questions, consents first; stop if a required consent is refused."""
     if not may_ask:
         listed = ", ".join(fields)
         raise typer.BadParameter(f"the protocol asks each participant for {listed}: give a YAML file with --people")

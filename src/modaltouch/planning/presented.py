@@ -46,13 +46,7 @@ def designs_for(preflight: Preflight, observer: Observer) -> dict[str, Design]:
 
 
 def refuse_own_levels(preflight: Preflight, remedy: str = "plan with the peak velocities that you expect") -> None:
-    """Refuse a protocol whose levels differ between participants.
-
-    Raises
-    ------
-    InputError
-        If they do.
-    """
+    """Refuse a protocol whose levels differ between participants."""
     _refuse(
         preflight,
         (
@@ -72,14 +66,7 @@ _UNCROSSED = {
 
 
 def refuse_unlike(preflight: Preflight) -> None:
-    """Refuse a protocol whose cells or answers do not fit an observer that compares two fingers.
-
-    Raises
-    ------
-    InputError
-        If the design is not crossed, a finger condition is unknown, the answers do not include each finger alone and
-        both together, or a trial has several intervals.
-    """
+    """Refuse a protocol whose cells or answers do not fit an observer that compares two fingers."""
     protocol = preflight.experiment.protocol
     offered, n_intervals = protocol.answers.offered, 1 if protocol.intervals is None else protocol.intervals.number
     unknown = next((name for name in protocol.conditions.finger_conditions if name not in _KNOWN), "")
@@ -142,20 +129,7 @@ def _design(name: str, preflight: Preflight, observer: Observer, placements: tup
 
 
 def felt_speeds(preflight: Preflight, front_end: FrontEnd) -> Callable[[str, str, str, float], tuple[float, float]]:
-    """Return a function that computes the speeds felt by two fingers.
-
-    Parameters
-    ----------
-    preflight : Preflight
-        Preflight of a single stimulus; it may be designed for the fingers of each placement.
-    front_end : str
-        Front end of the observer.
-
-    Returns
-    -------
-    callable
-        Takes the finger condition, the zones under the left and the right finger, and the level [m/s].
-    """
+    """Return a function that computes the speeds felt by two fingers."""
     zones = {name: zone.centre_mm * 1e-3 for name, zone in preflight.experiment.apparatus.zones.items()}
     placed = preflight.placed or {"": preflight}
     speeds = {name: FeltSpeeds(part.stimulus, zones, front_end) for name, part in placed.items()}

@@ -32,17 +32,7 @@ _PRESENTED = ("stimulus.", "conditions.", "schedule.order")
 
 
 def field_warnings(inputs: DesignInputs, stimulus: Stimulus, figures: list[dict[str, Any]]) -> list[str]:
-    """Return warnings about a field that is fastest outside the focus or misses its target.
-
-    Parameters
-    ----------
-    inputs : DesignInputs
-        Inputs of the design.
-    stimulus : Stimulus
-        The stimulus.
-    figures : list of dict
-        Result of `stimulus_figures` for each level.
-    """
+    """Return warnings about a field that is fastest outside the focus or misses its target."""
     said = []
     top = max(figures, key=lambda each: float(each["velocity_mm_s"]), default=None)
     if top is not None:
@@ -82,15 +72,7 @@ def contact_warnings(findings: Findings) -> list[str]:
 
 
 def stimulus_warnings(inputs: DesignInputs, stimulus: Stimulus, figures: list[dict[str, Any]]) -> list[str]:
-    """Return warnings about clock jitter, unmeasured gains, ill-conditioned modes and modal errors.
-
-    Parameters
-    ----------
-    inputs, stimulus
-        As for `stimulus_figures`.
-    figures : list of dict
-        Result of `stimulus_figures` for each level.
-    """
+    """Return warnings about clock jitter, unmeasured gains, ill-conditioned modes and modal errors."""
     said = []
     clocks = stimulus.timing.duration * stimulus.timing.clock_rate / stimulus.timing.n_samples
     if not stimulus.timing.converter.any_rate and not math.isclose(clocks, round(clocks), rel_tol=1e-9):
@@ -243,11 +225,6 @@ def default_warnings(taken: list[dict[str, Any]]) -> list[str]:
     """Return one line with the defaults of what is presented, except those that leave a feature off.
 
     The schema and the list of all defaults contain the others.
-
-    Parameters
-    ----------
-    taken : list of dict
-        Result of `Findings.defaults`.
     """
     told = ", ".join(
         f"{each['key']} {_in_words(each['value'])}"

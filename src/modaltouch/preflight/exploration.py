@@ -35,19 +35,7 @@ def explore(
     contrast: bool = False,
     tolerance: float | None = None,
 ) -> dict[str, Any]:
-    """Return the requested explorations by name.
-
-    Parameters
-    ----------
-    sound, placed : (DesignInputs, Stimulus), dict of str to (DesignInputs, Stimulus)
-        The design, the first of several; the designs for the fingers of each placement.
-    pairs : tuple of str
-        The touched pairs of zones.
-    sensitivity, designs, contrast : bool
-        Whether to include `sensitivity_figures`, `design_figures` and `contrast_figures`.
-    tolerance : float, optional
-        Tolerance of `sample_figures`, which are included as ``samples`` if it is given [1].
-    """
+    """Return the requested explorations by name."""
     asked: dict[str, Any] = {}
     if sensitivity:
         asked["sensitivity"] = {**({"placement": next(iter(placed))} if placed else {}), **sensitivity_figures(*sound)}
@@ -61,15 +49,7 @@ def explore(
 
 
 def sensitivity_figures(inputs: DesignInputs, stimulus: Stimulus) -> dict[str, Any]:
-    """Return the sensitivity of the field at the focus to errors of the beam's parameters.
-
-    Parameters
-    ----------
-    inputs : DesignInputs
-        Inputs of the design.
-    stimulus : Stimulus
-        The stimulus, at its highest level.
-    """
+    """Return the sensitivity of the field at the focus to errors of the beam's parameters."""
     from modaltouch.stimulus import focus_sensitivity, scatter
 
     half = inputs.apparatus.beam.length_mm * 0.5e-3
@@ -104,11 +84,6 @@ def design_figures(stimulus: Stimulus) -> list[dict[str, Any]]:
 
     This mode is assumed to lie between the two highest modelled modes, with their mean damping ratio and the gains of
     the higher one.
-
-    Parameters
-    ----------
-    stimulus : Stimulus
-        The stimulus, at its highest level.
     """
     unmodelled = _assumed_mode(stimulus.model)
     return [

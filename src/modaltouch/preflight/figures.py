@@ -19,17 +19,7 @@ FIELD_POINTS = 201
 
 
 def stimulus_figures(inputs: DesignInputs, stimulus: Stimulus, level: float) -> dict[str, Any]:
-    """Return the predicted figures of a level, for the rounded codes that the generator plays.
-
-    Parameters
-    ----------
-    inputs : DesignInputs
-        Inputs of the design.
-    stimulus : Stimulus
-        The stimulus.
-    level : float
-        Peak velocity at the focus [mm/s].
-    """
+    """Return the predicted figures of a level, for the rounded codes that the generator plays."""
     velocity = level * 1e-3
     labels = [str(label) for label in stimulus.model.label]
     reached, displacement = stimulus.achieved(velocity)
@@ -62,15 +52,7 @@ def stimulus_figures(inputs: DesignInputs, stimulus: Stimulus, level: float) -> 
 
 
 def field_figures(inputs: DesignInputs, stimulus: Stimulus) -> dict[str, Any]:
-    """Return the target and predicted field at the focusing instant, at the highest level, for the report.
-
-    Parameters
-    ----------
-    inputs : DesignInputs
-        Inputs of the design.
-    stimulus : Stimulus
-        The stimulus.
-    """
+    """Return the target and predicted field at the focusing instant, at the highest level, for the report."""
     level, half = max(inputs.levels.values()), inputs.apparatus.beam.length_mm / 2
     place = np.linspace(-half, half, FIELD_POINTS) * 1e-3
     target = stimulus.target_field.profile(place) * level
@@ -87,17 +69,7 @@ def field_figures(inputs: DesignInputs, stimulus: Stimulus) -> dict[str, Any]:
 
 
 def contrasts(protocol: Protocol, zone_peak: dict[str, float], placement: str = "") -> list[dict[str, Any]]:
-    """Return the speeds at the zones of each pair, and the ratio of the faster to the slower.
-
-    Parameters
-    ----------
-    protocol : Protocol
-        The protocol.
-    zone_peak : dict of str to float
-        Peak speed at the centre of each zone [mm/s].
-    placement : str
-        The pair for whose fingers the speeds hold, such as ``A-C``; empty if they hold for all pairs.
-    """
+    """Return the speeds at the zones of each pair, and the ratio of the faster to the slower."""
     rows = []
     for left, right in protocol.conditions.pairs:
         if placement and {left, right} != set(placement.split("-")):

@@ -100,23 +100,11 @@ class SensationLevelsSection(Section):
     )
 
     def levels(self, threshold_mm_s: float) -> tuple[float, ...]:
-        """Return the levels of a participant [mm/s], to four digits, the resolution of the generator's amplitude.
-
-        Parameters
-        ----------
-        threshold_mm_s : float
-            Threshold of the participant [mm/s].
-        """
+        """Return the levels of a participant [mm/s], to four digits, the resolution of the generator's amplitude."""
         return tuple(float(f"{multiple * threshold_mm_s:.4g}") for multiple in self.multiples)
 
     def thresholds(self, lowest_mm_s: float, highest_mm_s: float) -> tuple[float, float]:
-        """Return the lowest and highest thresholds for which all levels lie within bounds [mm/s].
-
-        Parameters
-        ----------
-        lowest_mm_s, highest_mm_s : float
-            Bounds of the levels presented to any participant.
-        """
+        """Return the lowest and highest thresholds for which all levels lie within bounds [mm/s]."""
         return lowest_mm_s / min(self.multiples), highest_mm_s / max(self.multiples)
 
 

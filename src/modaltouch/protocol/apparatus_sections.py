@@ -89,20 +89,7 @@ class ShapeTable(Section):
     )
 
     def basis(self, labels: tuple[int, ...], length: float) -> MeasuredShapes:
-        """Return the shapes in the order of given labels.
-
-        Parameters
-        ----------
-        labels : tuple of int
-            Labels of the modelled modes.
-        length : float
-            Length of the beam [m].
-
-        Raises
-        ------
-        ValueError
-            If the shapes are linearly dependent.
-        """
+        """Return the shapes in the order of given labels."""
         from modaltouch.stimulus import MeasuredShapes
 
         values = {mode.label: mode.values for mode in self.modes}

@@ -227,13 +227,7 @@ class CalibrationFile(CalibratedStimulus, Calibration):
         return {"": self}
 
     def applied(self, apparatus: Apparatus) -> Apparatus:
-        """Return an apparatus with the calibrated modes and amplifier.
-
-        Parameters
-        ----------
-        apparatus : Apparatus
-            The apparatus, as in its file, on which the calibration was made.
-        """
+        """Return an apparatus with the calibrated modes and amplifier."""
         found = {mode.label: mode.model_dump(include=_REFINED) for mode in self.modes}
         modes = tuple(mode.model_copy(update={**found[mode.label], "assumed": ()}) for mode in apparatus.modes)
         amplifier = apparatus.amplifier.model_copy(update=self.amplifier.model_dump())
@@ -305,15 +299,7 @@ def check_mark(calibration: Reading[Calibration]) -> list[Problem]:
 
 
 def calibration_alone(reading: Reading[Calibration], name: str) -> Reading[Calibration]:
-    """Return the part of a calibration file for one stimulus, in the form of a file of that stimulus alone.
-
-    Parameters
-    ----------
-    reading : Reading
-        A valid file of several stimuli that includes this one.
-    name : str
-        The stimulus.
-    """
+    """Return the part of a calibration file for one stimulus, in the form of a file of that stimulus alone."""
     root, own = reading.root, reading.find(("stimuli", name))
     value = None if reading.value is None else reading.value.alone(name)
     if root is not None and own is not None and isinstance(root.content, dict) and isinstance(own.content, dict):

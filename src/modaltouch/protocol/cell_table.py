@@ -26,15 +26,6 @@ def with_cells(source: Source, root: Node, table: Source | None) -> tuple[Node, 
     """Add the cells of a table, and the keys derived from cells, to the tree of a protocol; return tree and problems.
 
     Values from the table keep their position there, so that later problems refer to the table.
-
-    Parameters
-    ----------
-    source : Source
-        The protocol.
-    root : Node
-        Its tree.
-    table : Source or None
-        The table named in the protocol, if any.
     """
     conditions, problems = root.child("conditions"), list[Problem]()
     if conditions is None:

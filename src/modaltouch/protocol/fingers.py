@@ -159,16 +159,5 @@ class FingersFile(Section):
 
     @classmethod
     def read(cls, name: Path | str) -> FingersFile:
-        """Read fingers from a file.
-
-        Parameters
-        ----------
-        name : path
-            A YAML file, or the name of shipped fingers, such as ``typical``.
-
-        Raises
-        ------
-        InputError
-            Lists every problem of the file with its line, or the shipped names if there is no such file.
-        """
+        """Read fingers from a file."""
         return read(Source.find("fingers", name), cls).require()

@@ -13,17 +13,7 @@ from modaltouch.protocol.trial import Condition
 
 
 def draw_intervals(section: IntervalsSection, conditions: Sequence[Condition], stream: Stream) -> list[int]:
-    """Draw the interval of the comparison in each trial, balanced within each condition and over all trials.
-
-    Parameters
-    ----------
-    section : IntervalsSection
-        The section of the protocol, with the intervals that may hold the comparison.
-    conditions : sequence of Condition
-        Conditions of the trials, in order.
-    stream : Stream
-        Source of random numbers.
-    """
+    """Draw the interval of the comparison in each trial, balanced within each condition and over all trials."""
     of_condition: dict[Condition, list[int]] = {}
     for place, condition in enumerate(conditions):
         of_condition.setdefault(condition, []).append(place)

@@ -65,17 +65,7 @@ class IntervalsSection(Section):
         return replace(comparison, velocity_mm_s=velocity, stimulus=given.stimulus or comparison.stimulus)
 
     def is_correct(self, meaning: Meaning | None, comparison: Condition, interval: int) -> bool | None:
-        """Score an answer; None if it does not refer to the intervals, or if any of them may be correct.
-
-        Parameters
-        ----------
-        meaning : int, str or None
-            Interval named by the answer, ``same`` or ``different``.
-        comparison : Condition
-            Condition of the trial.
-        interval : int
-            Interval that held the comparison.
-        """
+        """Score an answer; None if it does not refer to the intervals, or if any of them may be correct."""
         standard = self.standard_of(comparison)
         if meaning is None or isinstance(meaning, str):
             return None if meaning is None else (standard == comparison) is (meaning == "same")

@@ -15,11 +15,6 @@ def latin_square(n_cells: int) -> list[list[int]]:
     Each cell occurs equally often at each position and follows each other cell equally often. This takes `n_cells` rows
     for an even number of cells and twice as many for an odd number.
 
-    Parameters
-    ----------
-    n_cells : int
-        Number of cells.
-
     References
     ----------
     E. J. Williams, Australian Journal of Scientific Research A 2, 149 (1949).

@@ -25,19 +25,7 @@ from modaltouch.protocol.streams import Cuts, Stream
 
 
 def refuse_runs(counts: Sequence[int], limit: int, key: str, n_others: int = 0) -> None:
-    """Raise NoOrderError if no order keeps a limit on runs.
-
-    Parameters
-    ----------
-    counts : sequence of int
-        Number of trials of each kind.
-    limit : int
-        Maximum number of times in a row.
-    key : str
-        Key of the limit, one of `LIMITS`.
-    n_others : int
-        Number of trials without a kind, which may be anywhere.
-    """
+    """Raise NoOrderError if no order keeps a limit on runs."""
     least = least_limit([*counts, *[1] * n_others])
     if limit < least:
         n_trials, noun = sum(counts) + n_others, key.split("_")[2]
@@ -108,19 +96,7 @@ def _without(others: tuple[int, ...], count: int, last: int | None) -> tuple[int
 
 
 def moves(left: Sequence[int], last: int | None, limit: int, table: dict[State, int]) -> Iterator[tuple[int, int, int]]:
-    """Yield each possible next run: kind, length and number of ways to continue after it.
-
-    Parameters
-    ----------
-    left : sequence of int
-        Remaining count of each kind.
-    last : int or None
-        The last kind.
-    limit : int
-        Maximum number of times in a row.
-    table : dict
-        Returned by `count_states`.
-    """
+    """Yield each possible next run: kind, length and number of ways to continue after it."""
     for kind, count in enumerate(left):
         if kind == last:
             continue
@@ -344,20 +320,7 @@ class Limit(Generic[Item]):
 def draw_by_walk(
     items: Sequence[Item], limits: Sequence[Limit[Item]], stream: Stream, effort: float = 1.0
 ) -> list[Item]:
-    """Draw an order that keeps all limits; all are equally likely once the walk has mixed.
-
-    Parameters
-    ----------
-    items, limits, stream
-        Items to order, limits to keep, and source of random numbers.
-    effort : float
-        Fraction of the usual work after which the search is abandoned [1].
-
-    Raises
-    ------
-    NoOrderError
-        If no order keeps one of the limits, or the walk finds too few that keep all.
-    """
+    """Draw an order that keeps all limits; all are equally likely once the walk has mixed."""
     for limit in limits:
         limit.refuse_impossible(items)
     # Look the kind of each item up instead of computing it again.

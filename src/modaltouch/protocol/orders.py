@@ -23,26 +23,7 @@ if TYPE_CHECKING:
 def order_cells(
     protocol: Protocol, finger_condition: str, turn: int, stream: Stream, effort: float = 1.0
 ) -> list[Cell]:
-    """Return the ordered cells of one block, according to the protocol's `order`.
-
-    Parameters
-    ----------
-    protocol : Protocol
-        The design.
-    finger_condition : str
-        Finger condition of the block.
-    turn : int
-        Number of this participant's order among the balanced ones.
-    stream : Stream
-        Source of random numbers.
-    effort : float
-        Fraction of the usual work after which the search is abandoned [1].
-
-    Raises
-    ------
-    NoOrderError
-        If no order keeps the protocol's limits, or if such orders are too rare to find.
-    """
+    """Return the ordered cells of one block, according to the protocol's `order`."""
     cells, order = protocol.cells(finger_condition), protocol.schedule.order
     if order == "as_listed":
         return cells * protocol.scheduled_repetitions
@@ -71,13 +52,7 @@ def are_certain(protocol: Protocol) -> bool:
 
 
 def insert_catches(protocol: Protocol, cells: list[Cell], stream: Stream) -> list[Cell]:
-    """Insert the protocol's catch trials, which have velocity 0, into the cells of a block.
-
-    Raises
-    ------
-    ValueError
-        If the catch trials cannot keep the protocol's limit on runs.
-    """
+    """Insert the protocol's catch trials, which have velocity 0, into the cells of a block."""
     from modaltouch.protocol.catches import place_catches
 
     schedule = protocol.schedule
@@ -141,29 +116,7 @@ def limits_of(protocol: Protocol) -> list[Limit[Cell]]:
 
 
 def draw_order(counts: Sequence[int], limit: int | None, stream: Stream, key: str = LIMITS[0]) -> list[int]:
-    """Draw an order of kinds uniformly among those that keep the limit.
-
-    Parameters
-    ----------
-    counts : sequence of int
-        Number of trials of each kind, at least 1.
-    limit : int or None
-        Maximum number of times in a row; None for no limit.
-    stream : Stream
-        Source of random numbers.
-    key : str
-        Key of the limit, one of `LIMITS`.
-
-    Returns
-    -------
-    list of int
-        Index of the kind at each place.
-
-    Raises
-    ------
-    NoOrderError
-        If no order keeps the limit.
-    """
+    """Draw an order of kinds uniformly among those that keep the limit."""
     if limit is None or limit >= max(counts):
         return stream.shuffled(kind for kind, count in enumerate(counts) for _ in range(count))
     from modaltouch.protocol import limited_orders

@@ -67,18 +67,7 @@ class PersonField(Section):
         return describe(model_of({"answer": self}), ("answer",)).replace("null", "nothing")
 
     def read(self, words: str) -> float | str | None:
-        """Parse a typed answer; None if the question was skipped.
-
-        Parameters
-        ----------
-        words : str
-            The answer as typed.
-
-        Raises
-        ------
-        ValueError
-            If it is not an allowed answer.
-        """
+        """Parse a typed answer; None if the question was skipped."""
         given = " ".join(words.split())
         given = given.replace(",", ".") if self.kind == "number" else given
         offered = {"choice": self.choices, "consent": ("yes", "no")}
@@ -90,13 +79,7 @@ class PersonField(Section):
         return answer
 
     def draw(self, rng: np.random.Generator) -> float | str | None:
-        """Draw the answer of a simulated participant, uniform over the allowed answers; consent is always given.
-
-        Parameters
-        ----------
-        rng : numpy.random.Generator
-            Source of random numbers.
-        """
+        """Draw the answer of a simulated participant, uniform over the allowed answers; consent is always given."""
         if self.kind == "number":
             high = max(65.0, self.lowest or 0.0) if self.highest is None else self.highest
             low = min(18.0, high) if self.lowest is None else self.lowest

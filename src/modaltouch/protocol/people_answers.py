@@ -34,18 +34,5 @@ def check_people(reading: Reading[Any]) -> Iterator[Problem]:
 
 
 def read_people(fields: Mapping[str, PersonField], path: Path) -> dict[str, float | str | None]:
-    """Read the answers from a YAML file, one line per field.
-
-    Parameters
-    ----------
-    fields : mapping of str to PersonField
-        The questions.
-    path : Path
-        The file.
-
-    Raises
-    ------
-    InputError
-        Lists every problem of the file with its line.
-    """
+    """Read the answers from a YAML file, one line per field."""
     return read(Source.load(path), model_of(fields)).require().model_dump()

@@ -202,28 +202,12 @@ def repeats(entries: Iterable[tuple[Entry, Hashable]]) -> Iterator[tuple[Entry, 
 
 
 def read(source: Source, model: type[Model]) -> Reading[Model]:
-    """Parse and validate a text.
-
-    Parameters
-    ----------
-    source : Source
-        The text.
-    model : type
-        Model of the file.
-    """
+    """Parse and validate a text."""
     return read_tree(source, model, *parse_tree(source))
 
 
 def read_tree(source: Source, model: type[Model], root: Node | None, problems: Iterable[Problem]) -> Reading[Model]:
-    """Validate a tree, which may contain more than the text; see `read`.
-
-    Parameters
-    ----------
-    source, model
-        As in `read`.
-    root, problems
-        The tree, and the problems found while building it.
-    """
+    """Validate a tree, which may contain more than the text; see `read`."""
     problems = list(problems)
     if root is None:
         return Reading(source, model, None, None, tuple(problems))

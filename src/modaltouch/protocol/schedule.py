@@ -395,13 +395,7 @@ class Round:
     n_agreed: int
 
     def passes(self, criterion: float | None) -> bool:
-        """Test whether the round meets a criterion.
-
-        Parameters
-        ----------
-        criterion : float or None
-            Required fraction of judged trials answered as expected [1]; None is always met.
-        """
+        """Test whether the round meets a criterion."""
         return criterion is None or self.n_agreed >= criterion * self.n_judged - 1e-9
 
 

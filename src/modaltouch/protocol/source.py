@@ -89,20 +89,7 @@ class Source:
 
     @classmethod
     def find(cls, kind: Kind, name: Path | str) -> Source:
-        """Read the text of a file given by path, or by the name of a shipped file.
-
-        Parameters
-        ----------
-        kind : str
-            ``protocol``, ``apparatus``, ``observer`` or ``fingers``.
-        name : path
-            The file, or the name of a shipped one; an existing file takes precedence.
-
-        Raises
-        ------
-        InputError
-            If there is neither (lists the shipped names), or the file cannot be read.
-        """
+        """Read the text of a file given by path, or by the name of a shipped file."""
         return cls.load(find(kind, name))
 
     @classmethod
@@ -172,13 +159,7 @@ class Sources:
 
 
 def find(kind: Kind, name: Path | str) -> Path:
-    """Return the file given by a path, or by the name of a shipped file; an existing file takes precedence.
-
-    Raises
-    ------
-    InputError
-        If there is neither; lists the shipped names.
-    """
+    """Return the file given by a path, or by the name of a shipped file; an existing file takes precedence."""
     path, known = Path(name), Source.shipped(kind)
     try:
         if path.is_file() or (path.exists() and str(name) not in known):

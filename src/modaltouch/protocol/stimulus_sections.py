@@ -191,13 +191,7 @@ def check_target_field(reading: Reading[Any]) -> Iterator[Problem]:
 
 
 def read_points(source: Source) -> tuple[Points, list[Problem]]:
-    """Read the points in a file, positions [mm] and relative velocities; return points and problems.
-
-    Parameters
-    ----------
-    source : Source
-        Comma-separated text with a header line that contains `COLUMNS`.
-    """
+    """Read the points in a file, positions [mm] and relative velocities; return points and problems."""
     path, remedy = str(source.path), "write one line per point, such as `-20,0.5`"
     rows = list(csv.reader(source.text.splitlines()))
     header = [cell.strip() for cell in rows[0]] if rows else []
@@ -261,13 +255,7 @@ class MaskingSection(Section):
     )
 
     def level(self, sound: Sound) -> float | None:
-        """Return the level relative to a full-scale sine [dB FS]; None if the level or its calibration is missing.
-
-        Parameters
-        ----------
-        sound : Sound
-            The audio device.
-        """
+        """Return the level relative to a full-scale sine [dB FS]; None if the level or its calibration is missing."""
         if self.level_dB_FS is not None:
             return self.level_dB_FS
         if self.level_dB_SPL is None or sound.full_scale_dB_SPL is None:

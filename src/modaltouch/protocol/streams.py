@@ -28,19 +28,7 @@ def key_of(name: str) -> int:
 
 
 def seed_sequence(seed: int, participant: str, session: int, purpose: str) -> np.random.SeedSequence:
-    """Return the seed of one stream.
-
-    Parameters
-    ----------
-    seed : int
-        Seed of the study, 0 or above.
-    participant : str
-        Identifier of the participant.
-    session : int
-        Number of the session, from 1.
-    purpose : str
-        Purpose of the stream.
-    """
+    """Return the seed of one stream."""
     return np.random.SeedSequence([seed, key_of(participant), session, key_of(purpose)])
 
 

@@ -131,20 +131,7 @@ class Node:
 
 
 def parse_tree(source: Source) -> tuple[Node | None, list[Problem]]:
-    """Parse a YAML text into a tree; return tree and problems.
-
-    Parameters
-    ----------
-    source : Source
-        The file's text.
-
-    Returns
-    -------
-    root : Node or None
-        The top-level mapping; None if there is none.
-    problems : list of Problem
-        Syntax errors, repeated keys, tags, aliases without an anchor, exceeded limits.
-    """
+    """Parse a YAML text into a tree; return tree and problems."""
     root, problems = _parsed(source.text)
     return root, [replace(problem, file=str(source.path)) for problem in problems]
 

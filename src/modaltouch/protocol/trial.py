@@ -88,15 +88,7 @@ class Condition:
         return self.placement.startswith("mirrored")
 
     def fingers(self, hand: str, named: Mapping[str, tuple[str, ...]] | None = None) -> tuple[str, ...]:
-        """Return the fingers on the zones, from left to right, such as ``left index``.
-
-        Parameters
-        ----------
-        hand : str
-            The hand used in ``one_hand`` by the protocol.
-        named : mapping, optional
-            Fingers of the finger conditions that the protocol defines.
-        """
+        """Return the fingers on the zones, from left to right, such as ``left index``."""
         laid: tuple[str, ...] = FINGERS.get((self.finger_condition, hand), ())
         laid = (named or {}).get(self.finger_condition, laid)
         if not laid or not self.placement.endswith("swapped"):

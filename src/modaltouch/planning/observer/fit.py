@@ -218,19 +218,7 @@ class Fit:
 
 
 def fit_observer(recorded: RecordedAnswers, prior: Observer) -> Fit:
-    """Fit an observer to recorded answers.
-
-    Parameters
-    ----------
-    recorded : RecordedAnswers
-        The answers.
-    prior : Observer
-        Centre of the priors, and source of the parameters that are not fitted.
-
-    Returns
-    -------
-    Fit
-    """
+    """Fit an observer to recorded answers."""
     from scipy.optimize import minimize
 
     fitted = [quantity for quantity in QUANTITIES if _is_free(quantity, prior)]

@@ -90,13 +90,7 @@ class Participant:
         return max(self.detection_speed, _LEAST_FLOOR)
 
     def suppression_in(self, finger_condition: str) -> float:
-        """Return the suppression between the two fingers of a finger condition [1].
-
-        Parameters
-        ----------
-        finger_condition : str
-            ``one_hand`` or another.
-        """
+        """Return the suppression between the two fingers of a finger condition [1]."""
         return self.suppression if finger_condition == SAME_HAND else self.suppression_across_hands
 
     def noise_at(self, speed_left: float, speed_right: float) -> float:
