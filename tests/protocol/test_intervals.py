@@ -11,8 +11,7 @@ import pytest
 from modaltouch.preflight import estimated_duration
 from modaltouch.preflight.advice import interval_warnings
 from modaltouch.protocol import Findings, Protocol, Schedule, Trial
-from modaltouch.protocol.interval_design import draw_intervals
-from modaltouch.protocol.intervals import IntervalsSection, StandardSection
+from modaltouch.protocol.intervals import IntervalsSection, StandardSection, draw_intervals
 from modaltouch.protocol.streams import Stream
 from modaltouch.protocol.trial import Condition
 

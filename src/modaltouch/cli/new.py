@@ -65,8 +65,9 @@ def write_study(folder: Path, template: str) -> tuple[Path, ...]:
                     undo.callback(_remove, file)
                     opened.write(text)
         except OSError as error:
-            given = f"a folder that cannot be written ({error.strerror})"
-            raise protocol.InputError.of(folder, given, "one that you may write to") from error
+            raise protocol.InputError.of(
+                folder, f"a folder that cannot be written ({error.strerror})", "one that you may write to"
+            ) from error
         undo.pop_all()
     return tuple(folder / place for place in contents)
 

@@ -81,14 +81,23 @@ def fit_answers(preflight: Preflight, path: Path, prior: Observer, *, mode: str 
     refuse_unlike(preflight)
     is_table = path.is_file() and path.suffix != ".jsonl"
     if is_table and preflight.variants:
-        given = "a CSV file, which does not say which stimulus an answer belongs to"
-        allowed = f"sessions with {', '.join(preflight.variants)}"
-        raise InputError.of(path, given, allowed, "give the sessions themselves")
+        raise InputError.of(
+            path,
+            "a CSV file, which does not say which stimulus an answer belongs to",
+            f"sessions with {', '.join(preflight.variants)}",
+            "give the sessions themselves",
+        )
     if preflight.findings.measured:
-        given = "measured, so each participant felt different speeds"
-        remedy = "see `modaltouch analyse --speed predicted`"
-        allowed = "fingers that are the same for all"
-        raise InputError([preflight.findings.problem(("stimulus", "fingers"), given, allowed, remedy)])
+        raise InputError(
+            [
+                preflight.findings.problem(
+                    ("stimulus", "fingers"),
+                    "measured, so each participant felt different speeds",
+                    "fingers that are the same for all",
+                    "see `modaltouch analyse --speed predicted`",
+                )
+            ]
+        )
     offered = preflight.experiment.protocol.answers.offered
     taken = {
         name: read_responses(
@@ -106,8 +115,12 @@ def fit_answers(preflight: Preflight, path: Path, prior: Observer, *, mode: str 
 
 def _refuse_adaptive(path: Path, *, is_adaptive: bool) -> None:
     if is_adaptive:
-        given, remedy = "adaptive sessions, which have no table of counts", "see them with `modaltouch analyse`"
-        raise InputError.of(path, given, "sessions with fixed levels", remedy)
+        raise InputError.of(
+            path,
+            "adaptive sessions, which have no table of counts",
+            "sessions with fixed levels",
+            "see them with `modaltouch analyse`",
+        )
 
 
 def _count(preflight: Preflight, path: Path, responses: Responses) -> AnswerCounts:
@@ -115,8 +128,11 @@ def _count(preflight: Preflight, path: Path, responses: Responses) -> AnswerCoun
     experiment, remedy = preflight.experiment, "give the protocol that these answers belong to"
     _refuse_adaptive(path, is_adaptive=responses.is_adaptive)
     if responses.in_multiples:
-        given = "sessions with levels calibrated by participant, so each felt different velocities"
-        raise InputError.of(path, given, "sessions with the same levels for all")
+        raise InputError.of(
+            path,
+            "sessions with levels calibrated by participant, so each felt different velocities",
+            "sessions with the same levels for all",
+        )
     answers = responses.count(experiment.protocol.stimulus.focus)
     zones = experiment.apparatus.zones
     for zone in dict.fromkeys(zone for pair in answers.pairs for zone in (pair.left, pair.right)):

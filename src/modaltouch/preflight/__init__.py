@@ -13,8 +13,8 @@ from modaltouch.system import lazily
 
 if TYPE_CHECKING:
     from modaltouch.preflight.checked import Preflight
-    from modaltouch.preflight.design_inputs import DesignInputs, design
-    from modaltouch.preflight.examination import check_legibility, design_to_fit, examine, examine_findings
+    from modaltouch.preflight.design_inputs import DesignInputs, design, design_to_fit
+    from modaltouch.preflight.examination import check_legibility, examine, examine_findings
     from modaltouch.preflight.figures import estimated_duration, finite
     from modaltouch.preflight.measured import delivered_figures, has_drifted, with_measured
 else:
@@ -22,8 +22,8 @@ else:
         __name__,
         {
             "checked": "Preflight",
-            "design_inputs": "DesignInputs design",
-            "examination": "check_legibility design_to_fit examine examine_findings",
+            "design_inputs": "DesignInputs design design_to_fit",
+            "examination": "check_legibility examine examine_findings",
             "figures": "estimated_duration finite",
             "measured": "delivered_figures has_drifted with_measured",
         },

@@ -60,68 +60,51 @@ class Preflight:
         return next((each for each in self.others if each.findings.occasion == (group, session_kind)), self)
 
     def require(self) -> Self:
-        """Return self if a session may run.
-
-        Raises
-        ------
-        InputError
-            With all problems.
-        """
+        """Return self if a session may run, else raise InputError with all problems."""
         if self.problems:
             raise InputError(self.problems)
         return self
 
     @property
     def experiment(self) -> Experiment:
-        """The experiment described by the files.
-
-        Raises
-        ------
-        InputError
-            If the files have any fault.
-        """
+        """The experiment described by the files; raises InputError if they have any fault."""
         return self.require().findings.experiment()
 
     @property
     def stimulus(self) -> Stimulus:
-        """The stimulus, common to all levels.
-
-        Raises
-        ------
-        InputError
-            If anything is wrong with the protocol.
-        """
+        """The stimulus, common to all levels; raises InputError if anything is wrong with the protocol."""
         return self.sound[1]
 
     def of_untouched_beam(self) -> Self:
-        """Return self if the stimuli are designed for the untouched beam, as measurements in the lab require.
-
-        Raises
-        ------
-        InputError
-            If they are designed for fingers, or if there are problems.
-        """
+        """Return self if there are no problems and the stimuli are for the untouched beam, else raise InputError."""
         self.require()
         if self.findings.fingers is not None:
-            given, remedy = (
-                "fingers, but this measures the untouched beam",
-                "make a copy of the protocol without them",
+            raise InputError(
+                [
+                    self.findings.problem(
+                        ("stimulus", "fingers"),
+                        "fingers, but this measures the untouched beam",
+                        "none",
+                        "make a copy of the protocol without them",
+                    )
+                ]
             )
-            raise InputError([self.findings.problem(("stimulus", "fingers"), given, "none", remedy)])
         return self
 
     def of_one_stimulus(self) -> Self:
-        """Return self if the protocol has a single stimulus.
-
-        Raises
-        ------
-        InputError
-            If it has several, or if there are problems.
-        """
+        """Return self if there are no problems and the protocol has a single stimulus, else raise InputError."""
         self.require()
         if self.variants and self.findings.protocol is not None:
-            given, remedy = f"{len(self.variants)} stimuli", "make a separate protocol for each"
-            raise InputError([self.findings.protocol.problem(("stimuli",), given, "one stimulus", remedy)])
+            raise InputError(
+                [
+                    self.findings.protocol.problem(
+                        ("stimuli",),
+                        f"{len(self.variants)} stimuli",
+                        "one stimulus",
+                        "make a separate protocol for each",
+                    )
+                ]
+            )
         return self
 
     def with_levels(self, levels_mm_s: tuple[float, ...]) -> Self:
@@ -186,13 +169,7 @@ class Preflight:
 
     @property
     def sound(self) -> tuple[DesignInputs, Stimulus]:
-        """The design inputs and the stimulus, the first of several.
-
-        Raises
-        ------
-        InputError
-            If anything is wrong with the protocol.
-        """
+        """The design inputs and the stimulus, the first of several; raises InputError if anything is wrong."""
         if self.problems or self.inputs is None or self.designed is None:
             raise InputError(self.problems)
         return self.inputs, self.designed

@@ -59,8 +59,15 @@ class DesignInputs:
     @property
     def reference(self) -> float:
         """Highest level within the safety limit, at which the codes span the generator's range [mm/s]."""
-        allowed = [level for level in self.levels.values() if level <= self.velocity_limit]
-        return max(allowed, default=min(self.levels.values(), default=_FALLBACK_LEVEL))
+        return max(
+            [level for level in self.levels.values() if level <= self.velocity_limit],
+            default=min(self.levels.values(), default=_FALLBACK_LEVEL),
+        )
+
+    @property
+    def highest_amplitude(self) -> float:
+        """Generator's highest amplitude whose full scale is within the amplifier's limit [Vpp]."""
+        return 2 * instrument_of(self.apparatus).highest_level(self.apparatus)
 
 
 def find_design_inputs(findings: Findings) -> DesignInputs | None:
@@ -167,6 +174,28 @@ def design(
         priority=section.priority if (law or section.law) == "exact" else "field",
         correction=inputs.correction,
     )
+
+
+def design_to_fit(inputs: DesignInputs, *, release: Release | None = None) -> Stimulus:
+    """Return the stimulus, without the 5 % of full scale reserved for the amplitude grid if that does not fit.
+
+    Parameters
+    ----------
+    inputs : DesignInputs
+        Inputs of the design.
+    release : str, optional
+        Drive after the focusing instant; the protocol's if not given.
+
+    Raises
+    ------
+    ValueError
+        If the design fails.
+    """
+    stimulus = design(inputs, release=release)
+    within = float(stimulus.peak_voltage.max()) <= inputs.apparatus.amplifier.limit_V
+    if within and max(stimulus.burst.full_scale_for(stimulus.target_field.velocity)) > inputs.highest_amplitude:
+        return design(inputs, release=release, on_grid=False)
+    return stimulus
 
 
 def equalised(inputs: DesignInputs, stimulus: Stimulus, first: tuple[DesignInputs, Stimulus]) -> DesignInputs:

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.preflight.checked import Preflight
-from modaltouch.preflight.design_inputs import DesignInputs, design, find_design_inputs
+from modaltouch.preflight.design_inputs import DesignInputs, design_to_fit, equalised, find_design_inputs
 from modaltouch.protocol import Apparatus, Findings, Problem, Schedule
 from modaltouch.rig import instrument_of
-from modaltouch.stimulus import Burst, Release, Stimulus
+from modaltouch.stimulus import Burst, Stimulus
 
 if TYPE_CHECKING:
     from modaltouch.window import WindowOptions
@@ -55,11 +55,6 @@ def check_levels(inputs: DesignInputs, stimulus: Stimulus, findings: Findings) -
     return problems
 
 
-def _highest_amplitude(inputs: DesignInputs) -> float:
-    """Return the generator's highest amplitude whose full scale is within the amplifier's limit [Vpp]."""
-    return 2 * instrument_of(inputs.apparatus).highest_level(inputs.apparatus)
-
-
 def _check_amplifier(
     inputs: DesignInputs, stimulus: Stimulus, findings: Findings, path: _Key, level: float
 ) -> Iterator[Problem]:
@@ -67,32 +62,41 @@ def _check_amplifier(
     needed = float(stimulus.peak_voltage.max()) * level * 1e-3 / stimulus.target_field.velocity
     if needed > limit * (1 + 1e-9):
         highest = _rounded(limit / needed * level)
-        given = f"{level:g} mm/s, which needs {needed:.0f} V at the beam"
-        allowed = f"at most {limit:g} V there ({highest} mm/s)"
-        remedy = "lower the level, or choose a law, field or focus that needs less"
-        yield findings.problem(path, given, allowed, remedy)
+        yield findings.problem(
+            path,
+            f"{level:g} mm/s, which needs {needed:.0f} V at the beam",
+            f"at most {limit:g} V there ({highest} mm/s)",
+            "lower the level, or choose a law, field or focus that needs less",
+        )
 
 
 def _check_generator(
     inputs: DesignInputs, stimulus: Stimulus, findings: Findings, path: _Key, level: float
 ) -> Iterator[Problem]:
-    smallest, largest = instrument_of(inputs.apparatus).lowest_amplitude, _highest_amplitude(inputs)
+    smallest, largest = instrument_of(inputs.apparatus).lowest_amplitude, inputs.highest_amplitude
     sounding, full = _sounding(stimulus, level)
     if not sounding:
         return
     strong, weak = max(full, key=full.__getitem__), min(sounding, key=sounding.__getitem__)
     if full[strong] > largest:
-        given = f"{level:g} mm/s, which needs {full[strong]:.4g} V peak to peak of output {strong}"
-        allowed = f"at most {largest:g} V into an open circuit ({_rounded(level * largest / full[strong])} mm/s)"
-        yield findings.problem(path, given, allowed, "lower the level, or use an amplifier with a higher gain")
+        yield findings.problem(
+            path,
+            f"{level:g} mm/s, which needs {full[strong]:.4g} V peak to peak of output {strong}",
+            f"at most {largest:g} V into an open circuit ({_rounded(level * largest / full[strong])} mm/s)",
+            "lower the level, or use an amplifier with a higher gain",
+        )
     if sounding[weak] < smallest:
         given = f"{level:g} mm/s, which needs {sounding[weak]:.4g} V peak to peak of output {weak}"
         least = level * smallest / sounding[weak]
         allowed = f"at least {smallest:g} V, the generator's smallest amplitude (about {_rounded(least, up=True)} mm/s)"
         # A level given in m/s, such as 0.08 for 80 mm/s.
         meant = level * 1e3 if level < 1 and least <= level * 1e3 <= inputs.velocity_limit else None
-        remedy = "raise the level" if meant is None else f"did you mean {meant:g} mm/s? Levels are in mm/s, not m/s"
-        yield findings.problem(path, given, allowed, remedy)
+        yield findings.problem(
+            path,
+            given,
+            allowed,
+            "raise the level" if meant is None else f"did you mean {meant:g} mm/s? Levels are in mm/s, not m/s",
+        )
 
 
 def _sounding(stimulus: Stimulus, level: float) -> tuple[dict[int, float], dict[int, float]]:
@@ -111,7 +115,7 @@ def _check_range(inputs: DesignInputs, stimulus: Stimulus, findings: Findings) -
     sounding, full = _sounding(stimulus, level)
     if not sounding:
         return []
-    highest = level * min(limit / float(stimulus.peak_voltage.max()), _highest_amplitude(inputs) / max(full.values()))
+    highest = level * min(limit / float(stimulus.peak_voltage.max()), inputs.highest_amplitude / max(full.values()))
     weak = min(sounding, key=sounding.__getitem__)
     least = level * instrument_of(inputs.apparatus).lowest_amplitude / sounding[weak]
     # Levels that round to zero result from an instant or duration given in seconds.
@@ -127,10 +131,12 @@ def _check_range(inputs: DesignInputs, stimulus: Stimulus, findings: Findings) -
         f" (output {weak} needs at least {_rounded(least, up=True)} mm/s for the generator's smallest amplitude, and "
         f"amplifier and generator reach at most {_rounded(highest)} mm/s)"
     )
-    allowed = f"up to {length:g} mm" if base > length else ""
     return [
         findings.problem(
-            path, given, allowed, "choose another field, focus, modes or focusing_instant_ms; no other level will do"
+            path,
+            given,
+            f"up to {length:g} mm" if base > length else "",
+            "choose another field, focus, modes or focusing_instant_ms; no other level will do",
         )
     ]
 
@@ -210,16 +216,18 @@ def _check_safety(
         fastest = int(highest.argmax()) // points.shape[1]
         if error.any():
             said += f", up to {error.max() * 1e3:.3g} mm/s of it by the intervals of the gains"
-        given = f"{level:g} mm/s, which moves zone {list(zones)[fastest]} at {speed:.0f} mm/s{said}"
-        allowed = f"at most {limit:g} mm/s anywhere in a zone ({_rounded(level * limit / speed)} mm/s)"
-        remedy = "lower the level; the limit is set in the section safety of the apparatus"
-        yield findings.problem(path, given, allowed, remedy)
+        yield findings.problem(
+            path,
+            f"{level:g} mm/s, which moves zone {list(zones)[fastest]} at {speed:.0f} mm/s{said}",
+            f"at most {limit:g} mm/s anywhere in a zone ({_rounded(level * limit / speed)} mm/s)",
+            "lower the level; the limit is set in the section safety of the apparatus",
+        )
 
 
 def attainable_level(inputs: DesignInputs, stimulus: Stimulus) -> float:
     """Return the highest level that amplifier, generator and safety allow, also if fingers are lifted [mm/s]."""
     amplifier = inputs.apparatus.amplifier.limit_V / float(stimulus.peak_drive(inputs.reference * 1e-3).max())
-    generator = _highest_amplitude(inputs) / max(stimulus.burst.full_scale_for(inputs.reference * 1e-3))
+    generator = inputs.highest_amplitude / max(stimulus.burst.full_scale_for(inputs.reference * 1e-3))
     level, most = inputs.reference * min(amplifier, generator), inputs.velocity_limit * 1e-3
     error = _error(inputs, stimulus, level)
     speeds = _speeds_when_lifted(inputs, stimulus, level, most - float(error.max()))
@@ -309,8 +317,6 @@ def _examine_placements(findings: Findings, inputs: DesignInputs) -> Preflight:
             continue
         placed[name], first = _examine_one(findings, own), next(iter(placed.values()), None)
         if own.section.equalise_band_Hz and first and not {*placed[name].problems, *first.problems}:
-            from modaltouch.preflight.design_inputs import equalised
-
             placed[name] = _examine_one(findings, equalised(*placed[name].sound, first.sound))
     first = next(iter(placed.values()))
     problems = {
@@ -372,16 +378,24 @@ def _check_generator_itself(inputs: DesignInputs, findings: Findings) -> Iterato
     section, instrument = inputs.section, instrument_of(inputs.apparatus)
     converter, path = instrument.converter, ("stimulus", "n_samples")
     if section.n_samples > converter.max_points:
-        allowed = f"at most {converter.max_points}, the points of a record of the {instrument.models[0]}"
-        yield findings.problem(path, f"{section.n_samples}", allowed, "use fewer")
+        yield findings.problem(
+            path,
+            f"{section.n_samples}",
+            f"at most {converter.max_points}, the points of a record of the {instrument.models[0]}",
+            "use fewer",
+        )
     rate = section.n_samples / section.duration_ms * 1e3
     if rate > converter.clock_rate * (1 + 1e-12):
         given = f"{section.n_samples} samples in {section.duration_ms:g} ms, which is {rate:.4g} Hz"
         most, clock = int(section.duration_ms * 1e-3 * converter.clock_rate), converter.clock_rate * 1e-6
         yield findings.problem(path, given, f"at most {most} samples, at the generator's {clock:g} MHz", "use fewer")
     if inputs.apparatus.generator.repeats == "timer" and instrument.commands.timer is None and findings.apparatus:
-        given, allowed = f"timer, which the channels of a {instrument.models[0]} do not share", "single"
-        yield findings.apparatus.problem(("generator", "repetition"), given, allowed, "write single")
+        yield findings.apparatus.problem(
+            ("generator", "repetition"),
+            f"timer, which the channels of a {instrument.models[0]} do not share",
+            "single",
+            "write single",
+        )
 
 
 def _examine_several(findings: Findings) -> Preflight:
@@ -410,32 +424,12 @@ def _check_memories(findings: Findings, apparatus: Apparatus, bursts: Sequence[B
     n_memories = instrument_of(apparatus).records.n_memories
     n_records = len({record.tobytes() for burst in bursts for record in burst.codes})
     if n_records > n_memories:
-        given = f"{len(bursts)} stimuli with {n_records} different records"
-        allowed = f"at most {n_memories}, one for each memory of the generator: two stimuli on two outputs"
-        remedy = "use fewer (those that differ only in rate, bursts or masking share theirs), or several protocols"
-        yield findings.problem(("stimuli",), given, allowed, remedy)
-
-
-def design_to_fit(inputs: DesignInputs, *, release: Release | None = None) -> Stimulus:
-    """Return the stimulus, without the 5 % of full scale reserved for the amplitude grid if that does not fit.
-
-    Parameters
-    ----------
-    inputs : DesignInputs
-        Inputs of the design.
-    release : str, optional
-        Drive after the focusing instant; the protocol's if not given.
-
-    Raises
-    ------
-    ValueError
-        If the design fails.
-    """
-    stimulus = design(inputs, release=release)
-    within = float(stimulus.peak_voltage.max()) <= inputs.apparatus.amplifier.limit_V
-    if within and max(stimulus.burst.full_scale_for(stimulus.target_field.velocity)) > _highest_amplitude(inputs):
-        return design(inputs, release=release, on_grid=False)
-    return stimulus
+        yield findings.problem(
+            ("stimuli",),
+            f"{len(bursts)} stimuli with {n_records} different records",
+            f"at most {n_memories}, one for each memory of the generator: two stimuli on two outputs",
+            "use fewer (those that differ only in rate, bursts or masking share theirs), or several protocols",
+        )
 
 
 def _check_masking_level(findings: Findings) -> Iterator[Problem]:

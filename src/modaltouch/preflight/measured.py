@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from modaltouch.preflight.checked import Preflight
-from modaltouch.preflight.design_inputs import DesignInputs, equalised
-from modaltouch.preflight.examination import attainable_level, design_to_fit
+from modaltouch.preflight.design_inputs import DesignInputs, design_to_fit, equalised
+from modaltouch.preflight.examination import attainable_level
 from modaltouch.protocol import InputError, Trial
 
 if TYPE_CHECKING:

@@ -116,8 +116,12 @@ def check_sensation_levels(reading: Reading[Any]) -> Iterator[Problem]:
     if reading.keys(*_SECTION) is None:
         return
     if is_adaptive(reading):
-        given = "levels calibrated by participant, but runs are adaptive and find their own"
-        yield reading.problem(_SECTION, given, "one of the two", "remove this section or the section adaptive")
+        yield reading.problem(
+            _SECTION,
+            "levels calibrated by participant, but runs are adaptive and find their own",
+            "one of the two",
+            "remove this section or the section adaptive",
+        )
         return
     if reading.sound(*_SECTION, "thresholds_from") == (name := reading.sound("protocol")) and name is not None:
         path, given = (*_SECTION, "thresholds_from"), f"'{name}', this protocol itself"
@@ -130,10 +134,12 @@ def check_sensation_levels(reading: Reading[Any]) -> Iterator[Problem]:
     if faults or len(levels) != 2 or not multiples:
         return
     if max(multiples.values()) / min(multiples.values()) > levels[1] / levels[0]:
-        given = f"{min(multiples.values()):g} to {max(multiples.values()):g}, a wider range than that of the levels"
-        allowed = f"a ratio of at most {levels[1] / levels[0]:.4g}, that of conditions.peak_velocities_mm_s"
-        remedy = "bring them closer together, or allow lower or higher levels"
-        yield reading.problem((*_SECTION, "multiples"), given, allowed, remedy)
+        yield reading.problem(
+            (*_SECTION, "multiples"),
+            f"{min(multiples.values()):g} to {max(multiples.values()):g}, a wider range than that of the levels",
+            f"a ratio of at most {levels[1] / levels[0]:.4g}, that of conditions.peak_velocities_mm_s",
+            "bring them closer together, or allow lower or higher levels",
+        )
 
 
 def _check_doubles(reading: Reading[Any], multiples: dict[int, float]) -> Iterator[Problem]:
@@ -142,9 +148,12 @@ def _check_doubles(reading: Reading[Any], multiples: dict[int, float]) -> Iterat
     for index, value in multiples.items():
         like = next((at for at, other in seen.items() if math.isclose(value, other, rel_tol=2e-3)), None)
         if like is not None:
-            given = f"{value:g}, almost the same as multiples[{like}]"
-            allowed = "multiples at least 0.2 % apart"
-            yield reading.problem((*_SECTION, "multiples", index), given, allowed, "remove one of them")
+            yield reading.problem(
+                (*_SECTION, "multiples", index),
+                f"{value:g}, almost the same as multiples[{like}]",
+                "multiples at least 0.2 % apart",
+                "remove one of them",
+            )
         seen[index] = value
 
 
@@ -196,8 +205,12 @@ def _check_levels(reading: Reading[Any]) -> Iterator[Problem]:
     levels = [level for _, level in reading.items("conditions", "peak_velocities_mm_s")]
     start = reading.sound("adaptive", "start_mm_s")
     if start is not None and len(levels) == 2 and levels[0] < levels[1] and not levels[0] <= start <= levels[1]:
-        allowed = f"{levels[0]:g} to {levels[1]:g} mm/s, the levels of conditions.peak_velocities_mm_s"
-        yield reading.problem(("adaptive", "start_mm_s"), f"{start:g} mm/s", allowed, "start within this range")
+        yield reading.problem(
+            ("adaptive", "start_mm_s"),
+            f"{start:g} mm/s",
+            f"{levels[0]:g} to {levels[1]:g} mm/s, the levels of conditions.peak_velocities_mm_s",
+            "start within this range",
+        )
 
 
 def _check_success(reading: Reading[Any]) -> Iterator[Problem]:
@@ -207,8 +220,12 @@ def _check_success(reading: Reading[Any]) -> Iterator[Problem]:
     if success == "focus_named" and focus is not None and not reading.sound("stimuli"):
         for path, zones in contacts(reading):
             if focus not in zones:
-                given = f"[{', '.join(zones)}] without the focus, but success is naming the focus"
-                yield reading.problem(path, given, f"a pair with {focus}", "remove it, or count `felt` as success")
+                yield reading.problem(
+                    path,
+                    f"[{', '.join(zones)}] without the focus, but success is naming the focus",
+                    f"a pair with {focus}",
+                    "remove it, or count `felt` as success",
+                )
     offered, at = offered_answers(reading), ("adaptive", "success")
     several = reading.keys("intervals") is not None
     if success == "correct":
@@ -239,19 +256,29 @@ def _check_correct(reading: Reading[Any], offered: AnswerList) -> Iterator[Probl
     """Yield a problem if success cannot be `correct`: no answer names an interval, or the guess rate does not fit."""
     said = [answer.interval for answer in offered if answer.interval is not None]
     if reading.keys("intervals") is None or not said:
-        given = "correct, but no answer refers to intervals"
-        allowed = "a section intervals, and answers.intervals"
-        yield reading.problem(("adaptive", "success"), given, allowed, "add them, or choose another success")
+        yield reading.problem(
+            ("adaptive", "success"),
+            "correct, but no answer refers to intervals",
+            "a section intervals, and answers.intervals",
+            "add them, or choose another success",
+        )
         return
     guess_rate, rule = (reading.sound("adaptive", name) for name in ("guess_rate", "staircase"))
     chance = 1 / len(said)
     if guess_rate is not None and isinstance(said[0], int) and abs(guess_rate - chance) > 0.01:
-        given = f"{guess_rate:g}, but one of {len(said)} intervals is named"
-        yield reading.problem(("adaptive", "guess_rate"), given, f"{chance:.4g}", f"write `guess_rate: {chance:.4g}`")
+        yield reading.problem(
+            ("adaptive", "guess_rate"),
+            f"{guess_rate:g}, but one of {len(said)} intervals is named",
+            f"{chance:.4g}",
+            f"write `guess_rate: {chance:.4g}`",
+        )
     elif rule is not None and reading.sound("adaptive", "method") == "staircase" and rule.target <= (guess_rate or 0):
-        given = f"a staircase that converges to {rule.target:.4g}, the rate of guessing"
-        remedy = "write `down_after: 2` or more"
-        yield reading.problem(("adaptive", "staircase"), given, f"a target above {guess_rate:g}", remedy)
+        yield reading.problem(
+            ("adaptive", "staircase"),
+            f"a staircase that converges to {rule.target:.4g}, the rate of guessing",
+            f"a target above {guess_rate:g}",
+            "write `down_after: 2` or more",
+        )
 
 
 def contacts(reading: Reading[Any]) -> list[tuple[tuple[str, str, int], tuple[str, ...]]]:

@@ -16,23 +16,23 @@ import numpy as np
 from pydantic import Field
 
 from modaltouch.protocol.apparatus_sections import (
+    ActuatorSet,
+    AmplifierSection,
+    Beam,
     Identified,
-    Intervals,
     Latency,
-    Provenance,
-    ShapeTable,
+    Mode,
+    Safety,
     TwinSection,
+    Zone,
     check_shapes,
 )
 from modaltouch.protocol.problems import InputError, Problem, format_path
 from modaltouch.protocol.reading import Reading, read, repeats
 from modaltouch.protocol.section import (
     Count,
-    DampingRatio,
     FileName,
-    Label,
     NotNegative,
-    Number,
     Positive,
     Section,
     Text,
@@ -48,86 +48,6 @@ if TYPE_CHECKING:
 
 _MEASURED = ("beam", "actuator_sets", "modes", "amplifier", "generator", "acquisition", "twin")
 """Sections whose change invalidates a calibration; names, zones and limits do not."""
-
-
-class Beam(Section):
-    """The bare beam."""
-
-    length_mm: Positive = described("Length of the beam [mm].")
-    width_mm: Positive = described("Width of the beam [mm].")
-    thickness_mm: Positive = described("Thickness of the beam [mm].")
-    mass_g: Positive | None = described(
-        "Moving mass without fingers, including the patches [g]; null for a plain aluminium beam of this size.",
-        default=None,
-    )
-    theory: Literal["euler_bernoulli", "timoshenko", "measured"] = described(
-        "Source of the mode shapes: a slender uniform free-free beam, one with shear and rotary inertia, or a scan "
-        "(`measured_shapes`).",
-        default="euler_bernoulli",
-    )
-    poissons_ratio: Annotated[float, Field(strict=True, gt=-1, le=0.5)] = described(
-        "Poisson's ratio, which sets the shear stiffness in the timoshenko theory [1].", default=0.33
-    )
-    measured_shapes: ShapeTable | None = described("Mode shapes from a scan, for `theory: measured`.", default=None)
-
-    @property
-    def mass(self) -> float:
-        """Moving mass [kg]; by default that of plain aluminium, 2.7 mg/mm^3."""
-        aluminium = 2.7e-6 * self.length_mm * self.width_mm * self.thickness_mm
-        return aluminium if self.mass_g is None else self.mass_g * 1e-3
-
-
-class Zone(Section):
-    """A part of the beam that a finger may touch; origin at mid-beam, positive to the right."""
-
-    centre_mm: Number = described("Centre of the zone [mm from mid-beam, positive to the participant's right].")
-    width_mm: Positive = described("Width of the zone [mm].")
-
-    @property
-    def edges(self) -> tuple[float, float]:
-        """Left and right edge [mm from mid-beam]."""
-        return self.centre_mm - self.width_mm / 2, self.centre_mm + self.width_mm / 2
-
-
-class ActuatorSet(Section):
-    """Patches wired together and fed by one generator output."""
-
-    channel: Annotated[int, Field(strict=True, ge=1, le=2)] = described("Generator output that feeds the set.")
-    patches_mm: tuple[tuple[Number, Number], ...] = described(
-        "Left and right end of each patch [mm from mid-beam]; from them `check` suggests missing gains.", default=()
-    )
-
-
-class Mode(Section):
-    """A modelled vibration mode: one row of the paper's Table I."""
-
-    label: Label = described("Number of the mode: 1 rigid translation, 2 rigid rotation, k from 3 on bending k - 2.")
-    natural_frequency_Hz: Positive = described("Natural frequency [Hz].")  # noqa: N815
-    damping_ratio: DampingRatio = described("Damping ratio [1].")
-    gain_mm_s2_per_V: dict[Word, Number] = described(  # noqa: N815
-        "Modal acceleration per volt at the beam [mm/s^2 per V], by actuator set; the gain of a set that is left out "
-        "is unknown and taken as zero."
-    )
-    assumed: tuple[Word, ...] = described("Actuator sets whose gain is assumed, not measured.", default=())
-    intervals_95: Intervals | None = described("95 % intervals, as identified.", default=None)
-    provenance: Provenance | None = described("Where each number comes from.", default=None)
-
-
-class AmplifierSection(Section):
-    """The amplifier between generator and beam."""
-
-    gain_V_per_V: Positive = described("Voltage gain [V at the beam per V of the generator].")  # noqa: N815
-    limit_V: Positive = described("Highest voltage at the beam [V, peak]; no protocol can raise it.")  # noqa: N815
-    bandwidth_kHz: Positive | None = described(  # noqa: N815
-        "Corner of its first-order pole [kHz]; null where it has not been identified.", default=None
-    )
-    delay_us: NotNegative = described("Delay from generator to beam [us].", default=0.0)
-
-
-class Safety(Section):
-    """Limits that no protocol can raise."""
-
-    velocity_limit_mm_s: Positive = described("Highest velocity anywhere in a zone [mm/s, peak].")
 
 
 class GeneratorSection(Section):
@@ -380,8 +300,12 @@ def check_patches(reading: Reading[Apparatus]) -> Iterator[Problem]:
             if not left < right:
                 yield reading.problem(path, given, "the left end first", "exchange the two ends")
             elif length is not None and max(-left, right) > length / 2 * (1 + 1e-9):
-                allowed = f"from {-length / 2:g} to {length / 2:g} mm, the ends of the {length:g} mm beam"
-                yield reading.problem(path, given, allowed, "measure from mid-beam")
+                yield reading.problem(
+                    path,
+                    given,
+                    f"from {-length / 2:g} to {length / 2:g} mm, the ends of the {length:g} mm beam",
+                    "measure from mid-beam",
+                )
 
 
 def check_apparatus(reading: Reading[Apparatus]) -> list[Problem]:
@@ -402,20 +326,30 @@ def _check_zones(reading: Reading[Apparatus]) -> Iterator[Problem]:
     for name, zone in zones:
         left, right = zone.edges
         if length is not None and max(-left, right) > length / 2 + tolerance:
-            given = f"a zone from {left:g} to {right:g} mm"
-            allowed = f"from {-length / 2:g} to {length / 2:g} mm, the ends of the {length:g} mm beam"
-            yield reading.problem(("zones", name), given, allowed, "move it or make it narrower")
+            yield reading.problem(
+                ("zones", name),
+                f"a zone from {left:g} to {right:g} mm",
+                f"from {-length / 2:g} to {length / 2:g} mm, the ends of the {length:g} mm beam",
+                "move it or make it narrower",
+            )
     for (first, one), (second, other) in itertools.pairwise(sorted(zones, key=lambda item: item[1].centre_mm)):
         if other.edges[0] < one.edges[1] - tolerance:
-            given = f"a zone that begins at {other.edges[0]:g} mm, inside zone {first}"
-            allowed = f"from {one.edges[1]:g} mm on, where zone {first} ends"
-            yield reading.problem(("zones", second), given, allowed, "move one of them or make it narrower")
+            yield reading.problem(
+                ("zones", second),
+                f"a zone that begins at {other.edges[0]:g} mm, inside zone {first}",
+                f"from {one.edges[1]:g} mm on, where zone {first} ends",
+                "move one of them or make it narrower",
+            )
 
 
 def _check_actuator_sets(reading: Reading[Apparatus]) -> Iterator[Problem]:
     for name, channel, first in repeats([(name, each.channel) for name, each in reading.items("actuator_sets")]):
-        given, remedy = f"{channel}, which already feeds the set {first}", "give each set its own output"
-        yield reading.problem(("actuator_sets", name, "channel"), given, "a free output of 1, 2", remedy)
+        yield reading.problem(
+            ("actuator_sets", name, "channel"),
+            f"{channel}, which already feeds the set {first}",
+            "a free output of 1, 2",
+            "give each set its own output",
+        )
 
 
 def _check_modes(reading: Reading[Apparatus]) -> Iterator[Problem]:
@@ -432,6 +366,9 @@ def _check_modes(reading: Reading[Apparatus]) -> Iterator[Problem]:
             yield from reading.unlisted(intervals, "a set of actuator_sets", named, at_key=True)
             yield from reading.unlisted((*mode, "assumed"), "a set with a gain in this mode", named)
     for mode, (_, label), first in repeats(labels):
-        given = f"{label}, which is also the label of {format_path(first)}"
-        allowed = "each label once" if mode[0] == "modes" else "each mode once"
-        yield reading.problem((*mode, "label"), given, allowed, "remove one of them")
+        yield reading.problem(
+            (*mode, "label"),
+            f"{label}, which is also the label of {format_path(first)}",
+            "each label once" if mode[0] == "modes" else "each mode once",
+            "remove one of them",
+        )

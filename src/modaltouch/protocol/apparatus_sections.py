@@ -1,4 +1,4 @@
-"""Sections of an apparatus file: results of an identification, and properties of the simulated rig."""
+"""Sections of an apparatus file: the beam and its modes, as identified and in the simulated rig."""
 
 from __future__ import annotations
 
@@ -102,23 +102,119 @@ def check_shapes(reading: Reading[Any]) -> Iterator[Problem]:
     theory, table = reading.sound("beam", "theory"), reading.sound("beam", "measured_shapes")
     here = ("beam", "measured_shapes")
     if theory == "measured" and reading.find(here) is None:
-        remedy = "add `measured_shapes`, or choose euler_bernoulli or timoshenko"
-        yield reading.problem(("beam", "theory"), "measured, but there are no shapes", "shapes of a scan", remedy)
+        yield reading.problem(
+            ("beam", "theory"),
+            "measured, but there are no shapes",
+            "shapes of a scan",
+            "add `measured_shapes`, or choose euler_bernoulli or timoshenko",
+        )
     if theory in ("euler_bernoulli", "timoshenko") and reading.find(here) is not None:
-        given = f"shapes of a scan, which {theory} does not use"
-        yield reading.problem(here, given, "only with `theory: measured`", "write `theory: measured`", at_key=True)
+        yield reading.problem(
+            here,
+            f"shapes of a scan, which {theory} does not use",
+            "only with `theory: measured`",
+            "write `theory: measured`",
+            at_key=True,
+        )
     if theory != "measured" or table is None:
         return
     for index, mode in enumerate(table.modes):
         if len(mode.values) != len(table.position_mm):
-            given = f"{len(mode.values)} values for {len(table.position_mm)} positions"
-            yield reading.problem((*here, "modes", index, "values"), given, "one value for each position")
+            yield reading.problem(
+                (*here, "modes", index, "values"),
+                f"{len(mode.values)} values for {len(table.position_mm)} positions",
+                "one value for each position",
+            )
     labels = [mode.label for _, mode in reading.items("modes")]
     shaped = [mode.label for mode in table.modes]
     for label in labels:
         if shaped.count(label) != 1:
-            given = f"{shaped.count(label)} shapes of mode {label}"
-            yield reading.problem((*here, "modes"), given, "one shape for each mode of the table", at_key=True)
+            yield reading.problem(
+                (*here, "modes"),
+                f"{shaped.count(label)} shapes of mode {label}",
+                "one shape for each mode of the table",
+                at_key=True,
+            )
+
+
+class Beam(Section):
+    """The bare beam."""
+
+    length_mm: Positive = described("Length of the beam [mm].")
+    width_mm: Positive = described("Width of the beam [mm].")
+    thickness_mm: Positive = described("Thickness of the beam [mm].")
+    mass_g: Positive | None = described(
+        "Moving mass without fingers, including the patches [g]; null for a plain aluminium beam of this size.",
+        default=None,
+    )
+    theory: Literal["euler_bernoulli", "timoshenko", "measured"] = described(
+        "Source of the mode shapes: a slender uniform free-free beam, one with shear and rotary inertia, or a scan "
+        "(`measured_shapes`).",
+        default="euler_bernoulli",
+    )
+    poissons_ratio: Annotated[float, Field(strict=True, gt=-1, le=0.5)] = described(
+        "Poisson's ratio, which sets the shear stiffness in the timoshenko theory [1].", default=0.33
+    )
+    measured_shapes: ShapeTable | None = described("Mode shapes from a scan, for `theory: measured`.", default=None)
+
+    @property
+    def mass(self) -> float:
+        """Moving mass [kg]; by default that of plain aluminium, 2.7 mg/mm^3."""
+        aluminium = 2.7e-6 * self.length_mm * self.width_mm * self.thickness_mm
+        return aluminium if self.mass_g is None else self.mass_g * 1e-3
+
+
+class Zone(Section):
+    """A part of the beam that a finger may touch; origin at mid-beam, positive to the right."""
+
+    centre_mm: Number = described("Centre of the zone [mm from mid-beam, positive to the participant's right].")
+    width_mm: Positive = described("Width of the zone [mm].")
+
+    @property
+    def edges(self) -> tuple[float, float]:
+        """Left and right edge [mm from mid-beam]."""
+        return self.centre_mm - self.width_mm / 2, self.centre_mm + self.width_mm / 2
+
+
+class ActuatorSet(Section):
+    """Patches wired together and fed by one generator output."""
+
+    channel: Annotated[int, Field(strict=True, ge=1, le=2)] = described("Generator output that feeds the set.")
+    patches_mm: tuple[tuple[Number, Number], ...] = described(
+        "Left and right end of each patch [mm from mid-beam]; from them `check` suggests missing gains.", default=()
+    )
+
+
+class Mode(Section):
+    """A modelled vibration mode: one row of the paper's Table I."""
+
+    label: Label = described("Number of the mode: 1 rigid translation, 2 rigid rotation, k from 3 on bending k - 2.")
+    natural_frequency_Hz: Positive = described("Natural frequency [Hz].")  # noqa: N815
+    damping_ratio: DampingRatio = described("Damping ratio [1].")
+    gain_mm_s2_per_V: dict[Word, Number] = described(  # noqa: N815
+        "Modal acceleration per volt at the beam [mm/s^2 per V], by actuator set; the gain of a set that is left out "
+        "is unknown and taken as zero."
+    )
+    assumed: tuple[Word, ...] = described("Actuator sets whose gain is assumed, not measured.", default=())
+    intervals_95: Intervals | None = described("95 % intervals, as identified.", default=None)
+    provenance: Provenance | None = described("Where each number comes from.", default=None)
+
+
+class AmplifierSection(Section):
+    """The amplifier between generator and beam."""
+
+    gain_V_per_V: Positive = described("Voltage gain [V at the beam per V of the generator].")  # noqa: N815
+    limit_V: Positive = described("Highest voltage at the beam [V, peak]; no protocol can raise it.")  # noqa: N815
+    bandwidth_kHz: Positive | None = described(  # noqa: N815
+        "Corner of its first-order pole [kHz]; null where it has not been identified.", default=None
+    )
+    delay_us: NotNegative = described("Delay from generator to beam [us].", default=0.0)
+
+
+class Safety(Section):
+    """Limits that no protocol can raise."""
+
+    velocity_limit_mm_s: Positive = described("Highest velocity anywhere in a zone [mm/s, peak].")
 
 
 class UnlistedMode(Section):

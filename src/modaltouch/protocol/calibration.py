@@ -326,17 +326,24 @@ def _check_apparatus(
     only = calibration.alone("")
     modes = () if only is None else only.modes
     if apparatus.measured_hash != calibration.apparatus.sha256:
-        given = f"a calibration of another apparatus ({calibration.apparatus.name}, or its values have changed)"
-        allowed = f"one made with {apparatus.apparatus} in its present state"
-        yield reading.problem(("apparatus", "sha256"), given, allowed, AGAIN)
+        yield reading.problem(
+            ("apparatus", "sha256"),
+            f"a calibration of another apparatus ({calibration.apparatus.name}, or its values have changed)",
+            f"one made with {apparatus.apparatus} in its present state",
+            AGAIN,
+        )
     elif modes and [mode.label for mode in modes] != labels:
-        given = f"modes {', '.join(str(mode.label) for mode in modes)}"
-        yield reading.problem(("modes",), given, ", ".join(map(str, labels)), AGAIN)
+        yield reading.problem(
+            ("modes",), f"modes {', '.join(str(mode.label) for mode in modes)}", ", ".join(map(str, labels)), AGAIN
+        )
     for index, mode in enumerate(modes):
         if set(mode.gain_mm_s2_per_V) != set(apparatus.actuator_sets):
-            given = f"gains by {', '.join(mode.gain_mm_s2_per_V) or 'no set'}"
-            allowed = f"one by each of {', '.join(apparatus.actuator_sets)}"
-            yield reading.problem(("modes", index, "gain_mm_s2_per_V"), given, allowed, AGAIN)
+            yield reading.problem(
+                ("modes", index, "gain_mm_s2_per_V"),
+                f"gains by {', '.join(mode.gain_mm_s2_per_V) or 'no set'}",
+                f"one by each of {', '.join(apparatus.actuator_sets)}",
+                AGAIN,
+            )
 
 
 def _check_stimulus(
@@ -352,23 +359,34 @@ def _check_stimulus(
     # The release follows the focusing instant and cannot affect it.
     different = [key for key in now if key != "release" and made[key] != now[key]]
     for key in different:
-        given = f"{_words(made[key])}, from a calibration of another stimulus"
-        yield reading.problem(("stimulus", key), given, f"{_words(now[key])}, as in {protocol.source.path}", AGAIN)
+        yield reading.problem(
+            ("stimulus", key),
+            f"{_words(made[key])}, from a calibration of another stimulus",
+            f"{_words(now[key])}, as in {protocol.source.path}",
+            AGAIN,
+        )
     if "focus" in different or apparatus is None:
         return
     centre = apparatus.sound("zones", section.focus, "centre_mm")
     if centre is not None and centre != calibration.focus_centre_mm:
-        given = f"{calibration.focus_centre_mm:g} mm, a calibration of another stimulus"
-        allowed = f"{centre:g} mm, the centre of zone {section.focus}"
-        yield reading.problem(("focus_centre_mm",), given, allowed, AGAIN)
+        yield reading.problem(
+            ("focus_centre_mm",),
+            f"{calibration.focus_centre_mm:g} mm, a calibration of another stimulus",
+            f"{centre:g} mm, the centre of zone {section.focus}",
+            AGAIN,
+        )
 
 
 def _check_levels(calibration: CalibrationFile, protocol: Reading[Protocol]) -> Iterator[Problem]:
     known = {level.velocity_mm_s for level in calibration.levels}
     for path, level in presented_levels(protocol).items():
         if level not in known:
-            given = f"{level:g} mm/s, a level that was not calibrated"
-            yield protocol.problem(path, given, ", ".join(f"{each:g}" for each in sorted(known)) + " mm/s", AGAIN)
+            yield protocol.problem(
+                path,
+                f"{level:g} mm/s, a level that was not calibrated",
+                ", ".join(f"{each:g}" for each in sorted(known)) + " mm/s",
+                AGAIN,
+            )
 
 
 def check_age(
@@ -391,15 +409,33 @@ def check_age(
     try:
         days = ((now or datetime.now(UTC)) - datetime.fromisoformat(made_text)).total_seconds() / 86400
     except (ValueError, TypeError):
-        allowed = "a date and time with its offset from UTC, as in 2026-05-04T10:30:00+00:00"
-        return [calibration.problem(("made",), f"{made_text!r}, which is not a valid instant", allowed, AGAIN)]
+        return [
+            calibration.problem(
+                ("made",),
+                f"{made_text!r}, which is not a valid instant",
+                "a date and time with its offset from UTC, as in 2026-05-04T10:30:00+00:00",
+                AGAIN,
+            )
+        ]
     if days < -1 / 24:
-        given = f"{made_text}, which lies in the future"
-        return [calibration.problem(("made",), given, "a time before now", "set this machine's clock right")]
+        return [
+            calibration.problem(
+                ("made",),
+                f"{made_text}, which lies in the future",
+                "a time before now",
+                "set this machine's clock right",
+            )
+        ]
     limit = protocol.sound("calibration", "max_age_days")
     if limit is not None and days > limit:
-        given = f"{limit:g} days, but the calibration {calibration.source.path} is {days:.1f} days old ({made_text})"
-        return [protocol.problem(("calibration", "max_age_days"), given, "a more recent calibration", AGAIN)]
+        return [
+            protocol.problem(
+                ("calibration", "max_age_days"),
+                f"{limit:g} days, but the calibration {calibration.source.path} is {days:.1f} days old ({made_text})",
+                "a more recent calibration",
+                AGAIN,
+            )
+        ]
     return []
 
 

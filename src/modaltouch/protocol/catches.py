@@ -23,8 +23,12 @@ def place_catches(
     limit = min(limit, 2 * max((len(list(run)) for _, run in groupby(order)), default=0) + 1)
     ways = _count_ways(order, pairs, n_catches, limit, own_pair=own_pair)
     if not ways[0][n_catches][1]:
-        given = f"{limit}, but {n_catches} catch trials cannot be spread over {len(order)} trials without longer runs"
-        raise NoOrderError(LIMITS[0], given, "", "use fewer catch trials or allow longer runs")
+        raise NoOrderError(
+            LIMITS[0],
+            f"{limit}, but {n_catches} catch trials cannot be spread over {len(order)} trials without longer runs",
+            "",
+            "use fewer catch trials or allow longer runs",
+        )
     placed = []
     left, run = n_catches, 1
     for place in range(len(order)):

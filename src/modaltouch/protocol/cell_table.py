@@ -156,8 +156,12 @@ def check_cells(reading: Reading[Any]) -> Iterator[Problem]:
     key = "cells" if conditions.cells else "exclude"
     for other, path in (("adaptive", ("adaptive",)), ("sensation_levels", ("conditions", "sensation_levels"))):
         if reading.sound(*path) is not None:
-            given = f"{key} with {other}, which sets its own levels"
-            yield reading.problem(("conditions", key), given, "one of the two", "remove one of them")
+            yield reading.problem(
+                ("conditions", key),
+                f"{key} with {other}, which sets its own levels",
+                "one of the two",
+                "remove one of them",
+            )
             return
     names = {"finger_condition": conditions.finger_conditions, "stimulus": tuple(reading.keys("stimuli") or ())}
     nouns = "a finger condition of the protocol", "a stimulus of the protocol"
@@ -172,9 +176,12 @@ def check_cells(reading: Reading[Any]) -> Iterator[Problem]:
         if twice is not None:
             first = reading.find(("conditions", "cells", seen[twice]))
             where = f"line {first.line}" if first and first.file else f"cells[{seen[twice]}]"
-            given = f"{'-'.join(twice[2])} at {twice[1]:g} mm/s in {twice[0]}, the same cell as {where}"
-            remedy = "remove one of them, and give the other a weight for more trials"
-            yield reading.problem(("conditions", "cells", index), given, "each cell once", remedy)
+            yield reading.problem(
+                ("conditions", "cells", index),
+                f"{'-'.join(twice[2])} at {twice[1]:g} mm/s in {twice[0]}, the same cell as {where}",
+                "each cell once",
+                "remove one of them, and give the other a weight for more trials",
+            )
         seen |= dict.fromkeys(expanded, index)
     for index, left_out in enumerate(conditions.exclude):
         for noun, (kind, known) in zip(nouns, names.items(), strict=True):
@@ -197,12 +204,18 @@ def check_excluded(reading: Reading[Any]) -> Iterator[Problem]:
             )
     empty = [name for name in conditions.finger_conditions if not protocol.cells(name)]
     if conditions.exclude and len(empty) == len(conditions.finger_conditions):
-        given, allowed = "every cell of the design", "some of them, so that there are trials"
-        yield reading.problem(("conditions", "exclude"), given, allowed, "leave out one of the entries")
+        yield reading.problem(
+            ("conditions", "exclude"),
+            "every cell of the design",
+            "some of them, so that there are trials",
+            "leave out one of the entries",
+        )
         return
     for index, name in enumerate(conditions.finger_conditions):
         if name in empty:
-            given, remedy = f"{name}, which has no cells left", "leave it out, or give it cells"
             yield reading.problem(
-                ("conditions", "finger_conditions", index), given, "finger conditions with cells", remedy
+                ("conditions", "finger_conditions", index),
+                f"{name}, which has no cells left",
+                "finger conditions with cells",
+                "leave it out, or give it cells",
             )

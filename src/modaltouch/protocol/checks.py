@@ -11,7 +11,8 @@ from modaltouch.protocol.adaptive import check_adaptive, check_sensation_levels,
 from modaltouch.protocol.answers import SHIPPED
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.conditions import check_contacts
-from modaltouch.protocol.intervals import presented_levels
+from modaltouch.protocol.intervals import check_intervals, presented_levels
+from modaltouch.protocol.people import check_people
 from modaltouch.protocol.problems import Problem, suggest
 from modaltouch.protocol.questions import MOST_ANSWERS, check_key, check_questions
 from modaltouch.protocol.reading import Reading, repeats
@@ -81,12 +82,20 @@ def _check_stimuli(reading: Reading[Protocol]) -> Iterator[Problem]:
     for name in reading.sound("stimuli") or ():
         path = ("stimuli", name, "presentation_bursts")
         if until == "answer" and (n_bursts := reading.sound(*path)) is not None:
-            given, remedy = f"{n_bursts}, but the stimulus plays until the answer", "write stimulus_until: question"
-            yield reading.problem(path, given, "only for a stimulus that stops before the question (answers)", remedy)
+            yield reading.problem(
+                path,
+                f"{n_bursts}, but the stimulus plays until the answer",
+                "only for a stimulus that stops before the question (answers)",
+                "write stimulus_until: question",
+            )
         path = ("stimuli", name, "masked")
         if reading.sound(*path) is not None and reading.sound("masking") is None:
-            given = "a choice of masking, but there is no noise"
-            yield reading.problem(path, given, "only with a section masking", "add that section, or leave this out")
+            yield reading.problem(
+                path,
+                "a choice of masking, but there is no noise",
+                "only with a section masking",
+                "add that section, or leave this out",
+            )
 
 
 TAKEN_NAMES = frozenset(
@@ -105,26 +114,11 @@ def check_protocol(reading: Reading[Protocol]) -> list[Problem]:
         *check_schedule(reading),
         *check_adaptive(reading),
         *check_sensation_levels(reading),
-        *_check_intervals(reading),
+        *check_intervals(reading),
         *_check_keys(reading),
         *check_questions(reading),
-        *_check_people(reading),
+        *check_people(reading),
     ]
-
-
-def _check_intervals(reading: Reading[Protocol]) -> Iterator[Problem]:
-    if reading.keys("intervals") is None and not reading.items("answers", "intervals"):
-        return
-    from modaltouch.protocol.interval_design import check_intervals
-
-    yield from check_intervals(reading)
-
-
-def _check_people(reading: Reading[Protocol]) -> Iterator[Problem]:
-    if reading.keys("people"):
-        from modaltouch.protocol.people_answers import check_people
-
-        yield from check_people(reading)
 
 
 def _check_stimulus(reading: Reading[Protocol]) -> Iterator[Problem]:
@@ -136,49 +130,90 @@ def _check_stimulus(reading: Reading[Protocol]) -> Iterator[Problem]:
         key, most = "duration_ms", f"{1e3 / rate:g} ms, the time from one burst to the next"
         if is_elsewhere(reading, keys[2]) and not is_elsewhere(reading, key):
             key, most = keys[2], f"{1e3 / duration:g} bursts per second, each as long as {duration:g} ms"
-        remedy = "shorten the burst or repeat it less often"
-        yield reading.problem((*section, key), given, f"at most {most}", remedy)
+        yield reading.problem((*section, key), given, f"at most {most}", "shorten the burst or repeat it less often")
     if duration is not None and instant is not None and instant >= duration:
-        given = f"{instant:g} ms, outside the burst of {duration:g} ms"
-        yield reading.problem((*section, "focusing_instant_ms"), given, f"below {duration:g} ms", "move one of them")
+        yield reading.problem(
+            (*section, "focusing_instant_ms"),
+            f"{instant:g} ms, outside the burst of {duration:g} ms",
+            f"below {duration:g} ms",
+            "move one of them",
+        )
     if None not in (duration, instant, n_samples) and instant < duration / n_samples:
-        given, allowed = f"{instant:g} ms, before the second sample", f"at least {duration / n_samples:g} ms"
-        yield reading.problem((*section, "focusing_instant_ms"), given, allowed, "move it later")
-    is_paper = reading.sound(*section, "law") == "paper"
-    for key, value in (("design", "least_energy"), ("fingers", "none")) if is_paper else ():
-        if (other := reading.sound(*section, key)) not in (None, value):
-            given = f"{other}, which the paper's law does not support"
-            yield reading.problem((*section, key), given, f"{value}, or the law exact", "leave it out")
-    usual = {"law": "exact", "design": "least_energy", "equalise_band_Hz": None}
-    for key, known in usual.items() if reading.sound(*section, "priority") == "level" else ():
-        if (other := reading.sound(*section, key)) not in (None, known):
-            given, allowed = f"level, with the {key} {other}", "field, or the law exact of least energy without a band"
-            yield reading.problem((*section, "priority"), given, allowed, "leave one of them out")
-    band, fingers = (reading.sound(*section, key) for key in ("equalise_band_Hz", "fingers"))
-    if band is not None and fingers == "none":
-        remedy = "leave it out, or name the fingers in stimulus.fingers"
-        yield reading.problem((*section, "equalise_band_Hz"), "a band, with fingers none", "none", remedy)
-    if band is not None and band[0] >= band[1]:
-        given = f"{band[0]:g} to {band[1]:g} Hz"
-        yield reading.problem((*section, "equalise_band_Hz"), given, "the lower end first", "swap its ends")
+        yield reading.problem(
+            (*section, "focusing_instant_ms"),
+            f"{instant:g} ms, before the second sample",
+            f"at least {duration / n_samples:g} ms",
+            "move it later",
+        )
+    yield from _check_laws(reading)
+    band = reading.sound(*section, "equalise_band_Hz")
     # The spectrum of a repeated burst consists of multiples of the repetition rate, up to half the sampling rate.
-    elif None not in (band, duration, rate, n_samples) and (
-        math.floor(min(band[1], n_samples / duration * 500) / rate) < math.ceil(band[0] / rate)
+    if None not in (band, duration, rate, n_samples) and (
+        band[0] < band[1] and math.floor(min(band[1], n_samples / duration * 500) / rate) < math.ceil(band[0] / rate)
     ):
-        given = f"{band[0]:g} to {band[1]:g} Hz, which contains no multiple of the repetition rate of {rate:g} Hz"
-        allowed = f"a band that contains a multiple of {rate:g} Hz below {n_samples / duration / 2:g} kHz"
-        yield reading.problem((*section, "equalise_band_Hz"), given, allowed, "widen it")
+        yield reading.problem(
+            (*section, "equalise_band_Hz"),
+            f"{band[0]:g} to {band[1]:g} Hz, which contains no multiple of the repetition rate of {rate:g} Hz",
+            f"a band that contains a multiple of {rate:g} Hz below {n_samples / duration / 2:g} kHz",
+            "widen it",
+        )
     n_decomposed = reading.sound(*section, "decomposed_modes")
     for index, label in reading.items(*section, "selected_modes"):
         if n_decomposed is not None and label > n_decomposed:
-            given = f"{label}, which is beyond the {n_decomposed} decomposed modes"
-            remedy = "raise decomposed_modes or leave it out"
-            yield reading.problem((*section, "selected_modes", index), given, f"1 to {n_decomposed}", remedy)
+            yield reading.problem(
+                (*section, "selected_modes", index),
+                f"{label}, which is beyond the {n_decomposed} decomposed modes",
+                f"1 to {n_decomposed}",
+                "raise decomposed_modes or leave it out",
+            )
     n_selected = reading.sound(*section, "selected_modes")
     if n_decomposed is not None and isinstance(n_selected, int) and n_selected > n_decomposed:
-        given = f"{n_selected}, more than the {n_decomposed} decomposed modes"
-        remedy = "raise decomposed_modes or select fewer"
-        yield reading.problem((*section, "selected_modes"), given, f"1 to {n_decomposed}", remedy)
+        yield reading.problem(
+            (*section, "selected_modes"),
+            f"{n_selected}, more than the {n_decomposed} decomposed modes",
+            f"1 to {n_decomposed}",
+            "raise decomposed_modes or select fewer",
+        )
+
+
+def _check_laws(reading: Reading[Protocol]) -> Iterator[Problem]:
+    """Yield choices of law, design, priority, fingers and band that exclude each other."""
+    section = ("stimulus",)
+    law, priority, fingers = (reading.sound(*section, key) for key in ("law", "priority", "fingers"))
+    for key, value in (("design", "least_energy"), ("fingers", "none")) if law == "paper" else ():
+        if (other := reading.sound(*section, key)) not in (None, value):
+            yield reading.problem(
+                (*section, key),
+                f"{other}, which the paper's law does not support",
+                f"{value}, or the law exact",
+                "leave it out",
+            )
+    usual = {"law": "exact", "design": "least_energy", "equalise_band_Hz": None}
+    for key, known in usual.items() if priority == "level" else ():
+        if (other := reading.sound(*section, key)) not in (None, known):
+            yield reading.problem(
+                (*section, "priority"),
+                f"level, with the {key} {other}",
+                "field, or the law exact of least energy without a band",
+                "leave one of them out",
+            )
+    low, high = reading.sound(*section, "equalise_band_Hz") or (None, None)
+    yield from reading.faults(
+        (
+            low and fingers == "none",
+            (*section, "equalise_band_Hz"),
+            "a band, with fingers none",
+            "none",
+            "leave it out, or name the fingers in stimulus.fingers",
+        ),
+        (
+            low and low >= high,
+            (*section, "equalise_band_Hz"),
+            f"{low or 0:g} to {high or 0:g} Hz",
+            "the lower end first",
+            "swap its ends",
+        ),
+    )
 
 
 def _check_doubles(reading: Reading[Protocol]) -> Iterator[Problem]:
@@ -192,8 +227,9 @@ def _check_doubles(reading: Reading[Protocol]) -> Iterator[Problem]:
     for path, noun in nouns.items():
         for index, value, first in repeats(reading.items(*path)):
             word = f"{value:g}" if isinstance(value, float) else value
-            given = f"{word}, the same {noun} as {path[-1]}[{first}]"
-            yield reading.problem((*path, index), given, f"each {noun} once", "remove it")
+            yield reading.problem(
+                (*path, index), f"{word}, the same {noun} as {path[-1]}[{first}]", f"each {noun} once", "remove it"
+            )
 
 
 def _check_keys(reading: Reading[Protocol]) -> Iterator[Problem]:
@@ -203,8 +239,12 @@ def _check_keys(reading: Reading[Protocol]) -> Iterator[Problem]:
         for index, name in reading.items(*path):
             yield from check_key(reading, (*path, index), name)
             if name in places:
-                given = f"'{name}', which already means {places[name][-2]}"
-                yield reading.problem((*path, index), given, "each key for one answer", "remove one of them")
+                yield reading.problem(
+                    (*path, index),
+                    f"'{name}', which already means {places[name][-2]}",
+                    "each key for one answer",
+                    "remove one of them",
+                )
             places.setdefault(name, (*path, index))
     for index, name in reading.items("answers", "continue_keys"):
         yield from check_key(reading, ("answers", "continue_keys", index), name)
@@ -215,12 +255,19 @@ def _check_keys(reading: Reading[Protocol]) -> Iterator[Problem]:
         yield from check_key(reading, path, name)
         if name in places and not is_written:
             # Report the answer key, which is in the file, rather than the default emergency key, which is not.
-            given = f"'{name}', the emergency key that switches the outputs off unless `emergency_keys` names another"
-            remedy = "choose another, or name another key under `answers.emergency_keys`"
-            yield reading.problem(places[name], given, "a key with no other meaning", remedy)
+            yield reading.problem(
+                places[name],
+                f"'{name}', the emergency key that switches the outputs off unless `emergency_keys` names another",
+                "a key with no other meaning",
+                "choose another, or name another key under `answers.emergency_keys`",
+            )
         elif name in places or name == AnswersSection.END_KEY:
-            given = f"'{name}', which already has another meaning"
-            yield reading.problem(path, given, "a key with no other meaning, such as f12", "choose another")
+            yield reading.problem(
+                path,
+                f"'{name}', which already has another meaning",
+                "a key with no other meaning, such as f12",
+                "choose another",
+            )
 
 
 def _check_fingers(reading: Reading[Protocol], name: str) -> Iterator[Problem]:
@@ -230,18 +277,24 @@ def _check_fingers(reading: Reading[Protocol], name: str) -> Iterator[Problem]:
     if len(set(fingers)) < len(fingers):
         yield reading.problem(path, f"[{', '.join(fingers)}]", "each finger once", "remove the second")
     elif name in SHIPPED and set(fingers) != set(SHIPPED[name]):
-        given = f"[{', '.join(fingers)}] for '{name}'"
-        allowed = f"[{', '.join(SHIPPED[name])}], which that name stands for"
-        yield reading.problem(path, given, allowed, "remove it, or give the answer another name")
+        yield reading.problem(
+            path,
+            f"[{', '.join(fingers)}] for '{name}'",
+            f"[{', '.join(SHIPPED[name])}], which that name stands for",
+            "remove it, or give the answer another name",
+        )
 
 
 def _check_answers(reading: Reading[Protocol], names: list[str] | None) -> Iterator[Problem]:
     """Yield a problem for too few or too many answers, answers without keys, and answers that name the same fingers."""
     path = ("answers", "keys")
     if names is not None and not 2 <= len(names) <= MOST_ANSWERS:
-        given = f"{len(names)} answer{'s' * (len(names) != 1)}"
-        remedy = "add a key, such as `left`, `both` or `right`" if len(names) < 2 else "offer fewer"
-        yield reading.problem(path, given, f"2 to {MOST_ANSWERS} answers", remedy)
+        yield reading.problem(
+            path,
+            f"{len(names)} answer{'s' * (len(names) != 1)}",
+            f"2 to {MOST_ANSWERS} answers",
+            "add a key, such as `left`, `both` or `right`" if len(names) < 2 else "offer fewer",
+        )
     zones = {zone for _, listed in contacts(reading) for zone in listed}
     why = dict.fromkeys(zones, "which is a zone, and tables label answers by zone")
     why |= dict.fromkeys(TAKEN_NAMES, "which is also a column of the table of counts")
@@ -255,9 +308,11 @@ def _check_answers(reading: Reading[Protocol], names: list[str] | None) -> Itera
             name = value if section == "below" else step
             if names is not None and name not in names:
                 meant = suggest(name, names)
-                remedy = f"did you mean '{meant}'?" if meant else "give it keys, or remove it"
                 yield reading.problem(
-                    ("answers", section, step), f"'{name}', which has no keys", ", ".join(names), remedy
+                    ("answers", section, step),
+                    f"'{name}', which has no keys",
+                    ", ".join(names),
+                    f"did you mean '{meant}'?" if meant else "give it keys, or remove it",
                 )
     offered = offered_answers(reading)
     for name, _, first in repeats((each.name, each.fingers) for each in offered if each.fingers is not None):
@@ -268,16 +323,22 @@ def _check_answers(reading: Reading[Protocol], names: list[str] | None) -> Itera
     sides = {answer.fingers for answer in offered}
     one_sided = next((answer.name for answer in offered if answer.mirrored not in sides), None)
     if turned and one_sided is not None:
-        given = f"a turned beam, but '{one_sided}' has no counterpart on the other side"
-        remedy = "add an answer for the other finger, or do not turn the beam"
-        yield reading.problem(("conditions", "placements"), given, "answers for both sides", remedy)
+        yield reading.problem(
+            ("conditions", "placements"),
+            f"a turned beam, but '{one_sided}' has no counterpart on the other side",
+            "answers for both sides",
+            "add an answer for the other finger, or do not turn the beam",
+        )
     if any(answer.fingers or answer.interval for answer in offered):
         return
     for key in ("practice_feedback", "practice_criterion"):
         if value := reading.sound("schedule", key):
-            given = f"{str(value).lower()}, but no answer names a finger or an interval"
-            remedy = "remove it: practice is judged by the speeds under the fingers or by the intervals"
-            yield reading.problem(("schedule", key), given, "answers that name fingers or intervals", remedy)
+            yield reading.problem(
+                ("schedule", key),
+                f"{str(value).lower()}, but no answer names a finger or an interval",
+                "answers that name fingers or intervals",
+                "remove it: practice is judged by the speeds under the fingers or by the intervals",
+            )
 
 
 LEAST_SAMPLES_PER_CYCLE = 2.5
@@ -313,9 +374,12 @@ def _check_zones(protocol: Reading[Protocol], apparatus: Reading[Apparatus]) -> 
         centres = {name: apparatus.sound("zones", name, "centre_mm") for name in listed}
         for left, right in pairwise(() if None in centres.values() else listed):
             if centres[left] >= centres[right]:
-                given = f"[{', '.join(listed)}], whose left zone {left} lies right of {right}"
-                remedy = f"write [{', '.join(sorted(listed, key=lambda name: centres[name]))}]"
-                yield protocol.problem(path, given, "the left zone first", remedy)
+                yield protocol.problem(
+                    path,
+                    f"[{', '.join(listed)}], whose left zone {left} lies right of {right}",
+                    "the left zone first",
+                    f"write [{', '.join(sorted(listed, key=lambda name: centres[name]))}]",
+                )
                 break
 
 
@@ -331,9 +395,11 @@ def _check_modes(protocol: Reading[Protocol], apparatus: Reading[Apparatus]) -> 
     if None not in labels:
         for index, label in protocol.items("stimulus", "selected_modes"):
             if label not in labels:
-                given = f"{label}, which is not a modelled mode"
-                allowed = ", ".join(str(known) for known in labels)
-                yield protocol.problem(("stimulus", "selected_modes", index), given, allowed)
+                yield protocol.problem(
+                    ("stimulus", "selected_modes", index),
+                    f"{label}, which is not a modelled mode",
+                    ", ".join(str(known) for known in labels),
+                )
     yield from _check_sampling(protocol, apparatus, n_modes)
 
 
@@ -346,23 +412,33 @@ def _check_sampling(protocol: Reading[Protocol], apparatus: Reading[Apparatus], 
     # n_samples is even; rounding error at an even bound must not require two more samples.
     least = 2 * math.ceil(LEAST_SAMPLES_PER_CYCLE * highest * duration * 1e-3 / 2 * (1 - 1e-12))
     if n_samples < least:
-        given = f"{n_samples} samples in {duration:g} ms, too few for the mode of {highest:g} Hz"
-        remedy = "use more samples, shorten the burst or leave the mode out of the apparatus"
-        yield protocol.problem(("stimulus", "n_samples"), given, f"at least {least}", remedy)
+        yield protocol.problem(
+            ("stimulus", "n_samples"),
+            f"{n_samples} samples in {duration:g} ms, too few for the mode of {highest:g} Hz",
+            f"at least {least}",
+            "use more samples, shorten the burst or leave the mode out of the apparatus",
+        )
 
 
 def _check_delay(protocol: Reading[Protocol], apparatus: Reading[Apparatus]) -> Iterator[Problem]:
     delay = apparatus.sound("amplifier", "delay_us")
     instant = protocol.sound("stimulus", "focusing_instant_ms")
     if delay is not None and instant is not None and delay >= instant * 1e3:
-        given = f"{delay:g} us, later than the focusing instant of {instant:g} ms"
-        allowed = f"below {instant * 1e3:g} us, so that the drive reaches the beam by then"
-        yield apparatus.problem(("amplifier", "delay_us"), given, allowed, "write the delay in microseconds")
+        yield apparatus.problem(
+            ("amplifier", "delay_us"),
+            f"{delay:g} us, later than the focusing instant of {instant:g} ms",
+            f"below {instant * 1e3:g} us, so that the drive reaches the beam by then",
+            "write the delay in microseconds",
+        )
 
 
 def _check_levels(protocol: Reading[Protocol], apparatus: Reading[Apparatus]) -> Iterator[Problem]:
     limit = apparatus.sound("safety", "velocity_limit_mm_s")
     for path, velocity in presented_levels(protocol).items():
         if limit is not None and velocity > limit:
-            given = f"{velocity:g} mm/s, above the safety limit of the apparatus"
-            yield protocol.problem(path, given, f"at most {limit:g} mm/s", "lower the level")
+            yield protocol.problem(
+                path,
+                f"{velocity:g} mm/s, above the safety limit of the apparatus",
+                f"at most {limit:g} mm/s",
+                "lower the level",
+            )

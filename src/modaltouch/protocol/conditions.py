@@ -207,8 +207,12 @@ def _check_zones(reading: Reading[Protocol]) -> Iterator[Problem]:
     is_listed = any(reading.find(("conditions", key)) is not None for key in ("cells", "table"))
     if len(given) != 1 and not is_listed and reading.find(("conditions",)) is not None:
         said = "both zones and zone_pairs" if given else "neither zones nor zone_pairs"
-        remedy = "remove one" if given else "add `zone_pairs: [[A, C]]`, or `zones` for one finger or three"
-        yield reading.problem(("conditions", *given[:1]), said, "one of the two", remedy)
+        yield reading.problem(
+            ("conditions", *given[:1]),
+            said,
+            "one of the two",
+            "remove one" if given else "add `zone_pairs: [[A, C]]`, or `zones` for one finger or three",
+        )
     seen: dict[tuple[str, frozenset[str]], int] = {}
     for path, listed in contacts(reading):
         zones, said, n = (path[1], frozenset(listed)), f"[{', '.join(listed)}]", len(listed)
@@ -232,10 +236,12 @@ def _check_fingers(reading: Reading[Protocol], name: str) -> Iterator[Problem]:
     elif len(set(fingers)) < len(fingers):
         yield reading.problem(path, said, "each finger once", "remove the second")
     elif any([each for each in fingers if each.startswith(hand)] != own for hand, own in in_order.items()):
-        allowed = (
-            f"the fingers of a hand as they lie, palms down, from the left: {', '.join(sum(in_order.values(), []))}"
+        yield reading.problem(
+            path,
+            said,
+            f"the fingers of a hand as they lie, palms down, from the left: {', '.join(sum(in_order.values(), []))}",
+            "put them in that order",
         )
-        yield reading.problem(path, said, allowed, "put them in that order")
 
 
 def _check_number(reading: Reading[Protocol], used: dict[str, int]) -> Iterator[Problem]:
@@ -249,9 +255,12 @@ def _check_number(reading: Reading[Protocol], used: dict[str, int]) -> Iterator[
     for path, zones, names in own if is_listed else [(*each, used) for each in contacts(reading)]:
         for number in dict.fromkeys(used[name] for name in names if used.get(name, len(zones)) != len(zones)):
             like = " and ".join(name for name in names if used.get(name) == number)
-            given = f"[{', '.join(zones)}] for the {_SAID[number]} of {like}"
-            remedy = "change the number of zones, or of fingers under conditions.fingers"
-            yield reading.problem(path, given, "as many zones as fingers", remedy)
+            yield reading.problem(
+                path,
+                f"[{', '.join(zones)}] for the {_SAID[number]} of {like}",
+                "as many zones as fingers",
+                "change the number of zones, or of fingers under conditions.fingers",
+            )
 
 
 def _check_answers(reading: Reading[Protocol], names: list[str], number: int) -> Iterator[Problem]:
@@ -275,8 +284,9 @@ def _check_answers(reading: Reading[Protocol], names: list[str], number: int) ->
     if odd is not None:
         at = ("answers", "fingers" if reading.find(("answers", "fingers", odd)) else "keys", odd)
         remedy += f"; remove its entry under {at[1]}" if number == 1 else ""
-        given = f"'{odd}' for the {_SAID[number]} of {' and '.join(names)}"
-        yield reading.problem(at, given, allowed, remedy, at_key=True)
+        yield reading.problem(
+            at, f"'{odd}' for the {_SAID[number]} of {' and '.join(names)}", allowed, remedy, at_key=True
+        )
 
 
 def check_way(reading: Reading[Protocol], name: str) -> Iterator[Problem]:
@@ -284,6 +294,9 @@ def check_way(reading: Reading[Protocol], name: str) -> Iterator[Problem]:
     way, is_misspelt = reading.sound("answers", "ways", name), reading.is_misspelt("answers", "ways")
     if reading.sound("answers", "given_by") != "experimenter" and way in (None, "free_hand") and not is_misspelt:
         path = ("answers", "ways", name) if way else ("answers",)
-        given = f"{way or 'no way to answer'} in {name}, but both hands are on the beam"
-        allowed = "lifting, foot_switch or experimenter"
-        yield reading.problem(path, given, allowed, f"write `ways: {{{name}: lifting}}` under answers")
+        yield reading.problem(
+            path,
+            f"{way or 'no way to answer'} in {name}, but both hands are on the beam",
+            "lifting, foot_switch or experimenter",
+            f"write `ways: {{{name}: lifting}}` under answers",
+        )

@@ -43,10 +43,12 @@ def _check_settling(reading: Reading[Protocol]) -> Iterator[Problem]:
         return
     settling = [fingers for _, fingers in reading.items("conditions", "finger_conditions") if answers.settles(fingers)]
     if settling and answers.pause_s < answers.settling_s:
-        given = f"{answers.pause_s:g} s, but in {settling[0]} a hand or finger that rests on the beam answers"
-        allowed = f"at least {answers.settling_s:g} s (answers.settling_s), for it to come back and rest"
-        remedy = "leave it out, or let a foot_switch or the experimenter give the answer (answers.ways)"
-        yield reading.problem(("answers", "pause_s"), given, allowed, remedy)
+        yield reading.problem(
+            ("answers", "pause_s"),
+            f"{answers.pause_s:g} s, but in {settling[0]} a hand or finger that rests on the beam answers",
+            f"at least {answers.settling_s:g} s (answers.settling_s), for it to come back and rest",
+            "leave it out, or let a foot_switch or the experimenter give the answer (answers.ways)",
+        )
 
 
 def _stimuli(protocol: Reading[Protocol], key: str) -> Iterator[tuple[tuple[str, ...], float]]:
@@ -79,9 +81,12 @@ def _check_durations(protocol: Reading[Protocol]) -> Iterator[Problem]:
             nearest = " or ".join(f"{n / rate:.5g} s ({n} burst{'s' * (n > 1)})" for n in (below, above))
             if n_bursts < 1:
                 nearest = f"{1 / rate:.5g} s (1 burst), or more"
-            given = f"{seconds:g} s, which is {n_bursts:.4g} bursts at {rate:g} per second"
-            remedy = "or give `presentation_bursts`" if key == "presentation_s" else "or leave it out"
-            yield protocol.problem(("answers", key), given, f"whole bursts: {nearest}", remedy)
+            yield protocol.problem(
+                ("answers", key),
+                f"{seconds:g} s, which is {n_bursts:.4g} bursts at {rate:g} per second",
+                f"whole bursts: {nearest}",
+                "or give `presentation_bursts`" if key == "presentation_s" else "or leave it out",
+            )
             break
 
 
@@ -91,8 +96,12 @@ def _check_written_once(protocol: Reading[Protocol]) -> Iterator[Problem]:
     if seconds is None or n_bursts is None:
         return
     if any(whole_bursts(seconds, rate) != n_bursts for rate in rates):
-        given = f"{n_bursts}, but presentation_s says {seconds:g} s"
-        yield protocol.problem(("answers", "presentation_bursts"), given, "one of the two", "remove one of them")
+        yield protocol.problem(
+            ("answers", "presentation_bursts"),
+            f"{n_bursts}, but presentation_s says {seconds:g} s",
+            "one of the two",
+            "remove one of them",
+        )
 
 
 def _check_period(protocol: Reading[Protocol], apparatus: Reading[Apparatus]) -> Iterator[Problem]:
@@ -114,11 +123,12 @@ def _check_period(protocol: Reading[Protocol], apparatus: Reading[Apparatus]) ->
         key, other, unit = (
             ("repetition_rate_Hz", duration, "bursts per second") if is_rate else ("duration_ms", rate, "ms")
         )
-        allowed = (
-            f"at most {MOST_OF_PERIOD * 1e3 / other:.6g} {unit}, so that a burst is over before the next is triggered"
+        yield protocol.problem(
+            (*section, key),
+            given,
+            f"at most {MOST_OF_PERIOD * 1e3 / other:.6g} {unit}, so that a burst is over before the next is triggered",
+            "shorten the burst, repeat it less often, or set generator.repetition to continuous",
         )
-        remedy = "shorten the burst, repeat it less often, or set generator.repetition to continuous"
-        yield protocol.problem((*section, key), given, allowed, remedy)
 
 
 def _check_catch_trials(protocol: Reading[Protocol], apparatus: Reading[Apparatus]) -> Iterator[Problem]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -15,7 +15,7 @@ from modaltouch.protocol.problems import InputError, Problem
 from modaltouch.protocol.reading import Reading, read, read_tree
 from modaltouch.protocol.schedule_section import LIMITS, Occasion, at_occasion, check_groups, occasions_of
 from modaltouch.protocol.sections import Protocol
-from modaltouch.protocol.source import YAML_FILE, Source, Sources
+from modaltouch.protocol.source import Source, Sources
 from modaltouch.protocol.stimulus_sections import MEASURED, NO_FINGERS, StimulusSection, read_points
 from modaltouch.protocol.texts import Texts, check_words
 from modaltouch.protocol.tree import parse_tree
@@ -102,12 +102,7 @@ class Findings:
         return Experiment(protocol, apparatus, texts.fitted(protocol), sources)
 
     def problem(self, path: Iterable[str | int], given: str, allowed: str, remedy: str = "") -> Problem:
-        """Return a problem at a path of an opened protocol.
-
-        Parameters
-        ----------
-        path, given, allowed, remedy
-            As in `Reading.problem`.
+        """Return a problem at a path of an opened protocol, as `Reading.problem`.
 
         Raises
         ------
@@ -209,10 +204,12 @@ class Findings:
         made_with = None if self.calibration is None else self.calibration.sound("instruments", "generator")
         if self.calibration is None or made_with is None or _serial(made_with) == _serial(identity):
             return None
-        given = f"{made_with}, the generator it was made with"
-        allowed = f"{identity}, the generator that is open"
-        remedy = "open the one it was made with, or calibrate again with `modaltouch calibrate`"
-        return self.calibration.problem(("instruments", "generator"), given, allowed, remedy)
+        return self.calibration.problem(
+            ("instruments", "generator"),
+            f"{made_with}, the generator it was made with",
+            f"{identity}, the generator that is open",
+            "open the one it was made with, or calibrate again with `modaltouch calibrate`",
+        )
 
     def each_stimulus(self) -> Iterator[tuple[str, Findings]]:
         """Yield the name of each of several stimuli and the findings as if it were the only one."""
@@ -271,30 +268,47 @@ class Findings:
         occasion : (str, str)
             The group and the kind of session.
         """
-        protocol, texts = (
-            _read_protocol(sources.protocol, Occasion(*occasion), sources.table),
-            read(sources.texts, Texts),
-        )
-        apparatus, problems = examine_apparatus(sources.apparatus)
-        problems += [*protocol.problems, *check_protocol(protocol), *check_fit(protocol, apparatus)]
-        problems += [*texts.problems, *check_words(protocol, texts)]
-        calibration = None
+        own, problems = Occasion(*occasion), list[Problem]()
+        protocol = _read_protocol(sources.protocol, own, sources.table)
+        calibration, fingers = None, None
         if sources.calibration is not None:
-            from modaltouch.protocol.calibration import check_calibration, examine_calibration
+            from modaltouch.protocol.calibration import examine_calibration
 
             # Its age is not checked, since a record keeps the calibration with which it was begun.
             calibration = examine_calibration(sources.calibration)
-            problems += [*calibration.problems, *check_calibration(calibration, protocol, apparatus)]
-        if sources.field is not None:
-            problems += read_points(sources.field)[1]
-        fingers = None
         if sources.fingers is not None:
             from modaltouch.protocol.placements import read_fingers
 
-            fingers, faults = read_fingers(sources.fingers, protocol)
-            problems += faults
-        files = calibration, sources.field, fingers, sources.table
-        return cls(protocol, apparatus, texts, tuple(problems), *files, Occasion(*occasion))
+            fingers, problems = read_fingers(sources.fingers, protocol)
+        return cls._checked(protocol, vars(sources), calibration, fingers, own, problems)
+
+    @classmethod
+    def _checked(
+        cls,
+        protocol: Reading[Protocol],
+        files: Mapping[str, Source | None],
+        calibration: Reading[Calibration] | None,
+        fingers: Reading[FingersFile] | None,
+        occasion: Occasion,
+        problems: Iterable[Problem],
+    ) -> Findings:
+        """Return the findings for a protocol and its files, with `problems` and those within and between the files."""
+        apparatus, texts, found = None, None, {*problems, *protocol.problems, *check_protocol(protocol)}
+        if (source := files["apparatus"]) is not None:
+            apparatus, faults = examine_apparatus(source)
+            found.update(faults, check_fit(protocol, apparatus))
+        if (source := files["texts"]) is not None:
+            texts = read(source, Texts)
+            found.update(texts.problems, check_words(protocol, texts))
+        if calibration is not None:
+            from modaltouch.protocol.calibration import check_calibration
+
+            found.update(calibration.problems, check_calibration(calibration, protocol, apparatus))
+        if (field := files["field"]) is not None:
+            found.update(read_points(field)[1])
+        return cls(
+            protocol, apparatus, texts, tuple(sorted(found)), calibration, field, fingers, files["table"], occasion
+        )
 
     @classmethod
     def recorded(cls, start: dict[str, Any]) -> Findings:
@@ -340,40 +354,31 @@ class Findings:
 
         problems: list[Problem] = []
         protocol = _read_protocol(source, occasion)
-        table = _load_named(protocol, ("conditions", "table"), problems)
+        table = protocol.load_named(("conditions", "table"), problems)
         protocol = protocol if table is None else _read_protocol(source, occasion, table)
-        problems += [*protocol.problems, *check_protocol(protocol)]
-        apparatus, texts = None, None
-        if (named := _load_named(protocol, ("apparatus",), problems)) is not None:
-            apparatus, found = examine_apparatus(named)
-            problems += [*found, *check_fit(protocol, apparatus)]
-        if (named := _load_named(protocol, ("texts",), problems)) is not None:
-            texts = read(named, Texts)
-            problems += [*texts.problems, *check_words(protocol, texts)]
-        problems += check_timing(protocol, apparatus)
-        calibrated = None if uncalibrated else _examine_calibration(protocol, apparatus, calibration, problems)
-        if calibrated is not None and not marked:
-            from modaltouch.protocol.calibration import check_mark
-
-            problems += check_mark(calibrated)
-        field = _load_named(protocol, ("stimulus", "field", "file"), problems)
-        if field is not None:
-            problems += read_points(field)[1]
+        keys = {"apparatus": ("apparatus",), "texts": ("texts",), "field": ("stimulus", "field", "file")}
+        files = {name: protocol.load_named(key, problems) for name, key in keys.items()} | {"table": table}
+        calibrated = None if uncalibrated else _examine_calibration(protocol, calibration, problems, marked=marked)
         fingers = None
         if protocol.sound("stimulus", "fingers") not in (None, NO_FINGERS):
-            from modaltouch.protocol.placements import check_measured, load_fingers
+            from modaltouch.protocol.placements import load_fingers
 
             fingers = load_fingers(protocol, problems)
-            problems += check_measured(protocol, apparatus)
+        found = cls._checked(protocol, files, calibrated, fingers, occasion, problems)
+        problems += check_timing(protocol, found.apparatus)
+        if found.measured:
+            from modaltouch.protocol.placements import check_measured
+
+            problems += check_measured(protocol, found.apparatus)
         # A name misspelt elsewhere would appear to be missing from the cells as well.
-        others = any(each.path.startswith(("conditions", "adaptive", "stimuli")) for each in problems)
+        others = any(
+            each.path.startswith(("conditions", "adaptive", "stimuli")) for each in (*found.problems, *problems)
+        )
         if protocol.value is not None and protocol.value.uncrossed_by[:1] == ("conditions",) and not others:
             from modaltouch.protocol.cell_table import check_excluded
 
             problems += check_excluded(protocol)
-        return cls(
-            protocol, apparatus, texts, tuple(sorted(set(problems))), calibrated, field, fingers, table, occasion
-        )
+        return replace(found, problems=tuple(sorted({*found.problems, *problems})))
 
 
 def _read_protocol(source: Source, occasion: Occasion, table: Source | None = None) -> Reading[Protocol]:
@@ -398,9 +403,9 @@ def _serial(identity: str) -> tuple[str, ...]:
 
 
 def _examine_calibration(
-    protocol: Reading[Protocol], apparatus: Reading[Apparatus] | None, path: Path | None, problems: list[Problem]
+    protocol: Reading[Protocol], path: Path | None, problems: list[Problem], *, marked: bool
 ) -> Reading[Calibration] | None:
-    """Return the calibration given, or the one that the protocol names; add its problems to `problems`."""
+    """Return the calibration given, or the one that the protocol names; add problems of its use to `problems`."""
     source = None
     if path is not None:
         try:
@@ -408,42 +413,37 @@ def _examine_calibration(
         except InputError as error:
             problems += error.problems
     else:
-        source = _load_named(protocol, ("calibration", "file"), problems)
-        if protocol.sound("calibration", "file") is None and protocol.sound("calibration", "required"):
-            given = "true, but no calibration is given"
-            remedy = "make one with `modaltouch calibrate`, and name it under `file` or give it with --calibration"
-            problems.append(protocol.problem(("calibration", "required"), given, "a calibration", remedy))
+        source = protocol.load_named(("calibration", "file"), problems)
+        problems += protocol.faults(
+            (
+                protocol.sound("calibration", "file") is None and protocol.sound("calibration", "required"),
+                ("calibration", "required"),
+                "true, but no calibration is given",
+                "a calibration",
+                "make one with `modaltouch calibrate`, and name it under `file` or give it with --calibration",
+            )
+        )
     if source is None:
         return None
     # Imported only here, since most protocols name no calibration and its models take time to build.
-    from modaltouch.protocol.calibration import check_age, check_calibration, examine_calibration
+    from modaltouch.protocol.calibration import check_age, check_mark, examine_calibration
 
-    if protocol.sound("stimulus", "field", "file") is not None:
-        given = "a file, which a calibration cannot contain"
-        remedy = "write the points into the protocol, under `points`"
-        problems.append(protocol.problem(("stimulus", "field", "file"), given, "points, with a calibration", remedy))
-    if protocol.sound("stimulus", "fingers") not in (None, NO_FINGERS):
-        given = f"{protocol.sound('stimulus', 'fingers')}, with a calibration, which is for the untouched beam"
-        problems.append(protocol.problem(("stimulus", "fingers"), given, NO_FINGERS, "leave one of them out"))
-    reading = examine_calibration(source)
-    problems += [*reading.problems, *check_calibration(reading, protocol, apparatus), *check_age(reading, protocol)]
+    fingers, reading = protocol.sound("stimulus", "fingers"), examine_calibration(source)
+    problems += protocol.faults(
+        (
+            protocol.sound("stimulus", "field", "file") is not None,
+            ("stimulus", "field", "file"),
+            "a file, which a calibration cannot contain",
+            "points, with a calibration",
+            "write the points into the protocol, under `points`",
+        ),
+        (
+            fingers not in (None, NO_FINGERS),
+            ("stimulus", "fingers"),
+            f"{fingers}, with a calibration, which is for the untouched beam",
+            NO_FINGERS,
+            "leave one of them out",
+        ),
+    )
+    problems += [*check_age(reading, protocol), *([] if marked else check_mark(reading))]
     return reading
-
-
-def _load_named(protocol: Reading[Protocol], key: tuple[str, ...], problems: list[Problem]) -> Source | None:
-    """Return the source of the file that a key names; add its problems to `problems`."""
-    name = protocol.sound(*key)
-    if name is None:
-        return None
-    path = protocol.source.path.parent / name
-    try:
-        return Source.load(path)
-    except InputError as error:
-        found = error.problems[0]
-        if found.line > 1 or found.column > 1 or "UTF-8" in found.allowed:
-            problems.append(found)
-        else:
-            wanted = YAML_FILE.replace("YAML", "CSV") if key[0] in ("stimulus", "conditions") else YAML_FILE
-            allowed = f"{wanted}, as a path relative to this file" if found.allowed == YAML_FILE else found.allowed
-            problems.append(protocol.problem(key, f"{name!r}, {found.given} ({path})", allowed, found.remedy))
-        return None

@@ -29,8 +29,12 @@ def refuse_runs(counts: Sequence[int], limit: int, key: str, n_others: int = 0) 
     least = least_limit([*counts, *[1] * n_others])
     if limit < least:
         n_trials, noun = sum(counts) + n_others, key.split("_")[2]
-        given = f"{limit}, but {max(counts)} of the {n_trials} trials of a block have the same {noun}"
-        raise NoOrderError(key, given, f"at least {least}, or null for no limit", "raise or remove it")
+        raise NoOrderError(
+            key,
+            f"{limit}, but {max(counts)} of the {n_trials} trials of a block have the same {noun}",
+            f"at least {least}, or null for no limit",
+            "raise or remove it",
+        )
 
 
 def least_limit(counts: Sequence[int]) -> int:
@@ -278,9 +282,12 @@ class Limit(Generic[Item]):
         if self.distance > 1 and most > 1:
             farthest = (len(items) - list(counts.values()).count(most)) // (most - 1)
             if self.distance > farthest:
-                given = f"{self.distance}, but {most} of the {len(items)} trials of a block belong to one cell"
-                allowed = f"at most {farthest}, or null for no limit" if farthest > 1 else "null"
-                raise NoOrderError(self.key, given, allowed, "lower or remove it")
+                raise NoOrderError(
+                    self.key,
+                    f"{self.distance}, but {most} of the {len(items)} trials of a block belong to one cell",
+                    f"at most {farthest}, or null for no limit" if farthest > 1 else "null",
+                    "lower or remove it",
+                )
         elif most:
             refuse_runs([*counts.values()], self.running, self.key, n_free)
 

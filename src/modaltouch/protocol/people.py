@@ -1,14 +1,18 @@
-"""The section ``people``: questions asked once of each participant, before the first session."""
+"""Section ``people``: questions asked once of each participant, before the first session, and their answers."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import Field, TypeAdapter, ValidationError, create_model, model_validator
 
-from modaltouch.protocol.problems import fault
+from modaltouch.protocol.problems import Problem, fault
+from modaltouch.protocol.reading import Reading, read
 from modaltouch.protocol.section import Number, Section, Text, describe, described
+from modaltouch.protocol.source import Source
 
 if TYPE_CHECKING:
     import numpy as np
@@ -37,17 +41,20 @@ class PersonField(Section):
     def _fits(self) -> Self:
         n_choices, low, high = len(set(self.choices)), self.lowest, self.highest
         if (n_choices < 2 or n_choices < len(self.choices)) if self.kind == "choice" else n_choices:
-            given, allowed = (
+            raise fault(
                 f"{len(self.choices)} choice{'s' * (len(self.choices) != 1)} for a {self.kind}",
                 "at least two different choices, and only for `choice`",
+                "change the choices or the kind",
             )
-            raise fault(given, allowed, "change the choices or the kind")
         if (low, high) != (None, None) and (
             self.kind != "number" or (low is not None and high is not None and low > high)
         ):
             ends = " to ".join("any" if each is None else f"{each:g}" for each in (low, high))
-            allowed = "only for a number, with lowest below highest"
-            raise fault(f"bounds for a {self.kind}, {ends}", allowed, "change the bounds or the kind")
+            raise fault(
+                f"bounds for a {self.kind}, {ends}",
+                "only for a number, with lowest below highest",
+                "change the bounds or the kind",
+            )
         return self
 
     @property
@@ -91,3 +98,30 @@ def model_of(fields: Mapping[str, PersonField]) -> type[Section]:
     """Return the pydantic model of a file of answers."""
     answers: dict[str, Any] = {name: (each.answer, ... if each.required else None) for name, each in fields.items()}
     return create_model("People", __base__=Section, **answers)
+
+
+IDENTIFYING = re.compile(
+    "(first|last|sur|fore|full|nick)?names?|initials|born|birth.*|dob|e?mail|(tele)?phone|mobile|address|street|postcode|"
+    "zip|passport|ssn|matriculation"
+)
+"""Words in the names of fields that would identify a person."""
+
+
+def check_people(reading: Reading[Any]) -> Iterator[Problem]:
+    """Yield fields that would identify a person, or that have the name of a fixed column of participants.tsv."""
+    for name, asked in reading.items("people"):
+        if not asked.identifies and any(map(IDENTIFYING.fullmatch, re.split(r"[_-]", name.casefold()))):
+            yield reading.problem(
+                ("people", name),
+                f"{name}, which identifies a person",
+                "fields that identify nobody, since data are stored only under a code",
+                "leave it out, ask for the age instead of a birthday, or write `identifies: true`",
+                at_key=True,
+            )
+        if name == "participant_id":
+            yield reading.problem(("people", name), f"{name}, which is already a column", "any other name", at_key=True)
+
+
+def read_people(fields: Mapping[str, PersonField], path: Path) -> dict[str, float | str | None]:
+    """Read the answers from a YAML file, one line per field."""
+    return read(Source.load(path), model_of(fields)).require().model_dump()

@@ -109,8 +109,16 @@ def load_fingers(protocol: Reading[Protocol], problems: list[Problem]) -> Readin
         source = Source.load(beside) if own else Source.shipped_text("fingers", name)
     except InputError as error:
         found = error.problems[0]
-        given, allowed = f"{name!r}, {found.given} ({beside})", f"{NO_FINGERS}, {MEASURED}, {found.allowed}"
-        problems.append(found if own else protocol.problem(("stimulus", "fingers"), given, allowed, found.remedy))
+        problems.append(
+            found
+            if own
+            else protocol.problem(
+                ("stimulus", "fingers"),
+                f"{name!r}, {found.given} ({beside})",
+                f"{NO_FINGERS}, {MEASURED}, {found.allowed}",
+                found.remedy,
+            )
+        )
         return None
     reading, faults = read_fingers(source, protocol)
     problems += faults
@@ -124,8 +132,12 @@ def check_measured(protocol: Reading[Protocol], apparatus: Reading[Apparatus] | 
         return
     typical = "write `fingers: typical`, with which a level is right on average and wrong by a fifth for one person"
     if apparatus.find(("acquisition",)) is None:
-        given = "measured, but the apparatus has no section acquisition"
-        yield protocol.problem(path, given, "none, typical, a file, or an apparatus with that section", typical)
+        yield protocol.problem(
+            path,
+            "measured, but the apparatus has no section acquisition",
+            "none, typical, a file, or an apparatus with that section",
+            typical,
+        )
     from modaltouch.stimulus import Probe
 
     try:

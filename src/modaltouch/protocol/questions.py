@@ -112,8 +112,11 @@ class ScaleSection(Section):
         n_steps = (high - low) / step
         most = _MOST_POINTS - 1 if self.kind == "likert" else _MOST_STEPS
         if abs(n_steps - round(n_steps)) > 1e-6 or not 1 <= round(n_steps) <= most:
-            given = f"{n_steps:.6g} steps of {step:g} from {low:g} to {high:g}"
-            raise fault(given, f"1 to {most} whole steps", "change step, lowest or highest")
+            raise fault(
+                f"{n_steps:.6g} steps of {step:g} from {low:g} to {high:g}",
+                f"1 to {most} whole steps",
+                "change step, lowest or highest",
+            )
         allowed = {0, 2, len(self.points)} if self.kind == "likert" else {0, 2}
         if len(self.words) not in allowed:
             many = " or ".join(map(str, sorted(allowed - {0})))
@@ -259,8 +262,11 @@ class QuestionSection(AskedSection):
     @model_validator(mode="after")
     def _asks_one_thing(self) -> Self:
         if bool(self.keys) == (self.scale is not None):
-            given = "both keys and a scale" if self.keys else "neither keys nor a scale"
-            raise fault(given, "one of them", "list keys for each answer, or describe a scale")
+            raise fault(
+                "both keys and a scale" if self.keys else "neither keys nor a scale",
+                "one of them",
+                "list keys for each answer, or describe a scale",
+            )
         return self
 
 
@@ -270,31 +276,48 @@ def check_key(reading: Reading[Any], path: tuple[str | int, ...], name: str) -> 
         yield reading.problem(path, f"'{name}', which pauses the session", "any other key", "choose another")
     elif name not in KEY_NAMES:
         meant = AskedSection.KEY_ALIASES.get(name.casefold()) or suggest(name, KEY_NAMES)
-        allowed = "left, right, up, down, space, enter, letters, digits, num_0 to num_9, f1 to f20 and the like"
-        remedy = f"did you mean '{meant}'?" if meant else "write it in small letters"
-        yield reading.problem(path, f"'{name}', which is not the name of a key", allowed, remedy)
+        yield reading.problem(
+            path,
+            f"'{name}', which is not the name of a key",
+            "left, right, up, down, space, enter, letters, digits, num_0 to num_9, f1 to f20 and the like",
+            f"did you mean '{meant}'?" if meant else "write it in small letters",
+        )
 
 
 def check_questions(reading: Reading[Any]) -> Iterator[Problem]:
     """Yield the problems of a scale in place of the answers, of further questions, and of the form."""
     answers, has_scale = ("answers",), bool(reading.keys("answers", "scale"))
     if reading.keys(*answers) is not None and not has_scale and reading.find((*answers, "keys")) is None:
-        remedy = "add the missing key `keys`, or describe a `scale`"
-        yield reading.problem((*answers, "keys"), "nothing", "a mapping", remedy)
+        yield reading.problem(
+            (*answers, "keys"), "nothing", "a mapping", "add the missing key `keys`, or describe a `scale`"
+        )
     for key in ("keys", "fingers", "below") if has_scale else ():
         if reading.find((*answers, key)) is not None:
-            given, remedy = f"{key} together with a scale", "remove one of them; `then` asks a further question"
-            yield reading.problem((*answers, key), given, "answers with keys, or a scale", remedy)
+            yield reading.problem(
+                (*answers, key),
+                f"{key} together with a scale",
+                "answers with keys, or a scale",
+                "remove one of them; `then` asks a further question",
+            )
     yield from _check_scale(reading, (*answers, "scale"))
     for section in (("answers", "then"), ("form",)):
         for name in reading.keys(*section) or ():
             if name in RESERVED_COLUMNS or name.endswith("_time"):
-                given = f"{name}, which is already a column of the table of answers"
-                yield reading.problem((*section, name), given, "any other name", "choose another", at_key=True)
+                yield reading.problem(
+                    (*section, name),
+                    f"{name}, which is already a column of the table of answers",
+                    "any other name",
+                    "choose another",
+                    at_key=True,
+                )
             names = reading.keys(*section, name, "keys") or []
             if names and not 2 <= len(names) <= MOST_ANSWERS:
-                given = f"{len(names)} answer{'s' * (len(names) != 1)}"
-                yield reading.problem((*section, name, "keys"), given, f"2 to {MOST_ANSWERS} answers", "or use a scale")
+                yield reading.problem(
+                    (*section, name, "keys"),
+                    f"{len(names)} answer{'s' * (len(names) != 1)}",
+                    f"2 to {MOST_ANSWERS} answers",
+                    "or use a scale",
+                )
             yield from _check_used(reading, (*section, name, "keys"))
             yield from _check_scale(reading, (*section, name, "scale"))
 
@@ -306,9 +329,12 @@ def _check_scale(reading: Reading[Any], path: tuple[str, ...]) -> Iterator[Probl
     usual = {} if scale is None else {key: act for act, keys in scale.actions.items() for key in keys}
     for index, name in reading.items("answers", "emergency_keys"):
         if (act := usual.get(name, "")) and act not in written:
-            given = f"'{name}', which means {act.replace('_', ' ')} on the scale {'.'.join(path)}"
-            remedy = f"choose another, such as f12, or give {act} another key under {'.'.join(path)}.keys"
-            yield reading.problem(("answers", "emergency_keys", index), given, "a key with no other meaning", remedy)
+            yield reading.problem(
+                ("answers", "emergency_keys", index),
+                f"'{name}', which means {act.replace('_', ' ')} on the scale {'.'.join(path)}",
+                "a key with no other meaning",
+                f"choose another, such as f12, or give {act} another key under {'.'.join(path)}.keys",
+            )
 
 
 def _check_used(reading: Reading[Any], path: tuple[str, ...]) -> Iterator[Problem]:
@@ -318,6 +344,10 @@ def _check_used(reading: Reading[Any], path: tuple[str, ...]) -> Iterator[Proble
         for index, name in reading.items(*path, answer):
             yield from check_key(reading, (*path, answer, index), name)
             if name in taken:
-                given = f"'{name}', which already {taken[name]}"
-                yield reading.problem((*path, answer, index), given, "a key with no other meaning", "choose another")
+                yield reading.problem(
+                    (*path, answer, index),
+                    f"'{name}', which already {taken[name]}",
+                    "a key with no other meaning",
+                    "choose another",
+                )
             taken.setdefault(name, f"means {answer}")

@@ -22,7 +22,7 @@ from modaltouch.protocol.section import (
     suggest_number,
     unit_of,
 )
-from modaltouch.protocol.source import Source
+from modaltouch.protocol.source import YAML_FILE, Source
 from modaltouch.protocol.tree import Node, parse_tree
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -172,6 +172,24 @@ class Reading(Generic[Model]):
         """Return the keys that the file omits with their defaults, in the order of the schema."""
         return [] if self.root is None else list(_absent(self.model, self.root, ""))
 
+    def load_named(self, key: tuple[str, ...], problems: list[Problem]) -> Source | None:
+        """Return the file that a key names relative to this one, if any; add its problems to `problems`."""
+        name = self.sound(*key)
+        if name is None:
+            return None
+        path = self.source.path.parent / name
+        try:
+            return Source.load(path)
+        except InputError as error:
+            found = error.problems[0]
+        if found.line > 1 or found.column > 1 or "UTF-8" in found.allowed:
+            problems.append(found)
+        else:
+            wanted = YAML_FILE.replace("YAML", "CSV") if key[0] in ("stimulus", "conditions") else YAML_FILE
+            allowed = f"{wanted}, as a path relative to this file" if found.allowed == YAML_FILE else found.allowed
+            problems.append(self.problem(key, f"{name!r}, {found.given} ({path})", allowed, found.remedy))
+        return None
+
     def _place(self, path: tuple[Step, ...], *, at_key: bool) -> tuple[tuple[str, int, int], tuple[Step, ...]]:
         """Return file, line and column of the value (or key) at a path, and its path as written in the file."""
         if self.root is None:
@@ -246,19 +264,26 @@ def _translate(reading: Reading[Any], details: Any) -> Problem:
         return reading.unknown(path, "a key here", known, _home_of(reading.model, path), at_key=True)
     if details["loc"] and details["loc"][-1] == "[key]":
         allowed = context.get("expected") or "a word of letters, digits, _ and -"
-        remedy = f"write '{meant}'" if "expected" not in context and (meant := plain_word(path[-1])) else ""
-        return reading.problem(path, f"{path[-1]!r} as a key", allowed.replace(" or ", ", "), remedy, at_key=True)
+        return reading.problem(
+            path,
+            f"{path[-1]!r} as a key",
+            allowed.replace(" or ", ", "),
+            f"write '{meant}'" if "expected" not in context and (meant := plain_word(path[-1])) else "",
+            at_key=True,
+        )
     if kind == "missing" and path and isinstance(path[-1], str):
-        allowed = describe(reading.model, path)
-        return reading.problem(path, "nothing", allowed, f"add the missing key `{path[-1]}`")
+        return reading.problem(path, "nothing", describe(reading.model, path), f"add the missing key `{path[-1]}`")
     if kind == "missing":
         path = path[:-1]
     node = reading.find(path)
     if kind == "string_type" and isinstance(details["input"], bool | int | float):
         return reading.problem(path, f"{_in_words(node)}, which is not text", "text", "write it in quotes")
-    given = _in_words(node) + (", which is not finite" if kind == "finite_number" else "")
-    allowed = describe(reading.model, path) + _beyond_all(details["input"])
-    return reading.problem(path, given, allowed, _remedy(reading, path, node))
+    return reading.problem(
+        path,
+        _in_words(node) + (", which is not finite" if kind == "finite_number" else ""),
+        describe(reading.model, path) + _beyond_all(details["input"]),
+        _remedy(reading, path, node),
+    )
 
 
 def _home_of(model: type[BaseModel], path: tuple[Step, ...]) -> str:

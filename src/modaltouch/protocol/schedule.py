@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from modaltouch.protocol.conditions import Cell, Placement
+from modaltouch.protocol.intervals import draw_intervals
 from modaltouch.protocol.orders import are_certain, insert_catches, order_cells
 from modaltouch.protocol.problems import InputError, Problem
 from modaltouch.protocol.schedule_section import NoOrderError
@@ -73,38 +74,20 @@ class Turn:
 
     @staticmethod
     def recorded(start: dict[str, Any]) -> Turn | None:
-        """Return the turn in a start record; None if it followed from the participant's number or hash.
-
-        Parameters
-        ----------
-        start : dict
-            Start record of a session.
-        """
+        """Return the turn in a start record; None if it followed from the participant's number or hash."""
         schedule = start.get("schedule", {})
         own = [str(schedule.get(key, "")) for key in ("group", "group_by")]
         return Turn(int(schedule["turn"]), str(schedule["turn_by"]), *own) if "turn" in schedule else None
 
     def order(self, protocol: Protocol) -> tuple[tuple[str, ...], Placement]:
-        """Return the order of the finger conditions and the placement for this turn.
-
-        Parameters
-        ----------
-        protocol : Protocol
-            The design.
-        """
+        """Return the order of the finger conditions and the placement for this turn."""
         orders, placements = _orders_of_finger_conditions(protocol), protocol.conditions.placements
         # Orders alternate with every turn; the placement advances after each cycle of orders.
         return orders[self.number % len(orders)], placements[self.number // len(orders) % len(placements)]
 
     @staticmethod
     def period(protocol: Protocol) -> int:
-        """Return the number of turns after which orders of finger conditions, placements and rows all repeat.
-
-        Parameters
-        ----------
-        protocol : Protocol
-            The design.
-        """
+        """Return the number of turns after which orders of finger conditions, placements and rows all repeat."""
         from modaltouch.protocol.latin_orders import period_of_rows
 
         n_orders = len(_orders_of_finger_conditions(protocol)) * len(protocol.conditions.placements)
@@ -113,17 +96,7 @@ class Turn:
 
 @dataclass(frozen=True)
 class Block:
-    """The trials of one finger condition.
-
-    Attributes
-    ----------
-    number : int
-        Position in the session, from 1.
-    finger_condition : str
-        ``one_hand``, ``two_hands`` or a name of the protocol.
-    trials : tuple of Trial
-        In order.
-    """
+    """The trials of one finger condition in order, and the position of the block in the session, from 1."""
 
     number: int
     finger_condition: str
@@ -362,8 +335,6 @@ def _number(
     seen: Counter[Condition] = Counter()
     intervals = [0] * len(conditions)
     if protocol.intervals is not None:
-        from modaltouch.protocol.interval_design import draw_intervals
-
         intervals = draw_intervals(protocol.intervals, conditions, stream)
     trials = []
     for index, (condition, interval) in enumerate(zip(conditions, intervals, strict=True), start=first):
@@ -381,15 +352,7 @@ def _brief(trial: Trial) -> list[Any]:
 
 @dataclass(frozen=True)
 class Round:
-    """Result of a round of practice.
-
-    Attributes
-    ----------
-    n_judged : int
-        Number of trials with an expected answer.
-    n_agreed : int
-        Number of these answered as expected.
-    """
+    """Result of a round of practice: number of trials with an expected answer, and of those answered so."""
 
     n_judged: int
     n_agreed: int

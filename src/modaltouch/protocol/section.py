@@ -33,8 +33,11 @@ def described(text: str, **bounds: Any) -> Any:
 
 def _plain_file_name(name: str) -> str:
     if re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}", name) is None:
-        allowed = "at most 64 letters, digits, _ and -, the first a letter or digit"
-        raise fault(f"{name!r}, which is not a plain file name", allowed, "it names a folder of the results")
+        raise fault(
+            f"{name!r}, which is not a plain file name",
+            "at most 64 letters, digits, _ and -, the first a letter or digit",
+            "it names a folder of the results",
+        )
     if name.casefold() in RESERVED_NAMES:
         kept = ", ".join(sorted(RESERVED_NAMES))
         raise fault(f"{name!r}, which is reserved in the results tree", f"any name but {kept}", "choose another")

@@ -13,7 +13,7 @@ from modaltouch.protocol.adaptive import AdaptiveSection
 from modaltouch.protocol.answers import AnswerList, Side
 from modaltouch.protocol.conditions import Cell, CellsSection, ConditionsSection, FingerCondition
 from modaltouch.protocol.intervals import IntervalsSection, Meaning
-from modaltouch.protocol.people import PersonField
+from modaltouch.protocol.people import PersonField, read_people
 from modaltouch.protocol.questions import AskedSection, KeyName, QuestionSection
 from modaltouch.protocol.schedule_section import Overrides, ScheduleSection
 from modaltouch.protocol.section import Count, FileName, NotNegative, Positive, Section, Text, Word, described
@@ -303,8 +303,6 @@ class Protocol(Section):
 
     def read_people(self, path: Path) -> dict[str, float | str | None]:
         """Read a participant's answers from a YAML file; raise InputError if it has problems."""
-        from modaltouch.protocol.people_answers import read_people
-
         return read_people(self.people, path)
 
     @property

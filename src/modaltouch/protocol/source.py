@@ -108,13 +108,7 @@ class Source:
 
     @staticmethod
     def shipped(kind: Kind) -> dict[str, Path]:
-        """Return the shipped files of a kind by name.
-
-        Parameters
-        ----------
-        kind : str
-            ``protocol``, ``apparatus``, ``observer`` or ``fingers``.
-        """
+        """Return the shipped files of a kind by name."""
         package = Path(__file__).parents[1]
         # In the package if installed, beside the source in a checkout.
         installed = package / "protocols"
@@ -172,6 +166,12 @@ def find(kind: Kind, name: Path | str) -> Path:
 
 
 def _unknown(path: Path, known: Iterable[str]) -> Problem:
-    remedy = f"did you mean '{meant}'?" if (meant := suggest(path.stem, known)) else "check its name"
-    allowed = f"{YAML_FILE}, or one of {', '.join(known)}"
-    return Problem(str(path), 1, 1, "", "a file that does not exist", allowed, remedy)
+    return Problem(
+        str(path),
+        1,
+        1,
+        "",
+        "a file that does not exist",
+        f"{YAML_FILE}, or one of {', '.join(known)}",
+        f"did you mean '{meant}'?" if (meant := suggest(path.stem, known)) else "check its name",
+    )

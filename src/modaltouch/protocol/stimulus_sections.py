@@ -171,21 +171,30 @@ def check_target_field(reading: Reading[Any]) -> Iterator[Problem]:
     held = reading.sound if reading.value is not None else lambda *path: reading.find(path)
     named = [key for key in ("points", "file") if held(*_FIELD, key) is not None]
     if shape == "sampled" and len(named) != 1:
-        given = "a sampled field with " + ("points and a file" if named else "neither points nor a file")
-        remedy = f"write `points: [[-20, 0], [0, 1], [20, 0]]`, or `file:` with the columns {', '.join(COLUMNS)}"
-        yield reading.problem((*_FIELD, "shape"), given, "one of points, file", remedy)
+        yield reading.problem(
+            (*_FIELD, "shape"),
+            "a sampled field with " + ("points and a file" if named else "neither points nor a file"),
+            "one of points, file",
+            f"write `points: [[-20, 0], [0, 1], [20, 0]]`, or `file:` with the columns {', '.join(COLUMNS)}",
+        )
     if shape is not None and shape != "sampled":
         for key in named:
-            given = f"{key} for a field whose shape is {shape}"
-            yield reading.problem((*_FIELD, key), given, "only with `shape: sampled`", "write `shape: sampled`")
+            yield reading.problem(
+                (*_FIELD, key),
+                f"{key} for a field whose shape is {shape}",
+                "only with `shape: sampled`",
+                "write `shape: sampled`",
+            )
     foci = reading.items("stimulus", "further_foci")
     focus = reading.sound("stimulus", "focus")
     if shape == "sampled" and foci:
-        given = "further foci of a sampled field"
-        yield reading.problem(("stimulus", "further_foci"), given, "none", "include them in the points")
+        yield reading.problem(
+            ("stimulus", "further_foci"), "further foci of a sampled field", "none", "include them in the points"
+        )
     for index, zone, _ in repeats([("", focus), *foci]):
-        given = f"{zone}, which is already a focus"
-        yield reading.problem(("stimulus", "further_foci", index), given, "each zone once", "remove it")
+        yield reading.problem(
+            ("stimulus", "further_foci", index), f"{zone}, which is already a focus", "each zone once", "remove it"
+        )
     for index, problem in _unordered(reading.sound(*_FIELD, "points") or ()):
         yield reading.problem((*_FIELD, "points", index), problem, "increasing positions", "sort the points")
 
@@ -196,8 +205,17 @@ def read_points(source: Source) -> tuple[Points, list[Problem]]:
     rows = list(csv.reader(source.text.splitlines()))
     header = [cell.strip() for cell in rows[0]] if rows else []
     if not set(COLUMNS) <= set(header):
-        given = f"the columns {', '.join(header) or 'of an empty file'}"
-        return (), [Problem(path, 1, 1, "", given, ", ".join(COLUMNS), "name them in the first line")]
+        return (), [
+            Problem(
+                path,
+                1,
+                1,
+                "",
+                f"the columns {', '.join(header) or 'of an empty file'}",
+                ", ".join(COLUMNS),
+                "name them in the first line",
+            )
+        ]
     places = [header.index(name) for name in COLUMNS]
     points, problems, lines = [], [], []
     for line, row in enumerate(rows[1:], 2):
@@ -277,11 +295,12 @@ def check_masking(protocol: Reading[Any], apparatus: Reading[Apparatus]) -> Iter
         return
     if len(given) != 1:
         said = " and ".join(given) or "no level"
-        allowed = "one of level_dB_FS and level_dB_SPL"
-        yield protocol.problem(("masking",), said, allowed, "give the noise one level")
+        yield protocol.problem(("masking",), said, "one of level_dB_FS and level_dB_SPL", "give the noise one level")
     elif given == ["level_dB_SPL"] and apparatus.sound("sound", "full_scale_dB_SPL") is None:
         said = f"{protocol.sound('masking', 'level_dB_SPL'):g} dB SPL, but the loudspeaker is not calibrated"
-        remedy = "measure the level of a full-scale sine at the ear, or give level_dB_FS"
         yield protocol.problem(
-            ("masking", "level_dB_SPL"), said, "only if the apparatus has sound.full_scale_dB_SPL", remedy
+            ("masking", "level_dB_SPL"),
+            said,
+            "only if the apparatus has sound.full_scale_dB_SPL",
+            "measure the level of a full-scale sine at the ear, or give level_dB_FS",
         )

@@ -34,16 +34,9 @@ def seed_sequence(seed: int, participant: str, session: int, purpose: str) -> np
 
 @dataclass(frozen=True, slots=True)
 class Cuts:
-    """Integers that divide a range, with their leading words, which are nearly always enough to locate a drawn number.
+    """Increasing integers that divide a range up to the last, and numbers of words and of spare bits of a draw.
 
-    Attributes
-    ----------
-    totals : list of int
-        Increasing; the last is the end of the range.
-    n_words, n_spare : int
-        Number of words in a draw from the range, and number of excess bits.
-    words : list of int
-        Leading word of each total, aligned as in a draw.
+    Of each total, the leading word, aligned as in a draw, is nearly always enough to locate a drawn number.
     """
 
     totals: list[int]
@@ -61,13 +54,7 @@ class Cuts:
 
 
 class Stream:
-    """Uniform integers and orders from one stream.
-
-    Parameters
-    ----------
-    seed, participant, session, purpose
-        As in `seed_sequence`.
-    """
+    """Uniform integers and orders from one stream, seeded as by `seed_sequence`."""
 
     def __init__(self, seed: int, participant: str, session: int, purpose: str) -> None:
         self._source = np.random.PCG64(seed_sequence(seed, participant, session, purpose))

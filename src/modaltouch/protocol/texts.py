@@ -233,8 +233,9 @@ class Texts(Section):
             laid = zip(fingers, zones, strict=True)
             return "\n".join((self.place_each_finger or "").format(finger=f, zone=zone) for f, zone in laid)
         (left, right), (left_zone, right_zone) = fingers, zones
-        given = {"left_finger": left, "left_zone": left_zone, "right_finger": right, "right_zone": right_zone}
-        return self.place_fingers.format(**given)
+        return self.place_fingers.format(
+            **{"left_finger": left, "left_zone": left_zone, "right_finger": right, "right_zone": right_zone}
+        )
 
     def label(self, answer: str) -> str:
         """Return the label of an answer."""
@@ -264,9 +265,13 @@ def check_words(protocol: Reading[Protocol], texts: Reading[Texts]) -> list[Prob
             in_row = sum(other.is_below == answer.is_below for other in offered)
             room = _ROOM // in_row
             if isinstance(label, str) and len(label) > room:
-                given = f"{len(label)} characters on a button"
                 problems.append(
-                    texts.problem(path, given, f"at most {room} with {in_row} answers in a row", "shorten it")
+                    texts.problem(
+                        path,
+                        f"{len(label)} characters on a button",
+                        f"at most {room} with {in_row} answers in a row",
+                        "shorten it",
+                    )
                 )
             # Missing required keys are also reported without a protocol.
             if field.is_required() or (node is not None and node.content is not None):
@@ -275,11 +280,23 @@ def check_words(protocol: Reading[Protocol], texts: Reading[Texts]) -> list[Prob
             if meant:
                 given, allowed = f"'{answer.name}', which has no label in {texts.source.path.name}", ", ".join(SHIPPED)
                 place = ("answers", "keys", answer.name)
-                remedy = f"did you mean '{meant}'? Else add `{'.'.join(path)}` to the texts"
-                problems.append(protocol.problem(place, given, f"{allowed}, or a label", remedy))
+                problems.append(
+                    protocol.problem(
+                        place,
+                        given,
+                        f"{allowed}, or a label",
+                        f"did you mean '{meant}'? Else add `{'.'.join(path)}` to the texts",
+                    )
+                )
                 continue
-            allowed = f"a text, since {file} offers the answer {name}"
-            problems.append(texts.problem(path, "nothing", allowed, f"add the missing key `{'.'.join(path)}`"))
+            problems.append(
+                texts.problem(
+                    path,
+                    "nothing",
+                    f"a text, since {file} offers the answer {name}",
+                    f"add the missing key `{'.'.join(path)}`",
+                )
+            )
     return [*problems, *_lacking_fingers(protocol, texts)]
 
 
@@ -295,8 +312,12 @@ def _lacking_fingers(protocol: Reading[Protocol], texts: Reading[Texts]) -> Iter
         paths.append(("place_each_finger",))
     for path in paths:
         if texts.find(path) is None:
-            allowed = f"a text, since {protocol.source.path.name} has fingers other than two index or middle fingers"
-            yield texts.problem(path, "nothing", allowed, f"add the missing key `{': '.join(path)}`")
+            yield texts.problem(
+                path,
+                "nothing",
+                f"a text, since {protocol.source.path.name} has fingers other than two index or middle fingers",
+                f"add the missing key `{': '.join(path)}`",
+            )
 
 
 def _check_further(protocol: Reading[Protocol], texts: Reading[Texts]) -> Iterator[Problem]:

@@ -58,20 +58,9 @@ VALUE_LIMIT = 20_000
 
 @dataclass(frozen=True, eq=False)
 class Node:
-    """A value of a YAML file and its position.
+    """A value of a YAML file, with its position and those of its keys, from 1.
 
-    Attributes
-    ----------
-    content : scalar, list of Node, or dict of str to Node
-        The value.
-    line, column : int
-        Start of the value, both from 1.
-    keys : dict of str to (int, int)
-        Line and column of each key, if the value is a mapping.
-    text : str
-        A scalar as written.
-    file : str
-        File of the value, if different from that of the tree.
+    `text` is a scalar as written; `file` is given if it differs from that of the tree.
     """
 
     content: Scalar | list[Node] | dict[str, Node]
@@ -167,8 +156,13 @@ def _built(reader: _Reader) -> Node | None:
         reader.report(1, 1, "an empty file", "keys and values in YAML", "compare with the shipped files")
         return None
     if not isinstance(root.content, dict):
-        given = f"a {'list' if isinstance(root.content, list) else 'single value'} at the top"
-        reader.report(root.line, root.column, given, "`key: value` lines", "compare with the shipped files")
+        reader.report(
+            root.line,
+            root.column,
+            f"a {'list' if isinstance(root.content, list) else 'single value'} at the top",
+            "`key: value` lines",
+            "compare with the shipped files",
+        )
         return None
     return root
 
@@ -183,18 +177,30 @@ def _syntax_problem(text: str, error: Exception) -> Problem:
     if (position := getattr(error, "position", None)) is not None:
         before = text[:position]
         line, column = before.count("\n") + 1, len(before) - before.rfind("\n")
-        given = f"the character U+{ord(text[position]):04X}, which YAML does not allow"
-        return Problem("", line, column, "", given, "printable text", "remove it")
+        return Problem(
+            "",
+            line,
+            column,
+            "",
+            f"the character U+{ord(text[position]):04X}, which YAML does not allow",
+            "printable text",
+            "remove it",
+        )
     line, column = (mark.line + 1, mark.column + 1) if mark is not None else (1, 1)
     written = text.split("\n")[line - 1] if line <= text.count("\n") + 1 else ""
     if "\t" in written[: max(column, len(written) - len(written.lstrip()))]:
-        given = "a tab, but YAML needs spaces"
-        return Problem("", line, column, "", given, "spaces", "indent only with spaces")
+        return Problem("", line, column, "", "a tab, but YAML needs spaces", "spaces", "indent only with spaces")
     detail = " ".join(str(getattr(error, "problem", None) or error).split())
     context = getattr(error, "context", None)
-    given = f"text that is not YAML ({detail}{f' {context}' if context else ''})"
-    remedy = "check indentation, brackets, quotes and colons here and in the line above"
-    return Problem("", line, column, "", given, "YAML 1.2", remedy)
+    return Problem(
+        "",
+        line,
+        column,
+        "",
+        f"text that is not YAML ({detail}{f' {context}' if context else ''})",
+        "YAML 1.2",
+        "check indentation, brackets, quotes and colons here and in the line above",
+    )
 
 
 class _Reader:
@@ -244,8 +250,11 @@ class _Reader:
     def _alias(self, event: Any, depth: int) -> Node:
         node = self._anchors.get(event.anchor)
         if node is None:
-            given = f"`*{event.anchor}`, which has no anchor"
-            self.report(*_place(event), given, f"an anchor `&{event.anchor}` completed before it")
+            self.report(
+                *_place(event),
+                f"`*{event.anchor}`, which has no anchor",
+                f"an anchor `&{event.anchor}` completed before it",
+            )
             node = Node(None, *_place(event))
         self._bound(event, node.size, depth + node.depth)
         return node
@@ -254,8 +263,7 @@ class _Reader:
         """Stop if a value makes the file too large or is nested too deeply."""
         self._size += size
         if depth > DEPTH_LIMIT:
-            given = f"lists and mappings nested deeper than {DEPTH_LIMIT}"
-            self._stop(event, given, f"at most {DEPTH_LIMIT} levels")
+            self._stop(event, f"lists and mappings nested deeper than {DEPTH_LIMIT}", f"at most {DEPTH_LIMIT} levels")
         if self._size > VALUE_LIMIT:
             self._stop(event, f"more than {VALUE_LIMIT} values", f"at most {VALUE_LIMIT}, aliases expanded")
 
@@ -280,8 +288,13 @@ class _Reader:
         """Test whether a key is a word new to the mapping; values under other keys are dropped."""
         if not isinstance(key.content, str):
             word = key.text or "a list, a mapping or nothing"
-            remedy = f'write "{key.text}" in quotes' if key.text else "write a word before the colon"
-            self.report(key.line, key.column, f"{word} as a key", "a word as a key", remedy)
+            self.report(
+                key.line,
+                key.column,
+                f"{word} as a key",
+                "a word as a key",
+                f'write "{key.text}" in quotes' if key.text else "write a word before the colon",
+            )
         elif key.content in keys:
             given = f"`{key.content}` a second time (first on line {keys[key.content][0]})"
             place = format_path([*path, key.content])

@@ -14,8 +14,7 @@ from modaltouch.lab.calibration.file import corrected_inputs, significant
 from modaltouch.lab.calibration.plant import ModalState
 from modaltouch.lab.laboratory import MeasurementProgress
 from modaltouch.preflight import Preflight, examine
-from modaltouch.preflight.design_inputs import design
-from modaltouch.preflight.examination import design_to_fit
+from modaltouch.preflight.design_inputs import design, design_to_fit
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.problems import InputError
 from modaltouch.rig.interface import RigError
