@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Annotated, Literal, get_args
+from typing import Annotated, Any, Literal, get_args
 
 from pydantic import ConfigDict, Field
 
@@ -13,9 +13,6 @@ from modaltouch.protocol.reading import Reading
 from modaltouch.protocol.section import Count, Positive, Section, Text, Word, described
 from modaltouch.protocol.stimulus_sections import ZoneName
 from modaltouch.protocol.trial import FINGERS, SIDES, Condition
-
-if TYPE_CHECKING:
-    from modaltouch.protocol.sections import Protocol
 
 
 FingerCondition = Annotated[Word, Field(json_schema_extra={"x-allowed": "one_hand, two_hands or a name of your own"})]
@@ -180,7 +177,7 @@ _SHIPPED = tuple(dict.fromkeys(name for name, _ in FINGERS))
 _FROM_LEFT: tuple[str, ...] = get_args(FingerName)
 
 
-def check_contacts(reading: Reading[Protocol]) -> Iterator[Problem]:
+def check_contacts(reading: Reading[Any]) -> Iterator[Problem]:
     """Yield repeated zones, zones that do not match the fingers, and problems of finger conditions and answers."""
     yield from _check_zones(reading)
     known = {name: FINGERS[name, "right"] for name in _SHIPPED} | dict(reading.items("conditions", "fingers"))
@@ -202,7 +199,7 @@ def check_contacts(reading: Reading[Protocol]) -> Iterator[Problem]:
     yield from reading.unlisted(("answers", "ways"), "a finger condition here", named, at_key=True)
 
 
-def _check_zones(reading: Reading[Protocol]) -> Iterator[Problem]:
+def _check_zones(reading: Reading[Any]) -> Iterator[Problem]:
     given = [key for key in ("zones", "zone_pairs") if reading.find(("conditions", key)) is not None]
     is_listed = any(reading.find(("conditions", key)) is not None for key in ("cells", "table"))
     if len(given) != 1 and not is_listed and reading.find(("conditions",)) is not None:
@@ -226,7 +223,7 @@ def _check_zones(reading: Reading[Protocol]) -> Iterator[Problem]:
         seen.setdefault(zones, path[2])
 
 
-def _check_fingers(reading: Reading[Protocol], name: str) -> Iterator[Problem]:
+def _check_fingers(reading: Reading[Any], name: str) -> Iterator[Problem]:
     """Yield a problem for a reserved name, a repeated finger, or fingers of a hand out of anatomical order."""
     path, fingers = ("conditions", "fingers", name), reading.sound("conditions", "fingers", name) or ()
     said = f"[{', '.join(fingers)}]"
@@ -244,7 +241,7 @@ def _check_fingers(reading: Reading[Protocol], name: str) -> Iterator[Problem]:
         )
 
 
-def _check_number(reading: Reading[Protocol], used: dict[str, int]) -> Iterator[Problem]:
+def _check_number(reading: Reading[Any], used: dict[str, int]) -> Iterator[Problem]:
     """Yield zones whose number differs from that of the fingers of a finger condition."""
     own = [
         (("conditions", "cells", index, "pair"), each.pair, each.finger_conditions or used)
@@ -263,7 +260,7 @@ def _check_number(reading: Reading[Protocol], used: dict[str, int]) -> Iterator[
             )
 
 
-def _check_answers(reading: Reading[Protocol], names: list[str], number: int) -> Iterator[Problem]:
+def _check_answers(reading: Reading[Any], names: list[str], number: int) -> Iterator[Problem]:
     """Yield a problem for an answer that names an absent finger, or answers that name only some of three fingers."""
     offered = offered_answers(reading)
     if number == 1:
@@ -289,7 +286,7 @@ def _check_answers(reading: Reading[Protocol], names: list[str], number: int) ->
         )
 
 
-def check_way(reading: Reading[Protocol], name: str) -> Iterator[Problem]:
+def check_way(reading: Reading[Any], name: str) -> Iterator[Problem]:
     """Yield a problem if the way to answer needs a free hand while both hands are on the beam."""
     way, is_misspelt = reading.sound("answers", "ways", name), reading.is_misspelt("answers", "ways")
     if reading.sound("answers", "given_by") != "experimenter" and way in (None, "free_hand") and not is_misspelt:
