@@ -18,7 +18,7 @@ from modaltouch.analysis.counts import count_answers
 from modaltouch.analysis.reading import read_responses
 from modaltouch.analysis.statistics import find
 from modaltouch.cli.commands import app
-from modaltouch.planning.observer.population import Observer
+from modaltouch.planning.observer import Observer
 from modaltouch.preflight import examine
 from modaltouch.protocol import InputError
 from modaltouch.record.audit import audit_session

@@ -26,9 +26,10 @@ from modaltouch.analysis.thresholds import ThresholdAnalysis, analyse_runs, rend
 from modaltouch.analysis.thresholds.psychometric import DROP, REGION, Psychometric, fit_psychometric
 from modaltouch.analysis.thresholds.runs import Run, compare_runs, find_runs, is_forced, over_participants
 from modaltouch.cli.analyse import tell
+from modaltouch.planning.design import designs_for
 from modaltouch.planning.fitting import fit_answers
-from modaltouch.planning.observer import Observer, Participant
-from modaltouch.planning.presented import designs_for
+from modaltouch.planning.observer import Observer
+from modaltouch.planning.participant import Participant
 from modaltouch.preflight import Preflight, examine
 from modaltouch.protocol import AnswerList
 from modaltouch.protocol.levels import follow, to_dB

@@ -27,9 +27,9 @@ from threadpoolctl import threadpool_limits
 
 from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.statistics import STATISTICS
+from modaltouch.planning.design import designs_for
 from modaltouch.planning.experiments import Job, Study, divide, run_job, simulate
-from modaltouch.planning.observer.population import Observer
-from modaltouch.planning.presented import designs_for
+from modaltouch.planning.observer import Observer
 from modaltouch.preflight import examine
 
 ROOT = Path(__file__).parents[2]

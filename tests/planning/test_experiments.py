@@ -11,7 +11,8 @@ from modaltouch.analysis.intervals import wilson
 from modaltouch.analysis.statistics import STATISTICS
 from modaltouch.planning.design import Design
 from modaltouch.planning.experiments import BATCH, BATCH_CELLS, Job, Study, divide, run_job, simulate
-from modaltouch.planning.observer import Observer, Participant
+from modaltouch.planning.observer import Observer
+from modaltouch.planning.participant import Participant
 
 ALL = tuple(family for family, statistic in STATISTICS.items() if not statistic.when_alike)
 VARIED = Observer(

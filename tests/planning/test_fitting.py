@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from modaltouch.planning.design import designs_for
 from modaltouch.planning.experiments import Job, simulate
-from modaltouch.planning.fitting import fit_answers
-from modaltouch.planning.observer import Observer, Participant
-from modaltouch.planning.observer.fit import RecordedAnswers, _grid, fit_observer
-from modaltouch.planning.presented import designs_for
+from modaltouch.planning.fitting import RecordedAnswers, _grid, fit_answers, fit_observer
+from modaltouch.planning.observer import Observer
+from modaltouch.planning.participant import Participant
 from modaltouch.preflight import Preflight, examine
 from modaltouch.protocol.problems import InputError
 from modaltouch.protocol.trial import Condition, Trial

@@ -11,7 +11,8 @@ from modaltouch.analysis.counts import Pair
 from modaltouch.analysis.trend import smallest_trend_p, trend_test
 from modaltouch.planning.design import Design
 from modaltouch.planning.experiments import Job, Study, run_job
-from modaltouch.planning.observer import Observer, Participant
+from modaltouch.planning.observer import Observer
+from modaltouch.planning.participant import Participant
 from modaltouch.planning.power import find_floor
 
 

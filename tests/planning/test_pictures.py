@@ -7,9 +7,9 @@ import pytest
 from modaltouch.analysis.statistics import STATISTICS
 from modaltouch.planning.design import Design
 from modaltouch.planning.experiments import Study
-from modaltouch.planning.files import draw_power
-from modaltouch.planning.observer import Observer, Participant
-from modaltouch.planning.power import Power, plan
+from modaltouch.planning.observer import Observer
+from modaltouch.planning.participant import Participant
+from modaltouch.planning.power import Power, draw_power, plan
 
 UNSURE = Observer(Participant(noise=0.5, criterion=0.4))
 

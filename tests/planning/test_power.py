@@ -11,7 +11,8 @@ from modaltouch.analysis.intervals import wilson
 from modaltouch.analysis.statistics import STATISTICS
 from modaltouch.planning.design import Design
 from modaltouch.planning.experiments import Study, run_job
-from modaltouch.planning.observer import Observer, Participant
+from modaltouch.planning.observer import Observer
+from modaltouch.planning.participant import Participant
 from modaltouch.planning.power import Power, plan
 
 UNSURE = Observer(Participant(noise=0.5, criterion=0.4, suppression=0.8, suppression_across_hands=0.2), name="unsure")

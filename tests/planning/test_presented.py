@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from modaltouch.planning.design import designs_for
 from modaltouch.planning.observer import Observer
-from modaltouch.planning.presented import designs_for
 from modaltouch.preflight import examine
 from modaltouch.protocol import InputError
 

@@ -12,7 +12,8 @@ from modaltouch.analysis.findings import Finding, correct, holm
 from modaltouch.analysis.statistics import STATISTICS, family_findings
 from modaltouch.planning.design import Design
 from modaltouch.planning.experiments import Job, count_significant, simulate
-from modaltouch.planning.observer import Observer, Participant
+from modaltouch.planning.observer import Observer
+from modaltouch.planning.participant import Participant
 
 UNSURE = Observer(Participant(noise=0.5, criterion=0.4, lapse_rate=0.1))
 

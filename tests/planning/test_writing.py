@@ -10,9 +10,8 @@ import pytest
 
 from modaltouch.planning.design import Design
 from modaltouch.planning.experiments import Study
-from modaltouch.planning.files import write_power
 from modaltouch.planning.observer import Observer
-from modaltouch.planning.power import Power, plan
+from modaltouch.planning.power import Power, plan, write_power
 from modaltouch.record.chain import RecordError
 from modaltouch.report.output import write_files
 

@@ -13,10 +13,10 @@ from modaltouch.analysis.reading import read_responses
 from modaltouch.analysis.thresholds import ThresholdAnalysis
 from modaltouch.analysis.thresholds.runs import over_participants
 from modaltouch.cli.commands import app
+from modaltouch.planning.design import designs_for
 from modaltouch.planning.experiments import Study
 from modaltouch.planning.observer import Observer
 from modaltouch.planning.power import plan
-from modaltouch.planning.presented import designs_for
 from modaltouch.preflight import Preflight, examine
 from modaltouch.protocol import InputError
 from modaltouch.protocol.levels import Levels

@@ -15,9 +15,10 @@ import pytest
 from modaltouch.analysis.outcome import Analysis
 from modaltouch.analysis.pipeline import analyse
 from modaltouch.analysis.reading import read_responses
+from modaltouch.planning.design import designs_for
 from modaltouch.planning.fitting import fit_answers
-from modaltouch.planning.observer import Observer, Participant
-from modaltouch.planning.presented import designs_for
+from modaltouch.planning.observer import Observer
+from modaltouch.planning.participant import Participant
 from modaltouch.preflight import Preflight, examine
 from modaltouch.protocol import InputError
 from modaltouch.record.audit import audit_session

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from modaltouch.planning.observer import Participant
+from modaltouch.planning.participant import Participant
 from modaltouch.protocol.trial import Condition, Response, Trial
 from modaltouch.window.display_loop import DisplayLoop, WindowUser
 from modaltouch.window.interface import Event, EventKind, Progress, SessionStopped, TrialInterrupted, WindowError

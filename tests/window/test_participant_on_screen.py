@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from modaltouch.planning.observer import Participant
+from modaltouch.planning.participant import Participant
 from modaltouch.protocol.trial import Trial
 from modaltouch.window.interface import Progress, SessionStopped, TrialInterrupted
 from modaltouch.window.robot import Robot

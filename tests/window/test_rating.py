@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from modaltouch.planning.observer import Participant
+from modaltouch.planning.participant import Participant
 from modaltouch.protocol.answers import AnswerList
 from modaltouch.protocol.questions import QuestionSection, ScaleSection
 from modaltouch.protocol.trial import Response, Trial

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from modaltouch.planning.observer.participant import Participant
+from modaltouch.planning.participant import Participant
 from modaltouch.protocol.trial import Condition, Trial
 from modaltouch.system.clock import VirtualClock
 from modaltouch.window.interface import Progress, WindowError

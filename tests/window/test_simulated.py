@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from modaltouch.planning.observer import Observer, Participant
+from modaltouch.planning.observer import Observer
+from modaltouch.planning.participant import Participant
 from modaltouch.protocol.trial import Condition, Trial
 from modaltouch.system.clock import VirtualClock
 from modaltouch.window.interface import Presentation, Progress

@@ -12,26 +12,24 @@ from typing import TYPE_CHECKING
 from modaltouch.system import lazily
 
 if TYPE_CHECKING:
+    from modaltouch.planning.design import designs_for
     from modaltouch.planning.experiments import Study
-    from modaltouch.planning.files import write_power
+    from modaltouch.planning.felt import FeltSpeeds
     from modaltouch.planning.fitting import fit_answers
-    from modaltouch.planning.observer.felt import FeltSpeeds
-    from modaltouch.planning.observer.population import Observer
-    from modaltouch.planning.power import Power, plan
+    from modaltouch.planning.observer import Observer
+    from modaltouch.planning.power import Power, plan, write_power
     from modaltouch.planning.preregistration import preregister
-    from modaltouch.planning.presented import designs_for
 else:
     __getattr__ = lazily(
         __name__,
         {
+            "design": "designs_for",
             "experiments": "Study",
-            "files": "write_power",
             "fitting": "fit_answers",
-            "observer.felt": "FeltSpeeds",
-            "observer.population": "Observer",
-            "power": "Power plan",
+            "felt": "FeltSpeeds",
+            "observer": "Observer",
+            "power": "Power plan write_power",
             "preregistration": "preregister",
-            "presented": "designs_for",
         },
     )
 

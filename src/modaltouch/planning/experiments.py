@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from modaltouch.analysis import ALPHA, STATISTICS, AnswerCounts
 from modaltouch.planning.design import Design
-from modaltouch.planning.observer import Observer, Participant
+from modaltouch.planning.observer import Observer
+from modaltouch.planning.participant import Participant
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -152,7 +153,7 @@ def simulate(design: Design, observer: Observer, job: Job, rng: np.random.Genera
     """Simulate the answers of a batch of experiments.
 
     Each participant is drawn once from the population and answers every cell with the probabilities of
-    `modaltouch.planning.observer.Participant`.
+    `modaltouch.planning.participant.Participant`.
     """
     crowd = observer.draw_participants(rng, (job.n_experiments, job.n_participants))
     share_left, share_right = crowd.shares(

@@ -1,20 +1,306 @@
-"""Fit of an observer to the answers in a results tree or a CSV, for planning the next study."""
+r"""Fit of an observer to the answers in a results tree or a CSV by maximum likelihood, for planning the next study.
+
+The likelihood of a participant's answers is the product of the probabilities of the single answers, averaged over the
+population on a quasi-random grid. Priors are normal on the fitted scale and centred on a given observer, so parameters
+that the answers do not determine keep its values.
+
+Answers cannot determine:
+
+- The scale. Multiplying noise, criterion, one plus the suppressions, side bias and its spread by a common factor
+  changes no probability. Only ratios are identifiable: the speed ratio named half the time, exp(c / (1 + s)), and the
+  noise of a compared log ratio, sigma / (1 + s). The priors fix the rest: this experiment measures neither suppression
+  itself nor a Weber fraction separate from it.
+- The front end, which is given. If all pairs of zones have the same ratio of speeds, or its inverse, a front end
+  with another ratio fits equally well with another scale.
+- Detection speed, internal noise and near miss, which are held fixed: they require levels near the threshold.
+- Lapses separately from noise, unless some ratios are unmistakable.
+- Spreads, with few participants or few answers of each.
+- Reaction times, which are not fitted.
+
+References
+----------
+Wichmann and Hill, Perception & Psychophysics 63 (2001) 1293-1313 (lapses and bias of fits without them).
+Moscatelli, Mezzetti, Lacquaniti, J. Vision 12(11):26 (2012) (populations of psychometric functions).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import asdict, dataclass
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import lru_cache
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from modaltouch.analysis import AnswerCounts, Responses, TableFormat, read_responses
+from modaltouch.planning.design import felt_speeds, refuse_unlike
 from modaltouch.planning.observer import Observer
-from modaltouch.planning.observer.fit import Fit, RecordedAnswers, fit_observer
-from modaltouch.planning.presented import felt_speeds, refuse_unlike
 from modaltouch.preflight import Preflight
 from modaltouch.protocol import InputError
+
+FloatArray = NDArray[np.float64]
+
+N_NODES = 512
+"""Number of points for the average over the population."""
+
+_LEAST_SHARE = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedAnswers:
+    """Answers to fit.
+
+    Attributes
+    ----------
+    counts : (n_participants, n_cells, 3) array of int
+        Counts of the answers left, both and right by participant and cell; left and right are those of the beam.
+    speeds : (n_cells, 2) array
+        Speeds felt by the left and the right finger in each cell [m/s].
+    finger_conditions : tuple of str
+        Finger condition of each cell.
+    facing : (n_participants,) array
+        1, or -1 for participants for whom the beam was turned end to end.
+    """
+
+    counts: NDArray[np.int64]
+    speeds: FloatArray
+    finger_conditions: tuple[str, ...]
+    facing: FloatArray
+
+    @classmethod
+    def joined(cls, parts: Sequence[Self]) -> Self:
+        """Concatenate the answers of the same participants to several stimuli along the cells."""
+        if any(not np.array_equal(part.facing, parts[0].facing) for part in parts):
+            raise ValueError(
+                f"answers of {', '.join(str(part.facing.size) for part in parts)} participants, or of different "
+                "people, cannot be combined: give the answers of the same people to each stimulus"
+            )
+        return cls(
+            counts=np.concatenate([part.counts for part in parts], axis=1),
+            speeds=np.concatenate([part.speeds for part in parts]),
+            finger_conditions=tuple(name for part in parts for name in part.finger_conditions),
+            facing=parts[0].facing,
+        )
+
+
+def log_likelihood(observer: Observer, recorded: RecordedAnswers) -> float:
+    """Return the log likelihood of recorded answers, averaged over the population."""
+    crowd = observer.participants_at(_grid())
+    total = 0.0
+    for side in np.unique(recorded.facing):
+        left, right = crowd.shares(recorded.speeds, recorded.finger_conditions, side)
+        shares = np.stack([left, 1 - left - right, right], axis=-1).reshape(N_NODES, -1)
+        own = recorded.counts[recorded.facing == side].reshape(-1, shares.shape[1])
+        # einsum runs in one thread, so sums are the same in every process; the product is small.
+        logs = np.einsum("pc,nc->pn", own.astype(float), np.log(np.maximum(shares, _LEAST_SHARE)))
+        top = logs.max(axis=1, keepdims=True)
+        total += float((top[:, 0] + np.log(np.exp(logs - top).mean(axis=1))).sum())
+    return total
+
+
+@lru_cache(maxsize=1)
+def _grid() -> FloatArray:
+    """Return quasi-random points of the population, (5, N_NODES) array of normal deviates; the pace is fixed."""
+    from scipy.special import ndtri
+
+    # The generalised golden ratio in four dimensions fills the cube evenly (Roberts 2018).
+    ratio = 1.0
+    for _ in range(50):
+        ratio = (1 + ratio) ** (1 / 5)
+    steps = ratio ** -np.arange(1.0, 5.0)
+    cube = (0.5 + steps[:, None] * np.arange(1, N_NODES + 1)) % 1
+    return np.concatenate([ndtri(cube), np.zeros((1, N_NODES))])
+
+
+@dataclass(frozen=True)
+class _Quantity:
+    """A fitted parameter: its name in an observer, the scale of the fit, and the prior on that scale."""
+
+    name: str
+    of_typical: bool
+    scale: str
+    prior_deviation: float
+    tied: bool
+
+    def value(self, observer: Observer) -> float:
+        return float(getattr(observer.typical if self.of_typical else observer, self.name))
+
+    def is_free(self, observer: Observer) -> bool:
+        top = 1 if self.scale == "logit" else math.inf
+        return self.scale in ("plain", "log1p") or 0 < self.value(observer) < top
+
+
+_TO_FIT: dict[str, Callable[[float], float]] = {
+    "log": math.log,
+    "log1p": math.log1p,
+    "logit": lambda x: math.log(x / (1 - x)),
+    "plain": float,
+}
+_FROM_FIT: dict[str, Callable[[float], float]] = {
+    "log": math.exp,
+    "log1p": math.expm1,
+    "logit": lambda x: 1 / (1 + math.exp(-x)),
+    "plain": float,
+}
+
+QUANTITIES = (
+    _Quantity("noise", True, "log", 0.4, True),
+    _Quantity("criterion", True, "log", 0.6, True),
+    _Quantity("suppression", True, "log1p", 0.3, True),
+    _Quantity("suppression_across_hands", True, "log1p", 0.3, True),
+    _Quantity("side_bias", True, "plain", 0.3, True),
+    _Quantity("lapse_rate", True, "logit", 1.2, False),
+    _Quantity("side_bias_spread", False, "log", 0.7, True),
+    _Quantity("noise_spread", False, "log", 0.5, False),
+    _Quantity("criterion_spread", False, "log", 0.6, False),
+    _Quantity("suppression_spread", False, "log", 0.5, False),
+)
+"""Parameters to fit; one at the end of its range in the given observer (such as a spread of 0) is held fixed."""
+
+
+@dataclass(frozen=True)
+class FittedParameter:
+    """A fitted parameter with its 95 % interval.
+
+    Attributes
+    ----------
+    name : str
+        Name of the parameter.
+    value, low, high : float
+        Estimate and ends of the interval.
+    learned : float
+        Share of the prior variance removed by the answers [1]; near 0, the estimate is that of the prior.
+    tied_to_scale : bool
+        Whether it is identifiable only relative to the other tied parameters; the scale of its interval then comes
+        from the priors, not the answers.
+    """
+
+    name: str
+    value: float
+    low: float
+    high: float
+    learned: float
+    tied_to_scale: bool
+
+
+@dataclass(frozen=True)
+class Fit:
+    """An observer fitted to answers.
+
+    Attributes
+    ----------
+    observer : Observer
+        The most likely observer.
+    parameters : tuple of FittedParameter
+        Fitted parameters; see `learned` of each.
+    identified : tuple of FittedParameter
+        Combinations that the answers determine independently of the scale.
+    log_likelihood : float
+        Log likelihood of the answers, without the priors.
+    n_answers : int
+        Number of answers.
+    converged : bool
+        Whether the search ended at a maximum.
+    """
+
+    observer: Observer
+    parameters: tuple[FittedParameter, ...]
+    identified: tuple[FittedParameter, ...]
+    log_likelihood: float
+    n_answers: int
+    converged: bool
+
+
+def fit_observer(recorded: RecordedAnswers, prior: Observer) -> Fit:
+    """Fit an observer to recorded answers."""
+    from scipy.optimize import minimize
+
+    fitted = [quantity for quantity in QUANTITIES if quantity.is_free(prior)]
+    centre = np.array([_TO_FIT[quantity.scale](quantity.value(prior)) for quantity in fitted])
+    deviation = np.array([quantity.prior_deviation for quantity in fitted])
+
+    def cost(point: FloatArray) -> float:
+        off = (point - centre) / deviation
+        return float(off @ off) / 2 - log_likelihood(_observer_at(prior, fitted, point), recorded)
+
+    bounds = [(0.0, None) if quantity.scale == "log1p" else (None, None) for quantity in fitted]
+    found = minimize(cost, centre, method="L-BFGS-B", bounds=bounds, options={"maxiter": 300, "ftol": 1e-10})
+    point = np.asarray(found.x)
+    covariance = _covariance(cost, point, deviation)
+    observer = replace(_observer_at(prior, fitted, point), name="")
+    parameters = tuple(
+        _estimate(q.name, _FROM_FIT[q.scale], point[i], covariance[i, i], deviation[i] ** 2)
+        for i, q in enumerate(fitted)
+    )
+    names = [quantity.name for quantity in fitted]
+    return Fit(
+        observer=observer,
+        parameters=parameters,
+        identified=tuple(_identified(names, point, covariance, deviation, recorded.finger_conditions)),
+        log_likelihood=log_likelihood(observer, recorded),
+        n_answers=int(recorded.counts.sum()),
+        converged=bool(found.success),
+    )
+
+
+def _observer_at(prior: Observer, fitted: Sequence[_Quantity], point: ArrayLike) -> Observer:
+    """Return the prior's observer with the fitted parameters replaced."""
+    values = np.asarray(point, dtype=float).tolist()
+    natural = {q.name: max(_FROM_FIT[q.scale](x), 0.0) if q.scale == "log1p" else _FROM_FIT[q.scale](x)
+               for q, x in zip(fitted, values, strict=True)}  # fmt: skip
+    of_typical = {q.name: natural[q.name] for q in fitted if q.of_typical}
+    of_observer = {q.name: natural[q.name] for q in fitted if not q.of_typical}
+    values = prior.as_dict()
+    return Observer.from_dict({**values, **of_observer, "typical": values["typical"] | of_typical})
+
+
+def _covariance(cost: Callable[[FloatArray], float], point: FloatArray, deviation: FloatArray) -> FloatArray:
+    """Return the inverse Hessian at a minimum, bounded by the prior covariance."""
+    from statsmodels.tools.numdiff import approx_hess3
+
+    scaled = approx_hess3(np.zeros(point.size), lambda step: cost(point + step * deviation), 0.05)
+    values, vectors = np.linalg.eigh(scaled)
+    # In units of the prior, the curvature is at least 1; less is numerical noise.
+    inverse = (vectors / np.maximum(values, 1.0)) @ vectors.T
+    return np.asarray(inverse * np.outer(deviation, deviation))
+
+
+def _estimate(
+    name: str, natural: Callable[[float], float], middle: float, variance: float, prior_variance: float
+) -> FittedParameter:
+    reach = 1.959964 * math.sqrt(max(variance, 0.0))
+    learned = min(max(1 - float(variance) / float(prior_variance), 0.0), 1.0)
+    ends = (natural(middle - reach), natural(middle + reach))
+    if natural is math.expm1:
+        ends = (max(ends[0], 0.0), ends[1])
+    tied = any(quantity.tied and quantity.name == name for quantity in QUANTITIES)
+    return FittedParameter(name, natural(middle), *ends, learned, tied)
+
+
+def _identified(
+    names: Sequence[str],
+    point: FloatArray,
+    covariance: FloatArray,
+    deviation: FloatArray,
+    finger_conditions: Sequence[str],
+) -> list[FittedParameter]:
+    """Return the combinations that are invariant under a change of scale."""
+    found = []
+    suppressions = {"one_hand": "suppression", "two_hands": "suppression_across_hands"}
+    for kind in dict.fromkeys(finger_conditions):
+        for words, first in (("speed ratio named half the time", "criterion"), ("noise of the log ratio", "noise")):
+            if first not in names:
+                continue
+            direction = np.zeros(point.size)
+            direction[names.index(first)] = 1.0
+            direction[names.index(suppressions[kind])] = -1.0
+            natural = (lambda x: math.exp(math.exp(x))) if first == "criterion" else math.exp
+            variance, before = float(direction @ covariance @ direction), float(direction**2 @ deviation**2)
+            found.append(_estimate(f"{words}, {kind}", natural, float(direction @ point), variance, before))
+    return found
 
 
 @dataclass(frozen=True, eq=False)

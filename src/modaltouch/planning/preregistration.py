@@ -21,11 +21,10 @@ from modaltouch.analysis import (
     terms_of,
     wilson,
 )
-from modaltouch.planning.design import Design
+from modaltouch.planning.design import Design, designs_for, refuse_own_levels
 from modaltouch.planning.experiments import Study
 from modaltouch.planning.observer import Observer
 from modaltouch.planning.power import plan
-from modaltouch.planning.presented import designs_for, refuse_own_levels
 from modaltouch.preflight import Preflight
 from modaltouch.protocol import InputError, Protocol, Source
 from modaltouch.report import render_page

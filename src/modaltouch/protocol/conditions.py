@@ -14,7 +14,6 @@ from modaltouch.protocol.section import Count, Positive, Section, Text, Word, de
 from modaltouch.protocol.stimulus_sections import ZoneName
 from modaltouch.protocol.trial import FINGERS, SIDES, Condition
 
-
 FingerCondition = Annotated[Word, Field(json_schema_extra={"x-allowed": "one_hand, two_hands or a name of your own"})]
 FingerName = Literal[
     "left little", "left ring", "left middle", "left index", "left thumb",

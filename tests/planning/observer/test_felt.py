@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from forward import velocity_history
 
-from modaltouch.planning.observer.felt import FeltSpeeds, sense
+from modaltouch.planning.felt import FeltSpeeds, sense
 from modaltouch.preflight import Preflight, examine
 from modaltouch.protocol.trial import Condition, Trial
 

@@ -8,8 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from modaltouch.planning.observer import Observer, Participant
-from modaltouch.planning.observer.fit import Fit, RecordedAnswers, fit_observer, log_likelihood
+from modaltouch.planning.fitting import Fit, RecordedAnswers, fit_observer, log_likelihood
+from modaltouch.planning.observer import Observer
+from modaltouch.planning.participant import Participant
 
 TRUTH = Observer(
     Participant(

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from modaltouch.planning.observer.felt import CUT_OFF, sense
+from modaltouch.planning.felt import CUT_OFF, sense
 
 RATE = 50_000.0
 TIME = np.arange(5000) / RATE

@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from modaltouch.planning.observer import Observer, Participant
-from modaltouch.planning.observer.participant import REFERENCE
+from modaltouch.planning.observer import Observer
+from modaltouch.planning.participant import REFERENCE, Participant
 
 SPEEDS = np.array([[0.08, 0.13], [0.1, 0.1], [0.2, 0.12]])
 

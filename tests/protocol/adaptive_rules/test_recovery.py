@@ -19,8 +19,8 @@ import pytest
 from scipy.special import ndtr
 
 from modaltouch.analysis.thresholds.psychometric import fit_psychometric
-from modaltouch.planning.observer import Participant
-from modaltouch.planning.observer.population import Observer
+from modaltouch.planning.observer import Observer
+from modaltouch.planning.participant import Participant
 from modaltouch.preflight import examine
 from modaltouch.protocol.adaptive import AdaptiveSection
 from modaltouch.protocol.answers import AnswerList

@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from modaltouch.planning.observer.population import FrontEnd
+from modaltouch.planning.observer import FrontEnd
 from modaltouch.stimulus import Stimulus
 
 FloatArray = NDArray[np.float64]

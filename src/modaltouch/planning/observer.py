@@ -13,7 +13,7 @@ from typing import Any, Literal, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from modaltouch.planning.observer.participant import REFERENCE, SAME_HAND, Participant
+from modaltouch.planning.participant import REFERENCE, SAME_HAND, Participant
 from modaltouch.protocol import ObserverFile, Protocol
 
 FloatArray = NDArray[np.float64]
