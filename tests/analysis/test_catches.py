@@ -18,7 +18,7 @@ from modaltouch.analysis.pipeline import analyse
 from modaltouch.analysis.reading import read_responses
 from modaltouch.analysis.statistics import family_findings
 from modaltouch.analysis.tables import tabulate, zone_table
-from modaltouch.protocol.problems import InputError
+from modaltouch.protocol.source import InputError
 
 HEADER = "participant,finger_condition,zone_left,zone_right,velocity_mm_s,response,catch"
 

@@ -12,7 +12,7 @@ from modaltouch.analysis import analyse
 from modaltouch.analysis.counts import count_answers
 from modaltouch.analysis.reading import read_responses
 from modaltouch.preflight import Preflight, examine
-from modaltouch.protocol.problems import InputError
+from modaltouch.protocol.source import InputError
 from modaltouch.protocol.trial import Trial
 from modaltouch.record.audit import audit_session
 from modaltouch.record.chain import read_chain

@@ -33,7 +33,7 @@ from modaltouch.planning.participant import Participant
 from modaltouch.preflight import Preflight, examine
 from modaltouch.protocol import AnswerList
 from modaltouch.protocol.levels import follow, to_dB
-from modaltouch.protocol.problems import InputError
+from modaltouch.protocol.source import InputError
 from modaltouch.record.session import Session
 from modaltouch.session.setup import begin
 from modaltouch.session.wiring import wire_run

@@ -11,8 +11,7 @@ from typer.testing import CliRunner
 
 from modaltouch.cli.commands import app
 from modaltouch.cli.new import write_study
-from modaltouch.protocol.problems import InputError
-from modaltouch.protocol.source import Source
+from modaltouch.protocol.source import InputError, Source
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 

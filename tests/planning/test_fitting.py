@@ -13,7 +13,7 @@ from modaltouch.planning.fitting import RecordedAnswers, _grid, fit_answers, fit
 from modaltouch.planning.observer import Observer
 from modaltouch.planning.participant import Participant
 from modaltouch.preflight import Preflight, examine
-from modaltouch.protocol.problems import InputError
+from modaltouch.protocol.source import InputError
 from modaltouch.protocol.trial import Condition, Trial
 from modaltouch.session.wiring import simulate_session
 

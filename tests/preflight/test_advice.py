@@ -36,7 +36,7 @@ def test_pairs_without_a_finger_on_the_focus_are_named(edit: Edit) -> None:
     assert not any("no finger" in each for each in design_warnings(examine(two).findings.experiment().protocol))
     fields = far.with_name("two_fields.yaml")
     fields.write_text(fields.read_text().replace("[[A, C], [C, E]]", "[[A, B], [B, C]]"))
-    several = design_warnings(examine(fields).experiment.protocol)
+    several = list(design_warnings(examine(fields).experiment.protocol))
     told = [f"stimulus {name}: no finger touches the focus C on A-B" for name in ("sharp", "blunt")]
     assert [each for each in several if "no finger" in each] == told
 
@@ -91,7 +91,7 @@ def test_a_session_longer_than_an_hour_is_told(edit: Edit) -> None:
 def test_a_single_group_and_sessions_that_nobody_analyses_are_told(edit: Edit) -> None:
     """Each passes, as each can be run; neither can answer what it is for."""
     kinds = "groups: {low: {}}\nschedule:\n  sessions: [{name: training, analysed: false}]\n"
-    said = design_warnings(read(edit, ("schedule:\n", kinds)))
+    said = list(design_warnings(read(edit, ("schedule:\n", kinds))))
     assert any("no kind of session is analysed" in each for each in said)
     assert any("there is only one group" in each for each in said)
 
@@ -100,12 +100,12 @@ def test_a_single_group_and_sessions_that_nobody_analyses_are_told(edit: Edit) -
 def test_training_that_is_not_analysed_leaves_a_design_crossed(edit: Edit, analysed: str, is_told: bool) -> None:
     """The analysis has the tests of a crossed design of the tests alone, however often each participant comes."""
     kinds = f"schedule:\n  sessions: [{{name: training, analysed: {analysed}}}, {{name: test, times: 2}}]\n"
-    said = design_warnings(read(edit, ("schedule:\n", kinds)))
+    said = list(design_warnings(read(edit, ("schedule:\n", kinds))))
     assert any("each kind of session is tested separately" in each for each in said) == is_told
 
 
 def test_groups_are_not_told_to_be_parts_of_a_design_that_is_not_crossed(edit: Edit) -> None:
     """They may meet the same cells; adaptive runs have no tests of parts at all."""
-    said = design_warnings(read(edit, ("schedule:\n", "groups: {low: {}, high: {}}\nschedule:\n")))
+    said = list(design_warnings(read(edit, ("schedule:\n", "groups: {low: {}, high: {}}\nschedule:\n"))))
     assert any(each.startswith("each group is tested separately") for each in said)
     assert not any("not crossed" in each for each in said)

@@ -13,8 +13,8 @@ import pytest
 
 from modaltouch.preflight import Preflight, examine
 from modaltouch.preflight.figures import estimated_duration
-from modaltouch.protocol.problems import InputError
 from modaltouch.protocol.schedule import Schedule
+from modaltouch.protocol.source import InputError
 from modaltouch.protocol.trial import Condition, Trial
 from modaltouch.rig import instrument_of
 

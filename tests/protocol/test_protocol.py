@@ -12,8 +12,8 @@ import pytest
 
 from modaltouch.preflight import examine
 from modaltouch.protocol import Findings, Sources
-from modaltouch.protocol.problems import InputError
 from modaltouch.protocol.questions import KEY_NAMES, AskedSection
+from modaltouch.protocol.source import InputError
 
 Edit = Callable[..., Path]
 FILE = "differentiated_stimulation.yaml"

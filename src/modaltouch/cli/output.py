@@ -97,7 +97,7 @@ def exit_status(error: BaseException) -> int | None:
     """Return the exit status for an error; None for a programming error."""
     statuses = {
         ("builtins", "KeyboardInterrupt"): INTERRUPTED,
-        ("modaltouch.protocol.problems", "InputError"): BAD_INPUT,
+        ("modaltouch.protocol.source", "InputError"): BAD_INPUT,
         ("modaltouch.rig.interface", "RigError"): RIG_FAILED,
         ("modaltouch.window.interface", "WindowError"): RIG_FAILED,
         ("modaltouch.record.chain", "RecordInputError"): BAD_INPUT,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from modaltouch.preflight.design_inputs import DesignInputs
@@ -31,9 +31,8 @@ _PRESENTED = ("stimulus.", "conditions.", "schedule.order")
 """Keys whose defaults `check` reports."""
 
 
-def field_warnings(inputs: DesignInputs, stimulus: Stimulus, figures: list[dict[str, Any]]) -> list[str]:
-    """Return warnings about a field that is fastest outside the focus or misses its target."""
-    said = []
+def field_warnings(inputs: DesignInputs, stimulus: Stimulus, figures: list[dict[str, Any]]) -> Iterator[str]:
+    """Yield warnings about a field that is fastest outside the focus or misses its target."""
     top = max(figures, key=lambda each: float(each["velocity_mm_s"]), default=None)
     if top is not None:
         peaks, focus = top["zone_peak_mm_s"], inputs.section.focus
@@ -41,13 +40,12 @@ def field_warnings(inputs: DesignInputs, stimulus: Stimulus, figures: list[dict[
         faster = {name: peak for name, peak in peaks.items() if peak is not None and peak > _FASTER * at_focus}
         if faster:
             others = ", ".join(f"zone {name} at up to {peak:.0f} mm/s" for name, peak in faster.items())
-            said.append(
+            yield (
                 f"at {top['velocity_mm_s']:g} mm/s the focus {focus} is not where the beam moves fastest: zone "
                 f"{focus} moves at up to {at_focus:.0f} mm/s, {others}"
             )
     if stimulus.projection.reconstruction_error > _UNREACHED:
-        said.append(f"at {stimulus.target_field.velocity * 1e3:g} mm/s {stimulus.projection.unreached()}")
-    return said
+        yield f"at {stimulus.target_field.velocity * 1e3:g} mm/s {stimulus.projection.unreached()}"
 
 
 def placement_warnings(designs: Mapping[str, DesignInputs]) -> list[str]:
@@ -71,37 +69,35 @@ def contact_warnings(findings: Findings) -> list[str]:
     return [f"{said}: check contact_width_mm"] if widest > narrowest else []
 
 
-def stimulus_warnings(inputs: DesignInputs, stimulus: Stimulus, figures: list[dict[str, Any]]) -> list[str]:
-    """Return warnings about clock jitter, unmeasured gains, ill-conditioned modes and modal errors."""
-    said = []
+def stimulus_warnings(inputs: DesignInputs, stimulus: Stimulus, figures: list[dict[str, Any]]) -> Iterator[str]:
+    """Yield warnings about clock jitter, unmeasured gains, ill-conditioned modes and modal errors."""
     clocks = stimulus.timing.duration * stimulus.timing.clock_rate / stimulus.timing.n_samples
     if not stimulus.timing.converter.any_rate and not math.isclose(clocks, round(clocks), rel_tol=1e-9):
-        said.append(
+        yield (
             f"{stimulus.timing.n_samples} samples are held {clocks:.2f} clocks each, so their edges jitter; "
             f"125000 samples in 50 ms are held exactly 100"
         )
     if inputs.apparatus.assumed_gains():
         modes = ", ".join(f"{label} ({name})" for label, name in inputs.apparatus.assumed_gains())
-        said.append(f"the gains of these modes are assumed, not measured: {modes}")
+        yield f"the gains of these modes are assumed, not measured: {modes}"
     if offered := inputs.apparatus.offered_gains():
         gains = ", ".join(f"{label} ({name}) {gain:.4g}" for label, name, gain in offered)
-        said.append(f"unmeasured gains, computed from the patches, in mm/s^2 per V by mode and set: {gains}")
+        yield f"unmeasured gains, computed from the patches, in mm/s^2 per V by mode and set: {gains}"
     if stimulus.drive.condition_number > 1e6:
-        said.append(f"the condition number is {stimulus.drive.condition_number:.1e}: two modes are nearly alike")
+        yield f"the condition number is {stimulus.drive.condition_number:.1e}: two modes are nearly alike"
     worst = max(figures, key=lambda each: each["worst_modal_error_mm_s"] / each["velocity_mm_s"], default=None)
     short = worst and worst["worst_modal_error_mm_s"] > 1e-3 * worst["velocity_mm_s"]
     if worst and short and stimulus.priority == "level":
-        said.append(
+        yield (
             f"priority level: at {worst['velocity_mm_s']:g} mm/s the level is exact and a mode misses the field by "
             f"{worst['worst_modal_error_mm_s']:.2g} mm/s, so the spectrum is different; do not compare it with "
             f"sessions that have priority field"
         )
     elif worst and short:
-        said.append(
+        yield (
             f"at {worst['velocity_mm_s']:g} mm/s the law `{stimulus.law}` misses a mode by "
             f"{worst['worst_modal_error_mm_s']:.2g} mm/s on the identified beam"
         )
-    return said
 
 
 _UNPROMISED = {
@@ -111,22 +107,20 @@ _UNPROMISED = {
 }
 
 
-def generator_warnings(apparatus: Apparatus) -> list[str]:
-    """Return warnings about a generator without a driver, and about a repetition other than ``single``."""
+def generator_warnings(apparatus: Apparatus) -> Iterator[str]:
+    """Yield warnings about a generator without a driver, and about a repetition other than ``single``."""
     section, instrument = apparatus.generator, instrument_of(apparatus)
-    said = []
     if section.model not in instrument.models:
-        said.append(
+        yield (
             f"there is no driver for the generator {section.model}: that of the {instrument.models[0]} will be used; "
             "`rig check` says whether it works"
         )
     if section.repeats != "single":
         former = " (`burst` is its former name)" if section.repetition == "burst" else ""
-        said.append(
+        yield (
             f"generator.repetition is {section.repeats}{former}: {_UNPROMISED[section.repeats]}, and only the watchdog "
             "process ends it if this program dies; `single` promises all three"
         )
-    return said
 
 
 _PARTS = {
@@ -136,9 +130,9 @@ _PARTS = {
 }
 
 
-def design_warnings(protocol: Protocol) -> list[str]:
-    """Return warnings about pairs without a finger on the focus, tests that are impossible, and long sessions."""
-    conditions, said = protocol.conditions, []
+def design_warnings(protocol: Protocol) -> Iterator[str]:
+    """Yield warnings about pairs without a finger on the focus, tests that are impossible, and long sessions."""
+    conditions = protocol.conditions
     for name in protocol.stimulus_names:
         section = protocol.stimulus_of(name)
         foci = dict.fromkeys((section.focus, *section.further_foci))
@@ -146,54 +140,50 @@ def design_warnings(protocol: Protocol) -> list[str]:
         noun = "any pair" if conditions.zone_pairs else "any zones"
         where = noun if len(without) == len(conditions.contacts) else ", ".join(without)
         if without:
-            said.append(
-                f"{f'stimulus {name}: ' if name else ''}no finger touches the focus {', '.join(foci)} on {where}"
-            )
+            yield (f"{f'stimulus {name}: ' if name else ''}no finger touches the focus {', '.join(foci)} on {where}")
     kinds = protocol.schedule.session_kinds
     if kinds and not any(each.analysed for each in kinds):
-        said.append("no kind of session is analysed (schedule.sessions): there will be nothing for `analyse`")
+        yield "no kind of session is analysed (schedule.sessions): there will be nothing for `analyse`"
     if len(protocol.groups) == 1:
-        said.append("there is only one group: nothing can be compared between groups; add another, or leave it out")
+        yield "there is only one group: nothing can be compared between groups; add another, or leave it out"
     n_pairs, n_fingers = len(conditions.contacts), len(conditions.finger_conditions)
     # With a single analysed kind of session, the design is still crossed.
     n_kinds = len({each.name for each in kinds if each.analysed})
     is_fixed = protocol.adaptive is None  # runs are compared with each other, and have no parts
     if is_fixed and protocol.uncrossed_by and (protocol.uncrossed_by[0] != "schedule" or n_kinds > 1):
-        said.append(_PARTS[protocol.uncrossed_by[0]].format(".".join(protocol.uncrossed_by)))
+        yield _PARTS[protocol.uncrossed_by[0]].format(".".join(protocol.uncrossed_by))
     elif is_fixed and not protocol.uncrossed_by:
         numbers = {"level": len(protocol.scheduled_levels), "finger condition": n_fingers, "pair of zones": n_pairs}
         alone = " and one ".join(noun for noun, number in numbers.items() if number == 1)
-        said += [f"there is only one {alone}: no test can show whether that matters"] if alone else []
+        if alone:
+            yield f"there is only one {alone}: no test can show whether that matters"
         # If all participants agree, p is 2/2^n; Holm's method multiplies the smallest p by the number of tests.
         fewest = 1 + math.ceil(math.log2(n_pairs * n_fingers / _ALPHA))
-        told = f"with fewer than {fewest} participants no test can tell which zone of a pair is chosen more"
-        said += [told] if protocol.answers.offered.compares else []
+        if protocol.answers.offered.compares:
+            yield f"with fewer than {fewest} participants no test can tell which zone of a pair is chosen more"
     minutes = estimated_duration(protocol)
     if minutes > _LONG:
-        said.append(
+        yield (
             f"a session takes about {minutes:.0f} min, longer than an hour: use fewer repetitions, or several sessions"
         )
-    return said
 
 
-def answer_warnings(protocol: Protocol) -> list[str]:
-    """Return warnings about catch trials without the answer none, answers that name no finger, and an unknown task."""
+def answer_warnings(protocol: Protocol) -> Iterator[str]:
+    """Yield warnings about catch trials without the answer none, answers that name no finger, and an unknown task."""
     n_catches, offered = protocol.schedule.catch_trials, protocol.answers.offered
-    warnings = []
     if n_catches and not protocol.answers.has_none_answer:
-        warnings.append(
+        yield (
             f"the {n_catches} catch trials of a block cannot be answered correctly, since there is no answer none: "
             "they show what is guessed, not how often; add `none` to answers.keys"
         )
     if not any(answer.fingers or answer.interval for answer in offered) and protocol.answers.scale is None:
         nothing = offered.naming()
         which = "whatever it feels" if nothing is None else f"but {nothing.name} where it feels nothing"
-        warnings.append(
+        yield (
             f"no answer names a finger ({', '.join(offered.names)}): a simulated participant answers at random, {which}"
         )
     if protocol.task == "other":
-        warnings.append("the question is that of the texts, which must suit these answers; else write answers.question")
-    return warnings
+        yield "the question is that of the texts, which must suit these answers; else write answers.question"
 
 
 def interval_warnings(protocol: Protocol) -> list[str]:

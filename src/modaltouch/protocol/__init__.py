@@ -19,11 +19,10 @@ if TYPE_CHECKING:
     from modaltouch.protocol.findings import Experiment, Findings
     from modaltouch.protocol.levels import Levels
     from modaltouch.protocol.observers import ObserverFile
-    from modaltouch.protocol.problems import InputError, Problem, suggest
     from modaltouch.protocol.questions import ScaleSection
     from modaltouch.protocol.schedule import Schedule, Turn, judge_round
     from modaltouch.protocol.sections import AnswersSection, Protocol
-    from modaltouch.protocol.source import Source, Sources
+    from modaltouch.protocol.source import InputError, Problem, Source, Sources, suggest
     from modaltouch.protocol.stimulus_sections import MaskingSection, StimulusSection
     from modaltouch.protocol.texts import Texts
     from modaltouch.protocol.trial import TIME_OUT, Response, Trial
@@ -37,11 +36,10 @@ else:
             "findings": "Experiment Findings",
             "levels": "Levels",
             "observers": "ObserverFile",
-            "problems": "InputError Problem suggest",
             "questions": "ScaleSection",
             "schedule": "Schedule Turn judge_round",
             "sections": "AnswersSection Protocol",
-            "source": "Source Sources",
+            "source": "InputError Problem Source Sources suggest",
             "stimulus_sections": "MaskingSection StimulusSection",
             "texts": "Texts",
             "trial": "Response TIME_OUT Trial",

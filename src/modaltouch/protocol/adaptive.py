@@ -9,9 +9,9 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from modaltouch.protocol.answers import AnswerList
-from modaltouch.protocol.problems import Problem
 from modaltouch.protocol.reading import Reading
 from modaltouch.protocol.section import Count, FileName, Positive, Section, Word, described
+from modaltouch.protocol.source import Problem
 
 Decibels = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0, le=40)]
 GuessRate = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0, le=0.6)]

@@ -27,7 +27,6 @@ from modaltouch.protocol.apparatus_sections import (
     Zone,
     check_shapes,
 )
-from modaltouch.protocol.problems import InputError, Problem, format_path
 from modaltouch.protocol.reading import Reading, read, repeats
 from modaltouch.protocol.section import (
     Count,
@@ -39,7 +38,7 @@ from modaltouch.protocol.section import (
     Word,
     described,
 )
-from modaltouch.protocol.source import Source
+from modaltouch.protocol.source import InputError, Problem, Source, format_path
 
 if TYPE_CHECKING:
     from modaltouch.stimulus import Amplifier as AmplifierValues

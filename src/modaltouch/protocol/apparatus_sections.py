@@ -9,7 +9,6 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from modaltouch.protocol.fingers import FingerSection, FingerSpread
-from modaltouch.protocol.problems import Problem, fault
 from modaltouch.protocol.reading import Reading
 from modaltouch.protocol.section import (
     Count,
@@ -24,6 +23,7 @@ from modaltouch.protocol.section import (
     Word,
     described,
 )
+from modaltouch.protocol.source import Problem, fault
 
 if TYPE_CHECKING:
     from modaltouch.stimulus import MeasuredShapes

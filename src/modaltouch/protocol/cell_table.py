@@ -8,9 +8,8 @@ from dataclasses import replace
 from itertools import product
 from typing import Any
 
-from modaltouch.protocol.problems import Problem, suggest
 from modaltouch.protocol.reading import Reading
-from modaltouch.protocol.source import Source
+from modaltouch.protocol.source import Problem, Source, suggest
 from modaltouch.protocol.stimulus_sections import StimulusVariant
 from modaltouch.protocol.tree import Node, resolve
 

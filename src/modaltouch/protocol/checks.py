@@ -13,11 +13,11 @@ from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.conditions import check_contacts
 from modaltouch.protocol.intervals import check_intervals, presented_levels
 from modaltouch.protocol.people import check_people
-from modaltouch.protocol.problems import Problem, suggest
 from modaltouch.protocol.questions import MOST_ANSWERS, check_key, check_questions
 from modaltouch.protocol.reading import Reading, repeats
 from modaltouch.protocol.schedule_section import LIMITS
 from modaltouch.protocol.sections import AnswersSection, Protocol
+from modaltouch.protocol.source import Problem, suggest
 from modaltouch.protocol.stimulus_sections import check_masking, check_target_field, is_elsewhere
 from modaltouch.protocol.trial import TIME_OUT
 

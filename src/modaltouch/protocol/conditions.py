@@ -8,9 +8,9 @@ from typing import Annotated, Any, Literal, get_args
 from pydantic import ConfigDict, Field
 
 from modaltouch.protocol.adaptive import SensationLevelsSection, contacts, offered_answers
-from modaltouch.protocol.problems import Problem
 from modaltouch.protocol.reading import Reading
 from modaltouch.protocol.section import Count, Positive, Section, Text, Word, described
+from modaltouch.protocol.source import Problem
 from modaltouch.protocol.stimulus_sections import ZoneName
 from modaltouch.protocol.trial import FINGERS, SIDES, Condition
 

@@ -10,9 +10,9 @@ from collections.abc import Iterator
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.conditions import check_way
 from modaltouch.protocol.intervals import STANDARD_LEVEL
-from modaltouch.protocol.problems import Problem
 from modaltouch.protocol.reading import Reading
 from modaltouch.protocol.sections import AnswersSection, Protocol, whole_bursts
+from modaltouch.protocol.source import Problem
 from modaltouch.protocol.stimulus_sections import is_elsewhere
 
 WHOLE = 5e-3

@@ -8,9 +8,9 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from modaltouch.protocol.problems import Problem
 from modaltouch.protocol.reading import Reading
 from modaltouch.protocol.section import NotNegative, Section, Step, Word, described
+from modaltouch.protocol.source import Problem
 from modaltouch.protocol.streams import Stream
 from modaltouch.protocol.trial import Condition
 

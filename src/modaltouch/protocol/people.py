@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import Field, TypeAdapter, ValidationError, create_model, model_validator
 
-from modaltouch.protocol.problems import Problem, fault
 from modaltouch.protocol.reading import Reading, read
 from modaltouch.protocol.section import Number, Section, Text, describe, described
-from modaltouch.protocol.source import Source
+from modaltouch.protocol.source import Problem, Source, fault
 
 if TYPE_CHECKING:
     import numpy as np

@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.fingers import FingerSection, FingersFile
-from modaltouch.protocol.problems import InputError, Problem
 from modaltouch.protocol.reading import Reading, read
 from modaltouch.protocol.sections import Protocol
-from modaltouch.protocol.source import Source
+from modaltouch.protocol.source import InputError, Problem, Source
 from modaltouch.protocol.stimulus_sections import MEASURED, NO_FINGERS
 from modaltouch.protocol.trial import Condition
 

@@ -9,9 +9,9 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, PrivateAttr, model_validator
 
-from modaltouch.protocol.problems import Problem, fault, suggest
 from modaltouch.protocol.reading import Reading
 from modaltouch.protocol.section import Number, Positive, Section, Text, Word, described
+from modaltouch.protocol.source import Problem, fault, suggest
 from modaltouch.protocol.trial import TIME_OUT
 
 _NAMED = """

@@ -9,7 +9,6 @@ from typing import Any, Generic, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from modaltouch.protocol.problems import InputError, Problem, format_path, suggest
 from modaltouch.protocol.section import (
     LARGEST,
     SMALLEST,
@@ -22,7 +21,7 @@ from modaltouch.protocol.section import (
     suggest_number,
     unit_of,
 )
-from modaltouch.protocol.source import YAML_FILE, Source
+from modaltouch.protocol.source import YAML_FILE, InputError, Problem, Source, format_path, suggest
 from modaltouch.protocol.tree import Node, parse_tree
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -115,10 +114,7 @@ class Reading(Generic[Model]):
 
     def find(self, path: Iterable[Step]) -> Node | None:
         """Return the node at a path, or None."""
-        node = self.root
-        for step in path:
-            node = node.child(step) if node is not None else None
-        return node
+        return None if self.root is None else self.root.find(*path)
 
     def keys(self, *path: Step) -> list[str] | None:
         """Return the keys of the mapping at a path; None if there is no mapping."""

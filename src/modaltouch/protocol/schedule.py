@@ -18,9 +18,9 @@ import numpy as np
 from modaltouch.protocol.conditions import Cell, Placement
 from modaltouch.protocol.intervals import draw_intervals
 from modaltouch.protocol.orders import are_certain, insert_catches, order_cells
-from modaltouch.protocol.problems import InputError, Problem
 from modaltouch.protocol.schedule_section import NoOrderError
 from modaltouch.protocol.sections import Protocol
+from modaltouch.protocol.source import InputError, Problem
 from modaltouch.protocol.streams import ALGORITHM, Stream, key_of, seed_sequence
 from modaltouch.protocol.trial import SIDES, Condition, Trial
 

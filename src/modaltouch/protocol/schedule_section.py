@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import Field, Tag
 
-from modaltouch.protocol.problems import Problem
+from modaltouch.protocol.reading import repeats
 from modaltouch.protocol.section import NUMBER_OR_LIST, Count, NotNegative, Positive, Section, Word, described
-from modaltouch.protocol.source import Source
+from modaltouch.protocol.source import Problem, Source
 from modaltouch.protocol.tree import Node
 
 _OWN: dict[str, Any] = {"default": {}, "exclude_if": lambda given: not given}
@@ -80,45 +81,32 @@ def at_occasion(root: Node, occasion: Occasion) -> Node:
     return root
 
 
-def check_groups(source: Source, root: Node) -> list[Problem]:
-    """Return the problems of groups and kinds: a key `sessions`, repeated names, a field `group` under people."""
-    problems = []
-    people = root.child("people")
-    if people is not None and "group" in people.keys and _overrides(root, "groups"):
+def check_groups(source: Source, root: Node) -> Iterator[Problem]:
+    """Yield the problems of groups and kinds: a key `sessions`, repeated names, a field `group` under people."""
+    file, people, groups = str(source.path), root.child("people"), _overrides(root, "groups")
+    if people is not None and "group" in people.keys and groups:
         given = "a column group beside that of the protocol's groups"
-        where = people.keys["group"]
-        problems.append(Problem(str(source.path), *where, "people.group", given, "another name", "choose another"))
-
-    def refuse_sessions(node: Node, path: str, *said: str) -> None:
+        yield Problem(file, *people.keys["group"], "people.group", given, "another name", "choose another")
+    kinds = () if (listed := root.find("schedule", "sessions")) is None else listed.children
+    of_group = "sessions of one group", "the same sessions for all groups", "write them under schedule.sessions"
+    of_kind = "sessions of one kind", "none", "write `times`, or another kind"
+    parts = [(f"groups.{name}", group, of_group) for name, group in groups.items()]
+    parts += [(f"schedule.sessions[{index}]", kind, of_kind) for index, kind in enumerate(kinds)]
+    for path, node, said in parts:
         schedule = node.child("schedule")
         if schedule is not None and "sessions" in schedule.keys:
-            problems.append(Problem(str(source.path), *schedule.keys["sessions"], f"{path}.schedule.sessions", *said))
-
-    for name, group in _overrides(root, "groups").items():
-        refuse_sessions(
-            group,
-            f"groups.{name}",
-            "sessions of one group",
-            "the same sessions for all groups",
-            "write them under schedule.sessions",
+            yield Problem(file, *schedule.keys["sessions"], f"{path}.schedule.sessions", *said)
+    named = [((index, name), name.text) for index, kind in enumerate(kinds) if (name := kind.child("name")) is not None]
+    for (index, name), word, _ in repeats(named):
+        path = f"schedule.sessions[{index}].name"
+        yield Problem(
+            file, name.line, name.column, path, f"{word!r} again", "each name once", "choose another, or `times`"
         )
-    section = root.child("schedule")
-    listed, seen = None if section is None else section.child("sessions"), list[str]()
-    for index, kind in enumerate(() if listed is None else listed.children):
-        called, path = kind.child("name"), f"schedule.sessions[{index}]"
-        if called is not None and called.text in seen:
-            given, place, remedy = f"{called.text!r} again", (called.line, called.column), "choose another, or `times`"
-            problems.append(Problem(str(source.path), *place, f"{path}.name", given, "each name once", remedy))
-        seen += [] if called is None else [called.text]
-        refuse_sessions(kind, path, "sessions of one kind", "none", "write `times`, or another kind")
-    return problems
 
 
 def _overrides(root: Node | None, *path: str) -> dict[str, Node]:
     """Return the groups or kinds of session at a path of the tree, by name."""
-    node = root
-    for step in path:
-        node = None if node is None else node.child(step)
+    node = None if root is None else root.find(*path)
     content = None if node is None else node.content
     if isinstance(content, dict):
         return content

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Discriminator, Field, TypeAdapter
 
-from modaltouch.protocol.problems import fault
+from modaltouch.protocol.source import fault
 
 RESERVED_NAMES = frozenset({"simulated", "pilot", "reference", "benchmarks", "analysis", "derivatives"})
 """Folders of the results tree, not allowed as names of protocols."""

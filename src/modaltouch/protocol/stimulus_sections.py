@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Field, Tag
 
-from modaltouch.protocol.problems import Problem
 from modaltouch.protocol.reading import Reading, repeats
 from modaltouch.protocol.section import NUMBER_OR_LIST, Count, Label, Number, Positive, Section, Text, Word, described
-from modaltouch.protocol.source import Source
+from modaltouch.protocol.source import Problem, Source
 
 if TYPE_CHECKING:
     from modaltouch.protocol.apparatus import Apparatus, Sound

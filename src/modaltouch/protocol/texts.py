@@ -12,11 +12,11 @@ from pydantic import AfterValidator, Field, ValidationInfo, field_validator
 from modaltouch.protocol.adaptive import offered_answers
 from modaltouch.protocol.answers import SHIPPED
 from modaltouch.protocol.conditions import FingerName
-from modaltouch.protocol.problems import Problem, fault, suggest
 from modaltouch.protocol.questions import RATED
 from modaltouch.protocol.reading import Reading
 from modaltouch.protocol.section import Section, Text, Word, described, plain_word
 from modaltouch.protocol.sections import Protocol
+from modaltouch.protocol.source import Problem, fault, suggest
 
 _PLACEHOLDERS: dict[str, frozenset[str]] = {
     "how_to_answer": frozenset({"pause_key"}),
@@ -250,9 +250,10 @@ _ROOM = 120
 """Largest number of characters on a row of buttons; more would be too small to read."""
 
 
-def check_words(protocol: Reading[Protocol], texts: Reading[Texts]) -> list[Problem]:
-    """Return a problem for each required text missing in the language file and each label too long for its button."""
-    problems = [*_check_further(protocol, texts)]
+def check_words(protocol: Reading[Protocol], texts: Reading[Texts]) -> Iterator[Problem]:
+    """Yield a problem for each required text missing in the language file and each label too long for its button."""
+    yield from _check_further(protocol, texts)
+    yield from _lacking_fingers(protocol, texts)
     file, offered = protocol.source.path.name, offered_answers(protocol)
     absent = [name for name in SHIPPED if name not in offered.names]
     for answer in offered if offered.names != (RATED,) else ():
@@ -265,39 +266,30 @@ def check_words(protocol: Reading[Protocol], texts: Reading[Texts]) -> list[Prob
             in_row = sum(other.is_below == answer.is_below for other in offered)
             room = _ROOM // in_row
             if isinstance(label, str) and len(label) > room:
-                problems.append(
-                    texts.problem(
-                        path,
-                        f"{len(label)} characters on a button",
-                        f"at most {room} with {in_row} answers in a row",
-                        "shorten it",
-                    )
+                yield texts.problem(
+                    path,
+                    f"{len(label)} characters on a button",
+                    f"at most {room} with {in_row} answers in a row",
+                    "shorten it",
                 )
             # Missing required keys are also reported without a protocol.
             if field.is_required() or (node is not None and node.content is not None):
                 continue
             meant = suggest(answer.name, absent) if path[0] == "answers" else ""
             if meant:
-                given, allowed = f"'{answer.name}', which has no label in {texts.source.path.name}", ", ".join(SHIPPED)
-                place = ("answers", "keys", answer.name)
-                problems.append(
-                    protocol.problem(
-                        place,
-                        given,
-                        f"{allowed}, or a label",
-                        f"did you mean '{meant}'? Else add `{'.'.join(path)}` to the texts",
-                    )
+                yield protocol.problem(
+                    ("answers", "keys", answer.name),
+                    f"'{answer.name}', which has no label in {texts.source.path.name}",
+                    f"{', '.join(SHIPPED)}, or a label",
+                    f"did you mean '{meant}'? Else add `{'.'.join(path)}` to the texts",
                 )
                 continue
-            problems.append(
-                texts.problem(
-                    path,
-                    "nothing",
-                    f"a text, since {file} offers the answer {name}",
-                    f"add the missing key `{'.'.join(path)}`",
-                )
+            yield texts.problem(
+                path,
+                "nothing",
+                f"a text, since {file} offers the answer {name}",
+                f"add the missing key `{'.'.join(path)}`",
             )
-    return [*problems, *_lacking_fingers(protocol, texts)]
 
 
 def _lacking_fingers(protocol: Reading[Protocol], texts: Reading[Texts]) -> Iterator[Problem]:

@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import yaml
 
-from modaltouch.protocol.problems import Problem, format_path
-from modaltouch.protocol.source import Source
+from modaltouch.protocol.source import Problem, Source, format_path
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -104,6 +103,13 @@ class Node:
         if isinstance(self.content, list) and isinstance(key, int) and 0 <= key < len(self.content):
             return self.content[key]
         return None
+
+    def find(self, *path: str | int) -> Node | None:
+        """Return the value at a path, or None."""
+        node: Node | None = self
+        for step in path:
+            node = None if node is None else node.child(step)
+        return node
 
     def paths_of(self, wanted: Node) -> list[tuple[str | int, ...]]:
         """Return every path to a node, which may be below several keys; an empty path for the node itself."""

@@ -16,7 +16,7 @@ from modaltouch.lab.laboratory import MeasurementProgress
 from modaltouch.preflight import Preflight, examine
 from modaltouch.preflight.design_inputs import design, design_to_fit
 from modaltouch.protocol.apparatus import Apparatus
-from modaltouch.protocol.problems import InputError
+from modaltouch.protocol.source import InputError
 from modaltouch.rig.interface import RigError
 from modaltouch.stimulus.burst import Correction
 from modaltouch.system.operating_system import Interrupted

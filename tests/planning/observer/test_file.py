@@ -11,8 +11,7 @@ import pytest
 from modaltouch.planning.observer import Observer
 from modaltouch.planning.participant import Participant
 from modaltouch.preflight import examine
-from modaltouch.protocol.problems import InputError
-from modaltouch.protocol.source import Source
+from modaltouch.protocol.source import InputError, Source
 
 PEAKS = {"A": 0.123, "B": 0.115, "C": 0.2, "D": 0.115, "E": 0.123}
 """Peak speeds of the shipped stimulus at 200 mm/s [m/s]."""

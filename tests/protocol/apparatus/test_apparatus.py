@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from modaltouch.protocol.apparatus import Apparatus
-from modaltouch.protocol.problems import InputError
+from modaltouch.protocol.source import InputError
 from modaltouch.stimulus.shapes import patch_gains
 
 Edit = Callable[..., Path]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from modaltouch.protocol.problems import InputError, Problem, suggest
+from modaltouch.protocol.source import InputError, Problem, suggest
 
 ZONE = Problem(
     "protocols/x.yaml",

@@ -9,8 +9,7 @@ import pytest
 import modaltouch
 from modaltouch.cli.options import SHIPPED_APPARATUS
 from modaltouch.protocol.apparatus import Apparatus
-from modaltouch.protocol.problems import InputError
-from modaltouch.protocol.source import Source, find
+from modaltouch.protocol.source import InputError, Source
 
 
 @pytest.fixture(autouse=True)
@@ -40,9 +39,9 @@ def test_the_default_apparatus_is_found_in_any_folder() -> None:
 def test_a_file_that_exists_comes_before_a_name_and_a_folder_does_not(tmp_path: Path) -> None:
     """Results of a demonstration may lie in a folder that is called after it."""
     Path("demo").mkdir()
-    assert find("protocol", "demo") == Source.shipped("protocol")["demo"]
+    assert Source.find("protocol", "demo").path == Source.shipped("protocol")["demo"]
     Path("threshold").write_text("protocol: mine\n", encoding="utf-8")
-    assert find("protocol", "threshold") == Path("threshold")
+    assert Source.find("protocol", "threshold").path == Path("threshold")
     (problem, *_) = modaltouch.examine("threshold").problems
     assert problem.file == "threshold"
 
@@ -52,6 +51,6 @@ def test_what_is_neither_is_refused_with_the_names_there_are(name: str) -> None:
     """Also a path of the repository, given elsewhere."""
     names = "or one of comparison_2ifc, demo, .*differentiated_stimulation, .*, with_catch_trials; did you mean 'demo'?"
     with pytest.raises(InputError, match=f"^{name}:1:1: given a file that does not exist; .*, {names}"):
-        find("protocol", name)
+        Source.find("protocol", name)
     with pytest.raises(InputError, match="or one of beam_100x6x2, keysight_33522b; check its name"):
         Apparatus.read("plate")

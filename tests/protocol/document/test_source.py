@@ -8,8 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from modaltouch.protocol.problems import InputError
-from modaltouch.protocol.source import Source
+from modaltouch.protocol.source import InputError, Source
 
 
 def test_the_hash_is_that_of_the_file(tmp_path: Path) -> None:
