@@ -9,10 +9,9 @@ from PIL import Image
 from modaltouch.protocol import Schedule
 from modaltouch.window.buttons import typesetter_of
 from modaltouch.window.interface import Progress
-from modaltouch.window.layout import lay_out
+from modaltouch.window.layout import DARK, lay_out
 from modaltouch.window.pictures import Illustrator
 from modaltouch.window.shapes import Picture, Shape, cover
-from modaltouch.window.theme import DARK
 
 SIZE = (800, 500)
 """Size of a picture [pixels]."""

@@ -16,9 +16,9 @@ from modaltouch.protocol.trial import Condition, Trial
 from modaltouch.system.clock import SYSTEM_CLOCK, Clock, VirtualClock
 from modaltouch.window.environment import virtual_display
 from modaltouch.window.interface import Event, Presentation
+from modaltouch.window.layout import DARK
 from modaltouch.window.participant import ParticipantWindow
 from modaltouch.window.shapes import Picture
-from modaltouch.window.theme import DARK
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -14,12 +14,11 @@ from modaltouch.protocol.questions import QuestionSection, ScaleSection
 from modaltouch.protocol.trial import Response, Trial
 from modaltouch.window.buttons import typesetter_of
 from modaltouch.window.interface import Event, Progress, SessionStopped
-from modaltouch.window.layout import lay_out
+from modaltouch.window.layout import DARK, lay_out
 from modaltouch.window.rating import Entry, draw_scale
 from modaltouch.window.robot import Robot
 from modaltouch.window.shapes import Words
 from modaltouch.window.simulated import Answerer
-from modaltouch.window.theme import DARK
 
 PROGRESS = Progress(5, 12)
 VAS = {"kind": "vas", "words": ["not at all", "extremely"]}

@@ -19,11 +19,10 @@ from modaltouch.protocol.trial import Condition, Trial
 from modaltouch.window.buttons import typesetter_of
 from modaltouch.window.environment import virtual_display
 from modaltouch.window.interface import Progress, WindowError
-from modaltouch.window.layout import lay_out
+from modaltouch.window.layout import DARK, THEMES, lay_out
 from modaltouch.window.legibility import every_picture
 from modaltouch.window.pictures import Illustrator
 from modaltouch.window.shapes import Box, Picture, Words, rectangle, triangle
-from modaltouch.window.theme import DARK, THEMES
 
 pytestmark = pytest.mark.window
 ROOT = Path(__file__).resolve().parents[2]

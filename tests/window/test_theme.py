@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from modaltouch.window.theme import THEMES, Theme, mixed
+from modaltouch.window.layout import THEMES, Theme, mixed
 
 
 def luminance(colour: str) -> float:

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from functools import cache, cached_property
 
 from modaltouch.protocol import AnswersSection, Texts
-from modaltouch.window.layout import Layout
+from modaltouch.window.layout import Layout, Theme
 from modaltouch.window.shapes import Box, Mark, Words, framed, triangle
-from modaltouch.window.theme import Theme
 from modaltouch.window.typesetting import Typesetter
 
 _ARROWS = ("left", "right", "up", "down")

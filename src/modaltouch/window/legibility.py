@@ -146,10 +146,9 @@ def smallest_type(
     # Import the drawing modules only to measure type.
     from modaltouch.window.buttons import typesetter_of
     from modaltouch.window.interface import Progress
-    from modaltouch.window.layout import lay_out
+    from modaltouch.window.layout import DARK, lay_out
     from modaltouch.window.pictures import Illustrator
     from modaltouch.window.shapes import Words
-    from modaltouch.window.theme import DARK
 
     design = protocol.conditions
     asked = [protocol.answers, *protocol.answers.further.values(), *protocol.closing.values()]

@@ -51,7 +51,7 @@ class WindowOptions:
         window : mapping
             Facts of the window in the record's line `start` or `resume`.
         """
-        from modaltouch.window.theme import THEMES
+        from modaltouch.window.layout import THEMES
 
         usual, size = cls(), window.get("size_px")
         fullscreen, theme = bool(window.get("fullscreen", False)), window.get("theme")
@@ -104,8 +104,8 @@ class WindowOptions:
             raise
 
     def _screen(self, **options: Any) -> Screen:
+        from modaltouch.window.layout import THEMES
         from modaltouch.window.screen import Screen
-        from modaltouch.window.theme import THEMES
 
         ground = THEMES[self.theme].ground
         return Screen(size=self.size, fullscreen=self.fullscreen, monitor=self.screen, ground=ground, **options)

@@ -16,11 +16,10 @@ from modaltouch.window.answering import SETTLE, AskedQuestion, chosen, is_press
 from modaltouch.window.display_loop import POLL_INTERVAL, DisplayLoop, Moment, WindowUser
 from modaltouch.window.events import canonical_key
 from modaltouch.window.interface import AnswerWindow, Event, Log, Presentation, Progress, Tick, TrialInterrupted
-from modaltouch.window.layout import Spans, lay_out
+from modaltouch.window.layout import THEMES, Spans, lay_out
 from modaltouch.window.pictures import Illustrator
 from modaltouch.window.rating import as_read
 from modaltouch.window.shapes import Picture
-from modaltouch.window.theme import THEMES
 
 if TYPE_CHECKING:
     from modaltouch.window.screen import Screen
@@ -53,7 +52,7 @@ class ParticipantWindow(AnswerWindow):
     zones : mapping of str to (float, float)
         As `layout.Spans`.
     theme : str
-        Name of the colours in `theme.THEMES`.
+        Name of the colours in `layout.THEMES`.
     tick : callable
         Called about every millisecond while the window waits; may raise, and returns the experimenter's request.
     log : callable

@@ -10,10 +10,9 @@ from itertools import accumulate, pairwise
 from modaltouch.protocol import AnswersSection, Texts, Trial
 from modaltouch.window.buttons import Buttons, common_size, key_name, typesetter_of
 from modaltouch.window.interface import Progress
-from modaltouch.window.layout import Layout
+from modaltouch.window.layout import Layout, Theme, mixed
 from modaltouch.window.rating import draw_scale
 from modaltouch.window.shapes import Box, Mark, Picture, Point, Words, capsule, framed, moved, rectangle, rounded
-from modaltouch.window.theme import Theme, mixed
 from modaltouch.window.typesetting import Typesetter
 
 _STEPS = {"thumb": 0.0, "index": 0.06, "middle": 0.052, "ring": 0.052, "little": 0.048}

@@ -7,9 +7,8 @@ import math
 from modaltouch.protocol import AnswersSection, ScaleSection, Texts
 from modaltouch.window.buttons import common_size, key_caps, key_name, typesetter_of
 from modaltouch.window.interface import Event
-from modaltouch.window.layout import Layout
+from modaltouch.window.layout import Layout, Theme
 from modaltouch.window.shapes import Box, Mark, Words, capsule, framed, rectangle, triangle
-from modaltouch.window.theme import Theme
 from modaltouch.window.typesetting import Typesetter, first_letter_is_rtl
 
 _MOVES = {"lower": -1, "higher": 1, "ten_lower": -10, "ten_higher": 10}
