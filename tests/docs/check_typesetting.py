@@ -8,7 +8,6 @@ import pytest
 from browser import CHROMIUM, Browser
 from ruamel.yaml import YAML
 
-from modaltouch.window.fonts import Fonts
 from modaltouch.window.typesetting import Typesetter
 
 TEXTS = Path(__file__).parents[2] / "protocols" / "texts"
@@ -37,7 +36,7 @@ def test_every_text_is_as_wide_as_in_a_browser(language, tmp_path):
     """Expected: within 0.1 %, where one font has all of it; Chromium shapes, and orders letters by ICU's UAX 9."""
     if CHROMIUM is None:
         pytest.skip("no Chromium: apt-get install chromium")
-    fonts = {line: {font.path for font in Fonts().choose(line)} for line in lines_of(language)}
+    fonts = {line: {font.path for font in Typesetter().choose_fonts(line)} for line in lines_of(language)}
     lines = [line for line, paths in fonts.items() if len(paths) == 1]
     assert len(lines) >= 0.5 * len(fonts), "half of the texts need one font alone"
     files = sorted(set.union(*(fonts[line] for line in lines)))

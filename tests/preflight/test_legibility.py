@@ -11,8 +11,8 @@ import pytest
 from modaltouch.preflight import Preflight, check_legibility, examine
 from modaltouch.protocol import Findings, Schedule
 from modaltouch.window import WindowOptions
-from modaltouch.window.fonts import Fonts
 from modaltouch.window.legibility import smallest_type
+from modaltouch.window.typesetting import Typesetter
 
 Edit = Callable[..., Path]
 TEXTS, BEAM = "texts/english.yaml", "apparatus/beam_100x6x2.yaml"
@@ -49,7 +49,7 @@ def test_a_named_font_that_is_not_there_is_told_in_its_place(edit: Edit) -> None
 def test_every_letter_of_the_shipped_texts_has_a_font(language: str) -> None:
     """Expected: none without one, where the packages that `doctor` names are installed."""
     text = (Path(__file__).parents[2] / "protocols" / "texts" / f"{language}.yaml").read_text(encoding="utf-8")
-    assert Fonts().lacking(text) == ""
+    assert Typesetter().lacking(text) == ""
 
 
 def test_the_smallest_type_is_20_arcmin_at_the_stated_distance(edit: Edit) -> None:

@@ -13,10 +13,9 @@ import pytest
 from fontTools.ttLib import TTFont
 
 from modaltouch.protocol import AnswerList
-from modaltouch.window.fonts import Font, Fonts, find_font
 from modaltouch.window.layout import lay_out
 from modaltouch.window.shapes import Box, Words
-from modaltouch.window.typesetting import TypeBlock, Typesetter
+from modaltouch.window.typesetting import Font, TypeBlock, Typesetter, find_font
 
 
 def set_type(text: str, *, width: float = 1.0, height: float = 1.0, size: float = 0.1, bold: bool = False) -> TypeBlock:
@@ -31,7 +30,7 @@ def lines(block: TypeBlock) -> list[str]:
 
 def font_of(letter: str) -> TTFont:
     """Return the tables of the font that draws a letter."""
-    (font,) = Fonts().choose(letter)
+    (font,) = Typesetter().choose_fonts(letter)
     return TTFont(font.path, fontNumber=0)
 
 
@@ -156,13 +155,13 @@ def test_digits_and_punctuation_are_in_the_font_of_their_letters() -> None:
     """Expected: Arabic comma and digits in one Arabic font, Latin in Noto Sans, an ideographic full stop in theirs."""
 
     def names(text: str) -> list[str]:
-        return [font.path.rpartition("/")[2].partition("-")[0] for font in Fonts().choose(text)]
+        return [font.path.rpartition("/")[2].partition("-")[0] for font in Typesetter().choose_fonts(text)]
 
     arabic = names("من 5،")
     assert arabic[0] in ("NotoSansArabic", "DejaVuSans.ttf")
     assert set(arabic) == set(arabic[:1])
     assert names("按 Esc。") == ["wqy", "wqy", "NotoSans", "NotoSans", "NotoSans", "wqy"]
-    assert Fonts().lacking("A \U0010fffd") == "\U0010fffd"
+    assert Typesetter().lacking("A \U0010fffd") == "\U0010fffd"
 
 
 @pytest.mark.parametrize("name", ["NotoSans", "DejaVuSans"])
@@ -179,10 +178,12 @@ def test_the_fonts_that_come_along_have_the_letters_of_western_europe(name: str,
 
 def test_a_named_font_is_asked_first_and_a_font_without_bold_is_emboldened() -> None:
     """Expected: DejaVu Sans, which comes along, for Latin and Arabic; strokes where a font has no bold companion."""
-    assert {font.path.rpartition("/")[2] for font in Fonts("DejaVuSans.ttf").choose("قلم A")} == {"DejaVuSans.ttf"}
-    (bold,) = Fonts("DejaVuSans.ttf").choose("A", bold=True)
+    assert {font.path.rpartition("/")[2] for font in Typesetter("DejaVuSans.ttf").choose_fonts("قلم A")} == {
+        "DejaVuSans.ttf"
+    }
+    (bold,) = Typesetter("DejaVuSans.ttf").choose_fonts("A", bold=True)
     assert bold.path.endswith("DejaVuSans-Bold.ttf")
-    (stroked,) = Fonts().choose("中", bold=True)
+    (stroked,) = Typesetter().choose_fonts("中", bold=True)
     assert isinstance(stroked, Font)
     assert stroked.is_emboldened
     assert find_font("NoSuchFont-Regular.ttf") is None

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 from modaltouch.protocol import Findings, Problem, Protocol, Schedule, Texts, Trial
-from modaltouch.window.fonts import Fonts, find_font
+from modaltouch.window.typesetting import Typesetter, find_font
 
 if TYPE_CHECKING:
     from modaltouch.window.layout import Spans
@@ -48,13 +48,13 @@ def _check_letters(findings: Findings) -> Iterator[Problem]:
     """Yield a problem for each text with a character that no installed font has, and for a missing named font."""
     if findings.texts is None:
         return
-    fonts = Fonts(findings.texts.sound("font") or "")
-    if fonts.named and find_font(fonts.named) is None:
-        given, allowed = f"{fonts.named}, which is not installed", "the file of an installed font"
+    typesetter = Typesetter(findings.texts.sound("font") or "")
+    if typesetter.font and find_font(typesetter.font) is None:
+        given, allowed = f"{typesetter.font}, which is not installed", "the file of an installed font"
         yield findings.texts.problem(("font",), given, allowed, "install it, or leave the key out")
     for reading in (findings.texts, findings.protocol):
         for path, text in _strings((), None if reading is None else reading.root):
-            if reading is not None and (lacking := fonts.lacking(text)):
+            if reading is not None and (lacking := typesetter.lacking(text)):
                 name = unicodedata.name(lacking[0], "no letter of Unicode")
                 given, allowed = f"'{lacking[0]}' ({name}), which no installed font has", "letters of installed fonts"
                 remedy = "use another character, or install a font that has it (`modaltouch doctor` names packages)"

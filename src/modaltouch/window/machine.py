@@ -18,11 +18,11 @@ import numpy as np
 from modaltouch.system import sync_file, versions
 from modaltouch.window.display_loop import POLL_INTERVAL
 from modaltouch.window.environment import LIBRARIES, is_loadable, missing_libraries, some_display
-from modaltouch.window.fonts import Fonts
 from modaltouch.window.interface import WindowError
 from modaltouch.window.masking import DeviceError, default_device
 from modaltouch.window.screen import Screen
 from modaltouch.window.shapes import Box, Picture, Words, rectangle
+from modaltouch.window.typesetting import Typesetter
 
 _LATE_FRAME = 1.5
 """Ratio to the usual frame time above which a frame counts as dropped [1]."""
@@ -102,7 +102,7 @@ def _virtual_display() -> MachineCheck:
 
 def _fonts() -> MachineCheck:
     """Check for fonts of scripts beyond the bundled Latin, Greek, Cyrillic, Arabic and Hebrew."""
-    packages = [package for letter, package in _LETTERS.items() if Fonts().lacking(letter)]
+    packages = [package for letter, package in _LETTERS.items() if Typesetter().lacking(letter)]
     if not packages:
         return MachineCheck("fonts", "ok", "Latin, Greek, Cyrillic, Arabic, Hebrew, Devanagari, Chinese, Japanese")
     remedy = f"where texts are in other scripts, apt install {' '.join(packages)}, or name a font in the texts"
