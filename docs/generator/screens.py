@@ -7,7 +7,7 @@ import numpy as np
 from PIL import Image
 
 from modaltouch.protocol import Schedule
-from modaltouch.window.buttons import typesetter_of
+from modaltouch.window.controls import typesetter_of
 from modaltouch.window.interface import Progress
 from modaltouch.window.layout import DARK, lay_out
 from modaltouch.window.pictures import Illustrator

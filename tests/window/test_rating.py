@@ -12,10 +12,9 @@ from modaltouch.planning.participant import Participant
 from modaltouch.protocol.answers import AnswerList
 from modaltouch.protocol.questions import QuestionSection, ScaleSection
 from modaltouch.protocol.trial import Response, Trial
-from modaltouch.window.buttons import typesetter_of
+from modaltouch.window.controls import Entry, draw_scale, typesetter_of
 from modaltouch.window.interface import Event, Progress, SessionStopped
 from modaltouch.window.layout import DARK, lay_out
-from modaltouch.window.rating import Entry, draw_scale
 from modaltouch.window.robot import Robot
 from modaltouch.window.shapes import Words
 from modaltouch.window.simulated import Answerer

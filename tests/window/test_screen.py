@@ -16,7 +16,7 @@ from PIL import Image
 from modaltouch.protocol import AnswerList, Experiment, Texts
 from modaltouch.protocol.findings import Findings
 from modaltouch.protocol.trial import Condition, Trial
-from modaltouch.window.buttons import typesetter_of
+from modaltouch.window.controls import typesetter_of
 from modaltouch.window.environment import virtual_display
 from modaltouch.window.interface import Progress, WindowError
 from modaltouch.window.layout import DARK, THEMES, lay_out

@@ -144,7 +144,7 @@ def smallest_type(
         Size of the window [pixels].
     """
     # Import the drawing modules only to measure type.
-    from modaltouch.window.buttons import typesetter_of
+    from modaltouch.window.controls import typesetter_of
     from modaltouch.window.interface import Progress
     from modaltouch.window.layout import DARK, lay_out
     from modaltouch.window.pictures import Illustrator

@@ -88,7 +88,7 @@ class WindowOptions:
         WindowError
             If the window cannot be opened.
         """
-        from modaltouch.window.buttons import typesetter_of
+        from modaltouch.window.controls import typesetter_of
         from modaltouch.window.participant import ParticipantWindow
         from modaltouch.window.robot import Robot
 

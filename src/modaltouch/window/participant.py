@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, Any, NoReturn
 from modaltouch.protocol import TIME_OUT, AnswersSection, Protocol, Response, Texts, Trial
 from modaltouch.system import SYSTEM_CLOCK, Clock
 from modaltouch.window.answering import SETTLE, AskedQuestion, chosen, is_press
+from modaltouch.window.controls import as_read
 from modaltouch.window.display_loop import POLL_INTERVAL, DisplayLoop, Moment, WindowUser
 from modaltouch.window.events import canonical_key
 from modaltouch.window.interface import AnswerWindow, Event, Log, Presentation, Progress, Tick, TrialInterrupted
 from modaltouch.window.layout import THEMES, Spans, lay_out
 from modaltouch.window.pictures import Illustrator
-from modaltouch.window.rating import as_read
 from modaltouch.window.shapes import Picture
 
 if TYPE_CHECKING:

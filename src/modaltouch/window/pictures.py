@@ -8,10 +8,9 @@ from dataclasses import dataclass, field, replace
 from itertools import accumulate, pairwise
 
 from modaltouch.protocol import AnswersSection, Texts, Trial
-from modaltouch.window.buttons import Buttons, common_size, key_name, typesetter_of
+from modaltouch.window.controls import Buttons, common_size, draw_scale, key_name, typesetter_of
 from modaltouch.window.interface import Progress
 from modaltouch.window.layout import Layout, Theme, mixed
-from modaltouch.window.rating import draw_scale
 from modaltouch.window.shapes import Box, Mark, Picture, Point, Words, capsule, framed, moved, rectangle, rounded
 from modaltouch.window.typesetting import Typesetter
 

@@ -9,10 +9,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from modaltouch.protocol import Protocol, Texts
+from modaltouch.window.controls import Entry, as_read
 from modaltouch.window.display_loop import Moment, WindowUser
 from modaltouch.window.events import canonical_key
 from modaltouch.window.interface import WindowError
-from modaltouch.window.rating import Entry, as_read
 from modaltouch.window.simulated import Answerer
 
 _HOLD = 0.06
