@@ -187,8 +187,8 @@ def summarise(values: Any) -> dict[str, float]:
 
 def main() -> int:
     """Measure, print and write the figures."""
+    from modaltouch.window.display_loop import Robot
     from modaltouch.window.environment import some_display
-    from modaltouch.window.robot import Robot
 
     with some_display() as where, tempfile.TemporaryDirectory() as folder:
         starts, processor = measure_start()

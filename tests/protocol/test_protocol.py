@@ -275,7 +275,7 @@ def test_a_text_that_would_fail_on_screen_is_a_fault(edit: Edit, old: str, new: 
 
 def test_key_names_are_the_windows() -> None:
     """The names of pyglet's key symbols, as the window's event tap writes them."""
-    from modaltouch.window.events import canonical_key
+    from modaltouch.window.screen import canonical_key
 
     pyglet_keys = {canonical_key(name) for name in _pyglet_key_names()}
     assert pyglet_keys == KEY_NAMES

@@ -12,8 +12,8 @@ import pytest
 from modaltouch.protocol import AnswerList
 from modaltouch.protocol.questions import KEY_NAMES
 from modaltouch.window.answering import Reader
-from modaltouch.window.events import EventTap, canonical_key
 from modaltouch.window.layout import lay_out
+from modaltouch.window.screen import EventTap, canonical_key
 
 pytestmark = pytest.mark.window
 
@@ -45,7 +45,7 @@ class PaperWindow:
 @pytest.fixture
 def tap(display: str, monkeypatch: pytest.MonkeyPatch) -> tuple[EventTap, PaperWindow]:
     """Give a tap on a paper window; pyglet's key names need a display to be imported."""
-    monkeypatch.setattr("modaltouch.window.events._report_releases_once", lambda window: True)
+    monkeypatch.setattr("modaltouch.window.screen._report_releases_once", lambda window: True)
     monkeypatch.setattr("pyglet.libs.x11.xlib.XKeycodeToKeysym", lambda _, code, level: FRENCH[level][code - 10])
     window = PaperWindow()
     return EventTap(window), window

@@ -12,9 +12,8 @@ import pytest
 
 from modaltouch.planning.participant import Participant
 from modaltouch.protocol.trial import Condition, Response, Trial
-from modaltouch.window.display_loop import DisplayLoop, WindowUser
+from modaltouch.window.display_loop import DisplayLoop, Robot
 from modaltouch.window.interface import Event, EventKind, Progress, SessionStopped, TrialInterrupted, WindowError
-from modaltouch.window.robot import Robot
 from modaltouch.window.shapes import Picture
 from modaltouch.window.simulated import Answerer
 
@@ -668,7 +667,6 @@ def test_a_covered_window_is_drawn_again_at_most_four_times_a_second(paper_room:
         tick=uncover,
         log=lambda event, **facts: None,
         screenshots=None,
-        window_user=WindowUser(),
         clock=room.clock,
     )
     began = stage.show(Picture("any", ()))

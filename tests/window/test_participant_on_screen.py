@@ -13,8 +13,8 @@ from PIL import Image
 
 from modaltouch.planning.participant import Participant
 from modaltouch.protocol.trial import Trial
+from modaltouch.window.display_loop import Robot
 from modaltouch.window.interface import Progress, SessionStopped, TrialInterrupted
-from modaltouch.window.robot import Robot
 from modaltouch.window.simulated import Answerer
 
 pytestmark = pytest.mark.window

@@ -13,9 +13,9 @@ from modaltouch.protocol.answers import AnswerList
 from modaltouch.protocol.questions import QuestionSection, ScaleSection
 from modaltouch.protocol.trial import Response, Trial
 from modaltouch.window.controls import Entry, draw_scale, typesetter_of
+from modaltouch.window.display_loop import Robot
 from modaltouch.window.interface import Event, Progress, SessionStopped
 from modaltouch.window.layout import DARK, lay_out
-from modaltouch.window.robot import Robot
 from modaltouch.window.shapes import Words
 from modaltouch.window.simulated import Answerer
 

@@ -12,8 +12,8 @@ import pytest
 from modaltouch.planning.participant import Participant
 from modaltouch.protocol.trial import Condition, Trial
 from modaltouch.system.clock import VirtualClock
+from modaltouch.window.display_loop import Robot
 from modaltouch.window.interface import Progress, WindowError
-from modaltouch.window.robot import Robot
 from modaltouch.window.simulated import Answerer
 
 TRIALS = [Trial(index, 1, Condition("one_hand", *pair, 100.0)) for index, pair in enumerate(["AC", "BD", "CE"], 1)]

@@ -1,4 +1,4 @@
-"""Display loop: keeps a picture on the display and polls for events about a thousand times per second."""
+"""Display loop: keeps a picture on the display, polls for events every millisecond, and lets a robot type."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
-from modaltouch.protocol import Trial
+from modaltouch.protocol import Protocol, Texts, Trial
 from modaltouch.system import SYSTEM_CLOCK, Clock
+from modaltouch.window.controls import Entry, as_read
 from modaltouch.window.interface import Event, Log, SessionStopped, Tick, WindowError
+from modaltouch.window.screen import Screen, canonical_key
 from modaltouch.window.shapes import Picture
-
-if TYPE_CHECKING:
-    from modaltouch.window.screen import Screen
+from modaltouch.window.simulated import Answerer
 
 POLL_INTERVAL = 1e-3
 """Time between two polls, the resolution of reaction times [s]."""
@@ -51,16 +51,6 @@ class Moment:
     entered: str = ""
 
 
-class WindowUser:
-    """Base class of robots that use the window (`robot.Robot`); does nothing."""
-
-    def see(self, moment: Moment, shown: float, picture: str) -> None:
-        """Process the picture that appeared at `shown` [s]."""
-
-    def act(self, now: float, type_key: Callable[..., None]) -> None:
-        """Perform due actions for the last moment seen."""
-
-
 class DisplayLoop:
     """A display with its current picture and pending events.
 
@@ -74,8 +64,8 @@ class DisplayLoop:
         Receives the window's events for the record.
     screenshots : Path, optional
         Folder for one PNG of each kind of picture.
-    window_user : WindowUser
-        A robot, or the base class for none.
+    robot : Robot, optional
+        Answers in place of a person.
     emergency_keys : frozenset of str
         Keys that end the session at once, on every screen.
     clock : Clock
@@ -94,7 +84,7 @@ class DisplayLoop:
         tick: Tick,
         log: Log,
         screenshots: Path | None,
-        window_user: WindowUser,
+        robot: Robot | None = None,
         emergency_keys: frozenset[str] = frozenset(),
         clock: Clock = SYSTEM_CLOCK,
     ) -> None:
@@ -104,7 +94,7 @@ class DisplayLoop:
         self.note = log
         """Writes an event to the record immediately."""
         self._screenshots = screenshots
-        self._window_user = window_user
+        self._robot = robot
         self._emergency_keys = emergency_keys
         self._is_emergency = False
         self._kept: set[str] = set()
@@ -140,8 +130,8 @@ class DisplayLoop:
             self.flip_took = self.shown - began
             self._picture, self._ahead = picture, None
             self._is_stale = False
-        if moment is not None:
-            self._window_user.see(moment, self.shown, picture.name)
+        if moment is not None and self._robot is not None:
+            self._robot.see(moment, self.shown, picture.name)
         return self.shown
 
     def draw_ahead(self, picture: Picture) -> None:
@@ -152,7 +142,8 @@ class DisplayLoop:
 
     def attend(self, moment: Moment) -> None:
         """Notify a robot of a moment without a new picture."""
-        self._window_user.see(moment, self.clock.now(), self._picture.name if self._picture else "")
+        if self._robot is not None:
+            self._robot.see(moment, self.clock.now(), self._picture.name if self._picture else "")
 
     def poll(self) -> list[Event]:
         """Tick, and return the events since the last poll; sleep a millisecond if there are none.
@@ -163,7 +154,8 @@ class DisplayLoop:
             At an emergency key, including one read by `poll_quietly`.
         """
         asked = self._tick()
-        self._window_user.act(self.clock.now(), self._display.type_key)
+        if self._robot is not None:
+            self._robot.act(self.clock.now(), self._display.type_key)
         events = self.poll_quietly()
         if self._is_emergency:
             raise SessionStopped("emergency stop")
@@ -212,3 +204,92 @@ class DisplayLoop:
             return None
         self._kept.add(picture.name)
         return self._screenshots / f"{picture.name}.png"
+
+
+_HOLD = 0.06
+"""Minimum time for which a key is held down, and up before the next press [s]."""
+_SHORTEST_VIEW = 0.12
+"""Minimum time from the appearance of a question to its answer [s]."""
+_AGAIN = 1.0
+"""Time after which a key that had no effect is typed again [s]."""
+_TRIES = 60
+"""Maximum number of attempts, about a minute; counted, not timed, so that suspending the machine does not matter."""
+
+
+class Robot:
+    """Robot that types an observer's answers into the window at its reaction times, until the window accepts them.
+
+    Its keys take the same path as any key press: pyglet's queue, the event tap, the window's rules. A session that it
+    answers therefore tests the whole path, on every platform and independently of the display server.
+
+    Parameters
+    ----------
+    answerer : Answerer
+        Source of the answers.
+    protocol : Protocol
+        Protocol with the keys.
+    patience : float
+        Time to read a screen [s].
+    texts : Texts, optional
+        Texts on the screen; scales run from right to left if the texts do.
+    """
+
+    def __init__(
+        self, answerer: Answerer, protocol: Protocol, *, patience: float = 0.6, texts: Texts | None = None
+    ) -> None:
+        answers = protocol.answers
+        self._answerer = answerer
+        asked = {"": answers, **answers.further, **protocol.closing}
+        self._asked = {name: each if texts is None else as_read(each, texts) for name, each in asked.items()}
+        self._continue_key = canonical_key(answers.continue_keys[0])
+        self._counts_from_question = answers.stimulus_until == "question"
+        self._patience = patience
+        self._felt: tuple[str, float | None, float] = ("", None, 0.0)
+        self._seen: tuple[Moment, str] = (Moment(), "")
+        self._wanted, self._due, self._tries = "", 0.0, 0
+        self._down, self._moved = "", 0.0
+
+    def see(self, moment: Moment, shown: float, picture: str) -> None:
+        """Choose the key for the picture that appeared at `shown` [s]."""
+        if (moment, picture) == self._seen:
+            return
+        self._seen, self._wanted, self._tries = (moment, picture), "", 0
+        if moment.wants in ("go_on", "confirm"):
+            self._wanted = self._continue_key if moment.wants == "go_on" else self._key(moment)
+            self._due = shown + self._patience
+        elif moment.wants == "feel" and moment.trial is not None:
+            # Feel now, since the stimulus may have stopped by the time of the question.
+            if moment.interval:
+                self._answerer.feel(moment.trial, moment.interval)
+            else:
+                self._felt = self._answerer.first(moment.trial)
+        elif moment.wants == "answer":
+            if moment.asked and not moment.entered:
+                asked = self._asked[moment.asked]
+                self._felt = self._answerer.rate(moment.trial, asked.scale, asked.offered.names, moment.asked)
+            start = shown if self._counts_from_question or moment.asked else moment.onset
+            due = max(start + self._felt[2], shown + _SHORTEST_VIEW)
+            self._wanted, self._due = self._key(moment), shown if moment.entered else due
+
+    def _key(self, moment: Moment) -> str:
+        """Return the key that answers, or moves the number on a scale towards the answer."""
+        asked, (answer, value, _) = self._asked[moment.asked], self._felt
+        if asked.scale is not None and value is not None:
+            answer = Entry(asked.scale, text=moment.entered).towards(value)
+        return canonical_key(asked.actions[answer][0])
+
+    def act(self, now: float, type_key: Callable[..., None]) -> None:
+        """Press or release the key that is due; raise `WindowError` if the window accepts none for a minute."""
+        # The previous key has been read; had it been accepted, another key would be due.
+        if self._down and now >= self._moved + _HOLD:
+            type_key(self._down, down=False)
+            self._down, self._moved = "", now
+        elif self._wanted and not self._down and now >= max(self._due, self._moved + _HOLD):
+            if self._tries == _TRIES:
+                raise WindowError(
+                    f"nothing has moved for {_TRIES * _AGAIN:g} s: the screen {self._seen[1]!r} stays, though the "
+                    f"robot typed {self._wanted!r} {_TRIES} times; test keys with `modaltouch doctor --timing`"
+                )
+            type_key(self._wanted, down=True)
+            self._down, self._moved, self._due = self._wanted, now, now + _AGAIN
+            self._tries += 1

@@ -89,8 +89,8 @@ class WindowOptions:
             If the window cannot be opened.
         """
         from modaltouch.window.controls import typesetter_of
+        from modaltouch.window.display_loop import Robot
         from modaltouch.window.participant import ParticipantWindow
-        from modaltouch.window.robot import Robot
 
         robot = None if answerer is None else Robot(answerer, protocol, texts=texts)
         display = self._screen(title=protocol.title, typesetter=typesetter_of(texts), clock=clock)

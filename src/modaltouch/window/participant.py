@@ -8,21 +8,18 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import Any, NoReturn
 
 from modaltouch.protocol import TIME_OUT, AnswersSection, Protocol, Response, Texts, Trial
 from modaltouch.system import SYSTEM_CLOCK, Clock
 from modaltouch.window.answering import SETTLE, AskedQuestion, chosen, is_press
 from modaltouch.window.controls import as_read
-from modaltouch.window.display_loop import POLL_INTERVAL, DisplayLoop, Moment, WindowUser
-from modaltouch.window.events import canonical_key
+from modaltouch.window.display_loop import POLL_INTERVAL, DisplayLoop, Moment, Robot
 from modaltouch.window.interface import AnswerWindow, Event, Log, Presentation, Progress, Tick, TrialInterrupted
 from modaltouch.window.layout import THEMES, Spans, lay_out
 from modaltouch.window.pictures import Illustrator
+from modaltouch.window.screen import Screen, canonical_key
 from modaltouch.window.shapes import Picture
-
-if TYPE_CHECKING:
-    from modaltouch.window.screen import Screen
 
 _CONFIRMATION = 0.4
 """Maximum time for which the chosen answer is shown [s]."""
@@ -59,7 +56,7 @@ class ParticipantWindow(AnswerWindow):
         Receives the window's events for the record, as ``log(event, **facts)``.
     screenshots : Path, optional
         Folder for one PNG of each kind of screen.
-    robot : WindowUser, optional
+    robot : Robot, optional
         Answers in place of a person, through the display's event queue.
     clock : Clock
         Clock of the time stamps; shared with the display.
@@ -76,7 +73,7 @@ class ParticipantWindow(AnswerWindow):
         tick: Tick,
         log: Log,
         screenshots: Path | None = None,
-        robot: WindowUser | None = None,
+        robot: Robot | None = None,
         clock: Clock = SYSTEM_CLOCK,
     ) -> None:
         self._clock = clock
@@ -92,7 +89,7 @@ class ParticipantWindow(AnswerWindow):
             tick=tick,
             log=log,
             screenshots=screenshots,
-            window_user=robot or WindowUser(),
+            robot=robot,
             emergency_keys=frozenset(map(canonical_key, protocol.answers.emergency_keys)),
             clock=clock,
         )
