@@ -11,7 +11,7 @@ import pytest
 from modaltouch.preflight import Preflight, check_legibility, examine
 from modaltouch.protocol import Findings, Schedule
 from modaltouch.window import WindowOptions
-from modaltouch.window.legibility import smallest_type
+from modaltouch.window.opening import smallest_type
 from modaltouch.window.typesetting import Typesetter
 
 Edit = Callable[..., Path]

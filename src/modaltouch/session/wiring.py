@@ -18,12 +18,13 @@ from modaltouch.record import RecordInputError, Session, SessionFolder
 from modaltouch.rig import Generator, Rig
 from modaltouch.session.setup import Setup, begin
 from modaltouch.system import SYSTEM_CLOCK, Clock, VirtualClock
-from modaltouch.window import Answerer, AnswerWindow, Event, Masking, WindowOptions
+from modaltouch.window import Answerer, AnswerWindow, Event, Masking
 
 if TYPE_CHECKING:
     from modaltouch.lab import Prober
     from modaltouch.rig import Simulator
     from modaltouch.session.markers import Markers
+    from modaltouch.window import WindowOptions
 
 AnswersBy = Literal["window", "simulated", "robot"]
 """A person at the window; a simulated participant without a window; one that types into the real window."""
@@ -244,6 +245,8 @@ class SessionParts:
         experiment, answerer = self.preflight.experiment, None if self.answers == "window" else self._answerer()
         if answerer is not None and self.answers == "simulated":
             return answerer.open(experiment.protocol.answers, tick=tick, log=log, clock=self.clock)
+        from modaltouch.window import WindowOptions
+
         return (self.window_options or WindowOptions()).open(
             experiment.protocol, experiment.texts, zones=experiment.apparatus.zone_spans,
             tick=tick, log=log, answerer=answerer, clock=self.clock,

@@ -1,20 +1,26 @@
-"""Options and opening of the answer window, for a person or a robot."""
+"""Options of the answer window: opening for a person or a robot, and the legibility of texts in it."""
 
 from __future__ import annotations
 
+import math
+import unicodedata
 from collections.abc import Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
+from modaltouch.protocol import Schedule
 from modaltouch.system import SYSTEM_CLOCK, Clock
+from modaltouch.window.typesetting import Typesetter, find_font
 
 if TYPE_CHECKING:
-    from modaltouch.protocol import Findings, Problem, Protocol, Texts
+    from modaltouch.protocol import Findings, Problem, Protocol, Texts, Trial
     from modaltouch.window.interface import AnswerWindow, Log, Tick
     from modaltouch.window.layout import Spans
+    from modaltouch.window.pictures import Illustrator
     from modaltouch.window.screen import Screen
+    from modaltouch.window.shapes import Picture
     from modaltouch.window.simulated import Answerer
 
 
@@ -125,15 +131,144 @@ class WindowOptions:
             return time_window(screen, display=display)
 
     def check_texts(self, findings: Findings, *, letters_only: bool = False) -> Iterator[Problem]:
-        """Yield the problems of texts that are illegible in the window (`legibility.check_texts`).
+        """Yield a problem for each text that is illegible: a missing glyph, or type that is too small.
 
         Parameters
         ----------
         findings : Findings
-            The protocol's files.
+            The protocol's files; must be valid unless `letters_only`.
         letters_only : bool
-            Whether to check only for missing glyphs; the type size requires valid files.
+            Whether to check only for missing glyphs.
         """
-        from modaltouch.window.legibility import check_texts
+        lacking = list(_check_letters(findings))
+        yield from lacking
+        if not (lacking or letters_only):
+            yield from _check_type(findings, None if self.fullscreen else self.size)
 
-        return check_texts(findings, None if self.fullscreen else self.size, letters_only=letters_only)
+
+LEAST_ANGLE = 20.0
+"""Minimum visual angle of the height of a capital; ISO 9241-303 recommends 20 to 22 [arcmin]."""
+_NOT_SHOWN = {"protocol", "title", "apparatus", "texts", "language", "language_code", "font", "stimulus", "stimuli"}
+_CAPITAL = 0.714
+"""Height of a capital of Noto Sans, matched by the other Noto fonts [em]."""
+_PAGES = ("practice", "start", "practice_again", "rest", "stalled", "hands_off", "measuring", "measure_again")
+_LAST_PAGES = ("session_ended", "goodbye")
+
+
+def _check_letters(findings: Findings) -> Iterator[Problem]:
+    """Yield a problem for each text with a character that no installed font has, and for a missing named font."""
+    if findings.texts is None:
+        return
+    typesetter = Typesetter(findings.texts.sound("font") or "")
+    if typesetter.font and find_font(typesetter.font) is None:
+        given, allowed = f"{typesetter.font}, which is not installed", "the file of an installed font"
+        yield findings.texts.problem(("font",), given, allowed, "install it, or leave the key out")
+    for reading in (findings.texts, findings.protocol):
+        for path, text in _strings((), None if reading is None else reading.root):
+            if reading is not None and (lacking := typesetter.lacking(text)):
+                name = unicodedata.name(lacking[0], "no letter of Unicode")
+                given, allowed = f"'{lacking[0]}' ({name}), which no installed font has", "letters of installed fonts"
+                remedy = "use another character, or install a font that has it (`modaltouch doctor` names packages)"
+                yield reading.problem(path, given, allowed, remedy)
+
+
+def _strings(path: tuple[str | int, ...], node: Any) -> Iterator[tuple[tuple[str | int, ...], str]]:
+    """Yield each text below a node of a file that may be shown, with its path."""
+    content = None if node is None else node.content
+    if isinstance(content, str):
+        yield path, content
+    elif isinstance(content, dict | list):
+        for step, child in content.items() if isinstance(content, dict) else enumerate(content):
+            yield from () if not path and step in _NOT_SHOWN else _strings((*path, step), child)
+
+
+def _check_type(findings: Findings, window: tuple[int, int] | None) -> Iterator[Problem]:
+    """Yield a problem if the smallest text is too small at the stated viewing distance."""
+    experiment, reading = findings.experiment(), findings.apparatus
+    protocol, screen = experiment.protocol, experiment.apparatus.screen
+    if screen is None or reading is None:
+        return
+    size = window or (screen.width_px, screen.height_px)
+    placements = {
+        (each.condition.finger_condition, each.condition.zones, each.condition.placement): each
+        for each in Schedule.draw_from(findings, "p01", 0).trials
+    }
+    pixels, text = smallest_type(
+        protocol, experiment.texts, experiment.apparatus.zone_spans, [*placements.values()], size
+    )
+    angle = math.degrees(2 * math.atan(pixels * screen.width_mm / screen.width_px / 2 / screen.distance_mm)) * 60
+    if angle < LEAST_ANGLE:
+        given = f"a window of {size[0]} x {size[1]} pixels in which a capital of '{text}' is {angle:.1f} arcmin high"
+        remedy = "shorten the text, take a larger window (--fullscreen), or sit nearer"
+        yield reading.problem(("screen",), given, f"at least {LEAST_ANGLE:g} arcmin", remedy)
+
+
+def every_picture(pictures: Illustrator, trial: Trial) -> list[Picture]:
+    """Return each kind of screen that a session may show for a trial.
+
+    Parameters
+    ----------
+    pictures : Illustrator
+        Illustrator of the screens.
+    trial : Trial
+        Trial with the placement of the fingers.
+    """
+    from modaltouch.window.interface import Progress
+
+    progress, texts = Progress(trial.index, max(trial.index, 99)), pictures.texts
+    names = pictures.answers.offered.names
+    chosen = names[0] if pictures.answers.scale is None else f"{pictures.answers.scale.at(0.5):g}"
+    expected = [answer.name for answer in pictures.answers.offered if answer.fingers or answer.interval]
+    return [
+        pictures.welcome(trial),
+        pictures.answering(trial),
+        pictures.placement(trial),
+        pictures.ready(trial, progress),
+        pictures.ready(trial, progress, 3),
+        pictures.feel(trial, progress),
+        pictures.question(trial, progress),
+        pictures.question(trial, progress, chosen=chosen, confirmed=False),
+        *(pictures.feedback(trial, progress, given, name) for name in expected for given in names[:2]),
+        *(pictures.page(name, str(getattr(texts, name)), progress) for name in _PAGES),
+        *(pictures.page(name, str(getattr(texts, name)), waits=False) for name in _LAST_PAGES),
+        pictures.pause(trial),
+        pictures.pause(None),
+    ]
+
+
+def smallest_type(
+    protocol: Protocol,
+    texts: Texts,
+    zones: Spans,
+    trials: list[Trial],
+    size: tuple[int, int],
+) -> tuple[float, str]:
+    """Return the height of a capital in the smallest type [pixels], and the text set in it.
+
+    Parameters
+    ----------
+    protocol, texts, zones
+        The protocol, its texts, and the zones of the beam.
+    trials : list of Trial
+        One trial per placement.
+    size : (width, height) of int
+        Size of the window [pixels].
+    """
+    # Import the drawing modules only to measure type.
+    from modaltouch.window.controls import typesetter_of
+    from modaltouch.window.interface import Progress
+    from modaltouch.window.layout import DARK, lay_out
+    from modaltouch.window.pictures import Illustrator
+    from modaltouch.window.shapes import Words
+
+    design = protocol.conditions
+    asked = [protocol.answers, *protocol.answers.further.values(), *protocol.closing.values()]
+    pictures, *others = (
+        Illustrator(lay_out(*size, zones, each.offered, each.scale), DARK, texts, each, design.hand, design.fingers)
+        for each in asked
+    )
+    every = [picture for trial in trials for picture in every_picture(pictures, trial)]
+    every += [picture.question(trials[0], Progress(1, 1)) for picture in others]
+    words = {mark for picture in every for mark in picture.marks if isinstance(mark, Words)}
+    set_type = typesetter_of(texts).set_type
+    return min((_CAPITAL * set_type(mark, size[1]).size, mark.text) for mark in words)
