@@ -86,7 +86,7 @@ def wire_run(
     given, preflight, gap = _on_occasion(preflight, place, drawn_as, seed, group, any_gap=any_gap)
     own_levels: dict[str, Any] = {}
     if threshold_mm_s is not None or protocol.conditions.sensation_levels is not None:
-        from modaltouch.session.sensation_level import at_own_levels
+        from modaltouch.session.assignment import at_own_levels
 
         preflight, own_levels = at_own_levels(preflight, place, threshold_mm_s)
     parts = SessionParts(preflight, place, seed, rig, answers, window_options, observer or _usual(protocol, answers))
