@@ -20,14 +20,13 @@ from modaltouch.record import (
 from modaltouch.rig import Rig, instrument_of
 from modaltouch.session.console import Console
 from modaltouch.session.console.experimenter import Experimenter
-from modaltouch.session.events import boot_id, describe_ending, describe_start, how_to_continue
+from modaltouch.session.events import Markers, boot_id, describe_ending, describe_start, how_to_continue
 from modaltouch.session.loop import SessionRun, conduct
 from modaltouch.system import SYSTEM_CLOCK, Clock, Interruption, commit, versions
 from modaltouch.window import AnswerWindow, Event, Masking
 
 if TYPE_CHECKING:
     from modaltouch.lab import Prober
-    from modaltouch.session.markers import Markers
 
 OpenRig = Callable[[Callable[..., None]], AbstractContextManager[Rig]]
 """Opens the instrument as a context, given a function that receives each exchange with it."""
