@@ -24,7 +24,7 @@ def context():
     # for pint, which is here with the tests' own tools.
     context.set_forkserver_preload(
         ["modaltouch.session.wiring", "modaltouch.cli.run", "modaltouch.rig.generator", "modaltouch.rig.simulator"]
-        + ["modaltouch.session.console.drawing", "rich.table", "questplus", "pint"]
+        + ["modaltouch.session.console.consoles", "rich.table", "questplus", "pint"]
     )
     return context
 

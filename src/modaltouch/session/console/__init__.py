@@ -3,7 +3,7 @@
 ``status``        state of the session from its events, as plain values with units
 ``experimenter``  requests of the experimenter, kept until the session acts on them
 ``consoles``      the session's side: live console in the terminal, plain lines without a terminal, JSON lines
-``__main__``      the terminal's side, a separate process that draws and reads keys (``drawing``, ``keyboard``)
+``__main__``      the terminal's side, a separate process that draws and reads keys (``keyboard``)
 
 Drawing and reading of keys run in a separate process: drawing takes about 10 ms of Python, and in a thread would delay
 the window's polls and bias reaction times. If either process is killed, the other restores the terminal.
@@ -72,3 +72,17 @@ class Console(AbstractContextManager["Console"]):
 
     def __exit__(self, *exc: object) -> None:
         self.close()
+
+
+def describe_time(seconds: float) -> str:
+    """Format a time, in seconds below 90 s and in minutes above."""
+    return f"{seconds:.0f} s" if seconds < 90 else f"{seconds / 60:.0f} min"
+
+
+def describe_last(last: dict[str, Any] | None) -> str:
+    """Return the text for the last answer."""
+    if last is None:
+        return "-"
+    kind = "practice" if last["practice"] else "trial"
+    since = {"first_burst": "first burst", "question": "question"}.get(last["counted_from"], last["counted_from"])
+    return f"{last['answer']}, {last['reaction_time_s']:.2f} s after the {since} ({kind} {last['number']})"

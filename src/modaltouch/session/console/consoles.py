@@ -17,8 +17,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import IO, TextIO, cast
 
-from modaltouch.session.console import COMMANDS, Console, Request, SessionState
-from modaltouch.session.console.drawing import describe_last, describe_time
+from modaltouch.session.console import COMMANDS, Console, Request, SessionState, describe_last, describe_time
 from modaltouch.session.console.keyboard import restore_terminal, save_terminal
 
 _OPENING = b'{"time": "'
