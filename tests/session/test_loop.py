@@ -16,8 +16,7 @@ from modaltouch.protocol.trial import Response, Trial
 from modaltouch.record.log import SessionLog
 from modaltouch.record.session import Session
 from modaltouch.rig.interface import Bursts, Firing, RigError, StimulusLost
-from modaltouch.session.console import Console, Request
-from modaltouch.session.console.experimenter import Experimenter
+from modaltouch.session.console import Console, Experimenter, Request
 from modaltouch.session.console.status import Status
 from modaltouch.session.loop import SessionRun, conduct
 from modaltouch.system.clock import VirtualClock

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from modaltouch.protocol import TIME_OUT, AnswersSection, Protocol, Response, Trial
 from modaltouch.record import RecordError, SessionLog
 from modaltouch.rig import Firing, Rig, RigError, StimulusLost
-from modaltouch.session.console.experimenter import Experimenter
+from modaltouch.session.console import Experimenter
 from modaltouch.session.events import (
     PRACTICE_FAILED,
     describe_answer,

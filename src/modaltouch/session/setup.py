@@ -18,8 +18,7 @@ from modaltouch.record import (
     read_session,
 )
 from modaltouch.rig import Rig, instrument_of
-from modaltouch.session.console import Console
-from modaltouch.session.console.experimenter import Experimenter
+from modaltouch.session.console import Console, Experimenter
 from modaltouch.session.events import Markers, boot_id, describe_ending, describe_start, how_to_continue
 from modaltouch.session.loop import SessionRun, conduct
 from modaltouch.system import SYSTEM_CLOCK, Clock, Interruption, commit, versions

@@ -16,10 +16,9 @@ from rich.console import Console
 from modaltouch.protocol import Findings
 from modaltouch.protocol.trial import Condition, Trial
 from modaltouch.session.console import Console as SilentConsole
-from modaltouch.session.console import Request
+from modaltouch.session.console import Experimenter, Request
 from modaltouch.session.console.__main__ import describe_trial, draw_session
 from modaltouch.session.console.consoles import LONGEST_LINE, EventLines, PlainLines
-from modaltouch.session.console.experimenter import Experimenter
 from modaltouch.session.console.keyboard import LONGEST_NOTE, Dialogue, split_keys
 from modaltouch.session.console.status import Status, read_signs
 from modaltouch.session.events import describe_trial as of_trial

@@ -1,7 +1,6 @@
-"""The experimenter's console: display of the session's state, and requests to the session.
+"""The experimenter's console: display of the session's state, and requests to the session (`Experimenter`).
 
 ``status``        state of the session from its events, as plain values with units
-``experimenter``  requests of the experimenter, kept until the session acts on them
 ``consoles``      the session's side: live console in the terminal, plain lines without a terminal, JSON lines
 ``__main__``      the terminal's side, a separate process that draws and reads keys (``keyboard``)
 
@@ -12,16 +11,21 @@ the window's polls and bias reaction times. If either process is killed, the oth
 from __future__ import annotations
 
 import typing
+from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+from modaltouch import window
+
+if TYPE_CHECKING:
+    from modaltouch.session.console.status import Status
 
 Command = typing.Literal["pause", "go_on", "answer", "repeat", "note", "end_after_block", "stop", "emergency_stop"]
 COMMANDS: tuple[Command, ...] = typing.get_args(Command)
 
 SessionState = dict[str, Any]
 """State of a session as plain values, with units in the keys (`status.Status.facts`)."""
-
 
 AT_ONCE: dict[str, tuple[Command, str]] = {
     "p": ("pause", ""),
@@ -72,6 +76,120 @@ class Console(AbstractContextManager["Console"]):
 
     def __exit__(self, *exc: object) -> None:
         self.close()
+
+
+class Experimenter:
+    """Link between session and console: forwards events to the console and requests to the session.
+
+    Parameters
+    ----------
+    console : Console, optional
+        Shows events and takes requests; none by default.
+    record : callable, optional
+        Writes requests to the record, as ``record(event, **facts)``.
+    status : Status, optional
+        State of the session; created by default if there is a console.
+    seconds_per_trial : float
+        Approximate duration of a trial, used if no status is given [s].
+    """
+
+    def __init__(
+        self,
+        console: Console | None = None,
+        record: Callable[..., Any] = lambda event, **facts: None,
+        status: Status | None = None,
+        *,
+        seconds_per_trial: float = 5.0,
+    ) -> None:
+        self._console = console or Console()
+        self._record = record
+        self._status = status
+        if status is None and type(self._console) is not Console:
+            from modaltouch.session.console.status import Status
+
+            self._status = Status(seconds_per_trial)
+        self._last: dict[str, Any] | None = None
+        self._repeats: dict[str, Any] | None = None
+        self.ends_after_block = False
+        """Whether the session ends before the next block."""
+
+    def tell(self, event: dict[str, Any], *, replayed: bool = False) -> None:
+        """Process an event, recorded (new or replayed) or not, and show the changes."""
+        if event["event"] in ("answered", "trial"):
+            self._last = event
+            if self._repeats is not None and self._repeats["n"] == event.get("answered"):
+                # The request came between the lines `answered` and `trial` of one presentation, and the latter counts.
+                self._repeats = event
+        elif event["event"] == "withdrawn" and self._last is not None and self._last["n"] in event["lines"]:
+            self._last = None
+        if self._status is not None and self._status.take(event, replayed=replayed):
+            self._console.show(self._status.facts())
+        if event["event"] == "practice_round" or (event["event"] == "trial_next" and not event["trial"]["practice"]):
+            self._leave_practice()
+
+    def attend(self) -> window.Event | None:
+        """Process requests, and return the resulting event for the window; called about every millisecond.
+
+        Raises
+        ------
+        SessionStopped
+            If a request ends the session.
+        """
+        asked: window.Event | None = None
+        status = self._status
+        if status is None:
+            return None
+        for request in self._console.requests():
+            if request.command == "emergency_stop":
+                # Write nothing before the outputs are off; the stop record gives the reason.
+                raise window.SessionStopped("emergency stop")
+            if request.command == "answer":
+                # The answer has its own line; write nothing while a question is open.
+                answer = status.answer_by(request.text)
+                asked = asked if answer is None else window.Event(request.at, "answer", request.text, answer=answer)
+                continue
+            self._record("experimenter", asks=request.command, **({"text": request.text} if request.text else {}))
+            if request.command == "stop":
+                raise window.SessionStopped("experimenter")
+            if request.command == "pause":
+                asked = window.Event(request.at, "continue" if status.paused else "pause")
+            elif request.command == "go_on":
+                asked = window.Event(request.at, "continue")
+            elif request.command == "end_after_block":
+                self.ends_after_block = not self.ends_after_block
+                self._show_requests()
+            elif request.command == "repeat":
+                is_refused = self._repeats is None and self._last is None
+                self._repeats = None if self._repeats is not None else self._last
+                self._show_requests(nothing_to_repeat=is_refused)
+        return asked
+
+    def take_repeat(self) -> dict[str, Any] | None:
+        """Return the event of the trial to be repeated, and clear the request; None if there is none."""
+        repeats, self._repeats = self._repeats, None
+        if repeats is not None:
+            self._show_requests()
+        return repeats
+
+    def _leave_practice(self) -> None:
+        """Disallow repeats of practice trials, once their round is judged or the main trials have begun."""
+        if self._last is not None and self._last["trial"]["practice"]:
+            self._last = None
+        if self._repeats is not None and self._repeats["trial"]["practice"]:
+            self._repeats = None
+            self._show_requests(nothing_to_repeat=True)
+
+    def _show_requests(self, *, nothing_to_repeat: bool = False) -> None:
+        trial = {} if self._repeats is None else self._repeats["trial"]
+        self.tell(
+            {
+                "event": "wishes",
+                "ends_after_block": self.ends_after_block,
+                "repeats_trial": trial.get("index"),
+                "repeats_practice": trial.get("practice", False),
+                "nothing_to_repeat": nothing_to_repeat,
+            }
+        )
 
 
 def describe_time(seconds: float) -> str:
