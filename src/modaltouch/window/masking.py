@@ -23,8 +23,6 @@ from numpy.typing import NDArray
 from modaltouch.protocol import Apparatus, Findings, MaskingSection, Problem
 from modaltouch.window.interface import Log, Masking, MaskingError
 
-Kind = Literal["pink", "white"]
-
 LOWEST, HIGHEST = 20.0, 20_000.0
 """Band of the noise, the audible range [Hz]."""
 
@@ -39,7 +37,7 @@ SINE_DB = 20 * math.log10(math.sqrt(2))
 
 
 @lru_cache(maxsize=4)
-def make_noise(kind: Kind, sampling_rate: float) -> NDArray[np.float32]:
+def make_noise(kind: Literal["pink", "white"], sampling_rate: float) -> NDArray[np.float32]:
     """Return one period of seamless noise with an RMS of 1, a read-only (n_samples,) array [1].
 
     Parameters
@@ -139,23 +137,13 @@ class LoopedNoise:
         self._place = 0
         self._way = self._target = 0
 
-    def fade_in(self) -> None:
-        """Fade in over the following samples."""
-        self._target = self._n_fade
+    def fade(self, *, on: bool) -> None:
+        """Fade in or out over the following samples."""
+        self._target = self._n_fade * on
 
-    def fade_out(self) -> None:
-        """Fade out over the following samples."""
-        self._target = 0
-
-    @property
-    def is_full(self) -> bool:
-        """Whether the noise is at its full level."""
-        return self._way == self._target == self._n_fade
-
-    @property
-    def is_silent(self) -> bool:
-        """Whether the noise is silent."""
-        return self._way == self._target == 0
+    def is_faded(self, *, on: bool) -> bool:
+        """Return whether the noise has reached its full level, or silence."""
+        return self._way == self._target == self._n_fade * on
 
     def fill(self, out: NDArray[np.float32]) -> None:
         """Write the next samples into a block.
@@ -165,10 +153,10 @@ class LoopedNoise:
         out : (n_samples, n_channels) array
             Output block; all channels get the same samples.
         """
-        n = len(out)
-        if self.is_silent:
+        if self.is_faded(on=False):
             out.fill(0)
             return
+        n = len(out)
         samples = np.take(self._period, np.arange(self._place, self._place + n), mode="wrap")
         self._place = (self._place + n) % len(self._period)
         if self._way != self._target:
@@ -204,8 +192,8 @@ class MaskingNoise:
     @property
     def highest_level(self) -> float:
         """Level at which the highest peak of the noise reaches full scale [dB FS]."""
-        noise = make_noise(self.section.noise, self.apparatus.sound.sampling_rate_Hz)
-        return SINE_DB - 20 * math.log10(float(abs(noise).max()))
+        peak = abs(make_noise(self.section.noise, self.apparatus.sound.sampling_rate_Hz)).max()
+        return SINE_DB - 20 * math.log10(float(peak))
 
     def check_level(self, findings: Findings) -> Iterator[Problem]:
         """Yield a problem if the peaks of the noise exceed full scale."""
@@ -246,8 +234,8 @@ class MaskingNoise:
             return Masking(str(error))
 
 
-class _Noise(Masking):
-    """Description of the noise for the record, played or simulated."""
+class SimulatedMasking(Masking):
+    """Noise for a simulated participant: described in the record but not played."""
 
     def __init__(self, section: MaskingSection, apparatus: Apparatus) -> None:
         super().__init__()
@@ -270,10 +258,6 @@ class _Noise(Masking):
             "required": self._section.required,
         }
 
-
-class SimulatedMasking(_Noise):
-    """Noise for a simulated participant: described in the record but not played."""
-
     def ensure(self, tick: Callable[[], object], *, on: bool = True) -> None:
         """Set the noise on or silent."""
         self._is_wanted = on
@@ -284,7 +268,7 @@ class SimulatedMasking(_Noise):
         return self._is_wanted
 
 
-class PlayedMasking(_Noise):
+class PlayedMasking(SimulatedMasking):
     """Noise on a sound device; PortAudio is loaded on first use."""
 
     def __init__(self, section: MaskingSection, apparatus: Apparatus, log: Log) -> None:
@@ -303,7 +287,7 @@ class PlayedMasking(_Noise):
 
     def start(self) -> None:
         """Start the fade-in."""
-        self._playback.fade_in()
+        self._playback.fade(on=True)
         self._log("masking", state="on")
 
     def ensure(self, tick: Callable[[], object], *, on: bool = True) -> None:
@@ -311,11 +295,11 @@ class PlayedMasking(_Noise):
         self._watch()
         if on != self._is_wanted:
             self._is_wanted = on
-            (self._playback.fade_in if on else self._playback.fade_out)()
+            self._playback.fade(on=on)
             self._log("masking", state="on" if on else "silent")
         if self._is_lost and not self._given_up:
             self._reopen()
-        while not (self._is_lost or (self._playback.is_full if on else self._playback.is_silent)):
+        while not (self._is_lost or self._playback.is_faded(on=on)):
             tick()
             time.sleep(1e-3)
             self._watch()
@@ -324,7 +308,7 @@ class PlayedMasking(_Noise):
     def is_on(self) -> bool | None:
         """Whether the noise has been on since `ensure`."""
         self._watch()
-        return self._is_wanted and not self._is_lost and self._playback.is_full
+        return self._is_wanted and not self._is_lost and self._playback.is_faded(on=True)
 
     def __exit__(self, *exc: object) -> None:
         """Release the device."""
@@ -334,9 +318,9 @@ class PlayedMasking(_Noise):
         """Fade out and release the device."""
         if self._stream is None:
             return
-        self._playback.fade_out()
+        self._playback.fade(on=False)
         until = time.perf_counter() + (_HURRY if hurry else self._section.fade_s + STALE)
-        while not (self._is_lost or self._playback.is_silent) and time.perf_counter() < until:
+        while not (self._is_lost or self._playback.is_faded(on=False)) and time.perf_counter() < until:
             time.sleep(0.01)
             self._watch()
         self._close()

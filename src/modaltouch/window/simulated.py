@@ -32,17 +32,14 @@ class Observing(Protocol):
         *speed_between: float,
     ) -> tuple[str, float]:
         """Return the answer to two or three peak speeds [m/s] and its reaction time [s]."""
-        ...
 
     def rate(self, speeds: Sequence[float], rng: np.random.Generator) -> tuple[float, float]:
         """Return the perceived strength of peak speeds [m/s] as a share of a scale [1], and the reaction time [s]."""
-        ...
 
     def compare(
         self, speeds: Sequence[tuple[float, ...]], rng: np.random.Generator, answers: AnswerList
     ) -> tuple[str, float]:
         """Return the answer to the peak speeds of each interval [m/s] and its reaction time [s]."""
-        ...
 
 
 @dataclass(frozen=True)

@@ -89,7 +89,7 @@ def test_blocks_of_any_size_join_without_a_gap(sizes: list[int], n_fade: int) ->
     """Once faded in, what is played is the period, again and again, however the device asks for it."""
     period = np.random.default_rng(1).standard_normal(257).astype(np.float32)
     playback = LoopedNoise(period, n_fade)
-    playback.fade_in()
+    playback.fade(on=True)
     blocks = []
     for size in sizes:
         block = np.empty((size, 2), dtype=np.float32)
@@ -107,16 +107,16 @@ def test_fades_rise_and_fall_without_a_jump() -> None:
     playback = LoopedNoise(np.ones(100, dtype=np.float32), 1000)
     out = np.empty((1, 1), dtype=np.float32)
     heard = [0.0]
-    playback.fade_in()
+    playback.fade(on=True)
     for _ in range(1200):
         playback.fill(out)
         heard.append(float(out[0, 0]))
-    assert playback.is_full
-    playback.fade_out()
+    assert playback.is_faded(on=True)
+    playback.fade(on=False)
     for _ in range(1200):
         playback.fill(out)
         heard.append(float(out[0, 0]))
-    assert playback.is_silent
+    assert playback.is_faded(on=False)
     assert heard[501] == pytest.approx(0.5, abs=0.002)
     assert heard[1100] == 1
     assert heard[-1] == 0
