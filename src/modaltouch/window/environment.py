@@ -107,14 +107,9 @@ def prepare_environment() -> None:
     os.environ.setdefault("PSYCH_GETSECS_CLOCK", "1")
     # Without a graphics card, drawing a frame would occupy all cores and delay bursts.
     os.environ.setdefault("LP_NUM_THREADS", str(max(1, (os.cpu_count() or 2) - 1)))
-    _ensure_writable_home()
-
-
-def _ensure_writable_home() -> None:
-    """Provide a folder for PsychoPy's settings if the home folder is not writable."""
+    # PsychoPy writes its settings into the home folder.
     name = "APPDATA" if sys.platform == "win32" else "HOME"
-    home = os.environ.get(name)
-    if not home or not os.access(home, os.W_OK | os.X_OK):
+    if not os.access(os.environ.get(name, ""), os.W_OK | os.X_OK):
         os.environ[name] = tempfile.mkdtemp(prefix="modaltouch-home-")
 
 
@@ -156,9 +151,9 @@ def fit(size: tuple[int, int], monitor: int) -> tuple[int, int]:
         from pyglet.libs.x11.xlib import XDefaultDepth
 
         if (depth := XDefaultDepth(display._display, display.x_screen)) < 24:
-            name = os.environ.get("DISPLAY", "")
             raise WindowError(
-                f"the display {name!r} has colours of {depth} bits, but 24 are needed; set its X server to 24 bits"
+                f"the display {os.environ.get('DISPLAY', '')!r} has colours of {depth} bits, but 24 are needed; set "
+                "its X server to 24 bits"
             )
     if not 0 <= monitor < len(monitors):
         raise WindowError(

@@ -70,17 +70,28 @@ def examine_machine(results: Path = Path("results"), *, quick: bool = False) -> 
     quick : bool
         Whether to check only installed software, without window, sound device and disk.
     """
-    window, disk = ((), ()) if quick else ((_window(),), (_disk(results),))
-    display = (_display(), _libraries(), _virtual_display(), _fonts(), *window, _sound(quick=quick))
-    return (_python(), _packages(), *display, _usb(), _precedence(), *disk)
+    return (
+        _python(),
+        _packages(),
+        _display(),
+        _libraries(),
+        _virtual_display(),
+        _fonts(),
+        *(() if quick else (_window(),)),
+        _sound(quick=quick),
+        _usb(),
+        _precedence(),
+        *(() if quick else (_disk(results),)),
+    )
 
 
 def _display() -> MachineCheck:
     own, display = sys.platform in ("win32", "darwin"), os.environ.get("DISPLAY", "")
     if own or display:
         return MachineCheck("display", "ok", "the system's own" if own else f"DISPLAY={display}")
-    remedy = "log in at the screen; the demo brings its own virtual display"
-    return MachineCheck("display", "warning", "DISPLAY is not set", remedy)
+    return MachineCheck(
+        "display", "warning", "DISPLAY is not set", "log in at the screen; the demo brings its own virtual display"
+    )
 
 
 def _libraries() -> MachineCheck:
@@ -96,8 +107,9 @@ def _virtual_display() -> MachineCheck:
         return MachineCheck("virtual display", "ok", "not needed")
     if path := shutil.which("Xvfb"):
         return MachineCheck("virtual display", "ok", path)
-    remedy = "install xvfb to run the demo without a screen"
-    return MachineCheck("virtual display", "warning", "Xvfb is absent", remedy, ["xvfb"])
+    return MachineCheck(
+        "virtual display", "warning", "Xvfb is absent", "install xvfb to run the demo without a screen", ["xvfb"]
+    )
 
 
 def _fonts() -> MachineCheck:
@@ -124,8 +136,8 @@ def _window() -> MachineCheck:
     except WindowError as error:
         return MachineCheck("window", "fault", *str(error).split("; ", 1))
     if not lit:
-        remedy = "install fonts and a driver for OpenGL"
-        return MachineCheck("window", "fault", f"no letter can be seen on {where}", remedy)
+        found = f"no letter can be seen on {where}"
+        return MachineCheck("window", "fault", found, "install fonts and a driver for OpenGL")
     return MachineCheck("window", "ok", f"a letter is drawn on {where} ({renderer})")
 
 
@@ -181,10 +193,13 @@ def _precedence() -> MachineCheck:
 
     if os.geteuid() == 0 or resource.getrlimit(resource.RLIMIT_RTPRIO)[0] > 0:
         return MachineCheck("real time", "ok", "bursts are triggered before all other work")
-    user = os.environ.get("USER", "NAME")
-    remedy = f"put `{user} - rtprio 10` into /etc/security/limits.d/modaltouch.conf and log in again"
-    found = "not allowed: on a busy machine bursts may be late or left out, and their trials are repeated"
-    return MachineCheck("real time", "warning", found, remedy)
+    line = f"{os.environ.get('USER', 'NAME')} - rtprio 10"
+    return MachineCheck(
+        "real time",
+        "warning",
+        "not allowed: on a busy machine bursts may be late or left out, and their trials are repeated",
+        f"put `{line}` into /etc/security/limits.d/modaltouch.conf and log in again",
+    )
 
 
 def _disk(results: Path) -> MachineCheck:
@@ -196,8 +211,8 @@ def _disk(results: Path) -> MachineCheck:
             sync_file(file.fileno())
             elapsed = time.perf_counter() - start
     except OSError as error:
-        remedy = "give a folder you may write to with --results"
-        return MachineCheck("disk", "fault", f"{folder}: {error.strerror}", remedy)
+        found = f"{folder}: {error.strerror}"
+        return MachineCheck("disk", "fault", found, "give a folder you may write to with --results")
     free = shutil.disk_usage(folder).free / 1e9
     found = f"{folder}: {free:.1f} GB free, a durable write takes {elapsed * 1e3:.1f} ms"
     if free < 0.1:
@@ -278,8 +293,7 @@ def judge_window(figures: Mapping[str, Any]) -> str:
 
 def _measure_frames(screen: Screen, n_frames: int) -> np.ndarray[Any, np.dtype[np.float64]]:
     """Return the times between frames of two alternating pictures [s]."""
-    boxes = (Box(-0.2, 0, 0.1, 0.1), Box(0.2, 0, 0.1, 0.1))
-    pictures = [Picture(f"timing_{side}", (rectangle(boxes[side], "#808080"),)) for side in (0, 1)]
+    pictures = [Picture(f"timing_{x}", (rectangle(Box(x, 0, 0.1, 0.1), "#808080"),)) for x in (-0.2, 0.2)]
     shown = []
     for number in range(n_frames + 3):
         screen.draw(pictures[number % 2])
