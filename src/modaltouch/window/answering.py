@@ -50,9 +50,13 @@ class Reader:
     @classmethod
     def of(cls, answers: AnswersSection, layout: Layout) -> Self:
         """Return the reader for a protocol's keys."""
-        keys = {canonical_key(key): answer for answer, given in answers.actions.items() for key in given}
-        goes_on = frozenset(map(canonical_key, answers.continue_keys))
-        return cls(layout, keys, goes_on, answers.given_by == "participant", answers.scale is not None)
+        return cls(
+            layout,
+            keys={canonical_key(key): answer for answer, given in answers.actions.items() for key in given},
+            continue_keys=frozenset(map(canonical_key, answers.continue_keys)),
+            needs_focus=answers.given_by == "participant",
+            rates=answers.scale is not None,
+        )
 
     def answer(self, event: Event) -> str | None:
         """Return the answer given by an event, or its action on a scale; None for other events."""
@@ -80,10 +84,6 @@ class Reader:
     def interrupts(self, event: Event) -> bool:
         """Return whether the event interrupts a trial: a pause, or a loss of keyboard focus."""
         return (event.kind == "blur" and self.needs_focus) or self.pauses(event)
-
-    def ends(self, event: Event) -> bool:
-        """Return whether the event ends the session from the pause screen."""
-        return event.kind == "key" and event.key == AnswersSection.END_KEY
 
 
 def is_press(event: Event) -> bool:
@@ -148,7 +148,7 @@ class AskedQuestion:
                     self._end("window closed")
                 if press.kind != "continue" and press.time < shown + SETTLE:
                     self.discard(press, "as the screen appeared", trial)
-                elif self.reader.ends(press):
+                elif press.kind == "key" and press.key == AnswersSection.END_KEY:
                     self._end("escape")
                 elif self.reader.goes_on(press):
                     self._loop.note("continued", paused_s=round(press.time - began, 3))

@@ -59,11 +59,10 @@ class Buttons:
         middle = Box(box.x, box.y, box.width * 0.5, box.height * 0.9)
         labels = tuple(self.texts.label(each.name) for each in self.answers.offered if each.is_below)
         size = common_size(typesetter_of(self.texts), labels, middle, min(self._answer_size, 0.5 * box.height))
-        words = Words(self.texts.label(answer), middle, size, ink, bold=True)
         beside = Box(box.x + 0.36 * box.width, box.y, box.width * 0.2, 0.6 * box.height)
         return (
             *framed(box, 0.018 * unit, theme.button_edge, fill, 0.006 * unit),
-            words,
+            Words(self.texts.label(answer), middle, size, ink, bold=True),
             *(key_caps(self.texts, theme, self.answers.keys[answer], beside) if with_keys else ()),
         )
 
@@ -74,11 +73,9 @@ class Buttons:
         edges = {"left": theme.left, "between": theme.between, "right": theme.right}
         edge = edges.get("".join(own.fingers or ()), theme.button_edge)
         fill, ink = (theme.pressed, theme.pressed_text) if pressed else (theme.button, theme.text)
-        lift = 0.18 * box.height if with_keys else 0.0
-        upper = Box(box.x, box.y + lift, box.width * self._share, 0.52 * box.height)
-        at = 0.4 * box.width
+        upper = Box(box.x, box.y + 0.18 * box.height * with_keys, box.width * self._share, 0.52 * box.height)
         arrows = [
-            triangle(way, box.x + sign * at, upper.y, 0.018 * unit, ink if pressed else edge)
+            triangle(way, box.x + sign * 0.4 * box.width, upper.y, 0.018 * unit, ink if pressed else edge)
             for way, sign in (("left", -1), ("right", 1))
             if way in (own.fingers or ())
         ]
@@ -219,8 +216,8 @@ class Entry:
         if not self.text:
             return "higher"
         away = self._names.index(wanted) - self._names.index(self.text)
-        named = [("ten_lower" if away < 0 else "ten_higher")] * (abs(away) >= 10 and self._scale.kind == "vas")
-        return (named or ["lower" if away < 0 else "higher"])[0]
+        step = "ten_" if abs(away) >= 10 and self._scale.kind == "vas" else ""
+        return step + ("lower" if away < 0 else "higher")
 
     def _move(self, action: str) -> None:
         last = len(self._names) - 1
@@ -271,11 +268,9 @@ def draw_scale(
     if confirmed:
         return tuple(marks)
     box, size = layout.buttons["confirm"], 0.032 * layout.type_scale
-    key = key_name(texts, scale.actions["confirm"][0])
-    label = texts.confirm_rating.format(key=key) if keys else texts.confirm_rating.format(key="")
-    ink = theme.text if entered else theme.dim
+    label = texts.confirm_rating.format(key=key_name(texts, scale.actions["confirm"][0]) if keys else "")
     marks += framed(box, 0.016, theme.button_edge, theme.button, 0.003)
-    marks.append(Words(label.rstrip(" :：(（)）"), box.inset(0.008), size, ink))
+    marks.append(Words(label.rstrip(" :：(（)）"), box.inset(0.008), size, theme.text if entered else theme.dim))
     for action, side in (("lower", -way), ("higher", way)) if keys and scale.points else ():
         beside = Box(side * (box.width / 2 + 0.07 * layout.unit), box.y, 0.1, 0.042)
         marks += key_caps(texts, theme, scale.actions[action][:1], beside)
@@ -323,8 +318,11 @@ def _draw_keypad(layout: Layout, theme: Theme, entered: str, names: list[str], c
     for name, key in layout.buttons.items():
         if name != "confirm" and not confirmed:
             marks += framed(key, 0.012, theme.button_edge, theme.button, 0.003)
-            sign = triangle("left", key.x, key.y, 0.013, theme.text)
-            marks.append(sign if name == "back" else Words(name, key.inset(0.006), 0.032, theme.text))
+            marks.append(
+                triangle("left", key.x, key.y, 0.013, theme.text)
+                if name == "back"
+                else Words(name, key.inset(0.006), 0.032, theme.text)
+            )
     return marks
 
 

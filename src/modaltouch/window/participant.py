@@ -101,8 +101,12 @@ class ParticipantWindow(AnswerWindow):
 
     def describe(self) -> dict[str, Any]:
         """Return size, backend and versions for the start record."""
-        told = {"theme": self._theme, "language": self._texts.language, "answered_by": self._answered_by}
-        return {**self._display.describe(), **told}
+        return {
+            **self._display.describe(),
+            "theme": self._theme,
+            "language": self._texts.language,
+            "answered_by": self._answered_by,
+        }
 
     def welcome(self, trial: Trial) -> None:
         """Show the instructions until the participant continues, and prepare the first trial meanwhile."""
@@ -146,8 +150,7 @@ class ParticipantWindow(AnswerWindow):
 
     def announce(self, text: str) -> None:
         """Show a text of the protocol, such as ``practice`` or ``start``, until the participant continues."""
-        words = str(getattr(self._texts, text))
-        self._go_on(lambda: self._pictures.page(text, words))
+        self._go_on(lambda: self._pictures.page(text, str(getattr(self._texts, text))))
 
     def feel(self, trial: Trial, progress: tuple[int, int], presentation: Presentation, until: float) -> None:
         """Show the number of the current interval, then the beam alone."""
@@ -257,14 +260,14 @@ class ParticipantWindow(AnswerWindow):
     def _asking(self, answers: AnswersSection) -> AskedQuestion:
         """Return the question for a section of answers, a list or a scale."""
         answers = as_read(answers, self._texts)
-        layout = lay_out(*self._display.size, self._zones, answers.offered, answers.scale)
-        design = self._design
+        layout, design = lay_out(*self._display.size, self._zones, answers.offered, answers.scale), self._design
         pictures = Illustrator(layout, THEMES[self._theme], self._texts, answers, design.hand, design.fingers)
         return AskedQuestion(self._loop, pictures)
 
     def _end_of(self, presentation: Presentation, asked: float) -> Callable[[], bool]:
         """Return a function to poll that stops the stimulus at its end and returns whether the answer timed out."""
         is_over = stops_first = self._answers.stimulus_until == "question"
+        ends_with_it = not stops_first and self._answers.after_longest == "time_out"
         limit = asked + (self._answers.time_out_s or math.inf)
 
         def times_out() -> bool:
@@ -272,7 +275,6 @@ class ParticipantWindow(AnswerWindow):
             if not is_over and self._clock.now() >= presentation.ends:
                 is_over = True
                 presentation.stop()
-            ends_with_it = not stops_first and self._answers.after_longest == "time_out"
             return (is_over and ends_with_it) or self._clock.now() >= limit
 
         return times_out

@@ -297,10 +297,11 @@ class Illustrator:
             ("right",): texts.practice_was_right,
         }
         felt = () if offered.names_between else offered.named(expected).fingers or ()
-        named = texts.practice_was.format(answer=texts.label(expected))
-        words = texts.practice_agreed if answer == expected else said.get(felt, named)
-        name = "feedback_agreed" if answer == expected else f"feedback_{expected}"
-        return Picture(name, (self._headline(words, 0.05), *self._beam(trial), *self._progress(trial, progress)))
+        was, agreed = said.get(felt, texts.practice_was.format(answer=texts.label(expected))), answer == expected
+        words, name = (texts.practice_agreed, "agreed") if agreed else (was, expected)
+        return Picture(
+            f"feedback_{name}", (self._headline(words, 0.05), *self._beam(trial), *self._progress(trial, progress))
+        )
 
     def page(self, name: str, text: str, progress: Progress | None = None, *, waits: bool = True) -> Picture:
         """Return a screen of text, the first paragraph large and the rest below it."""
@@ -319,24 +320,16 @@ class Illustrator:
 
     def pause(self, trial: Trial | None) -> Picture:
         """Return the pause screen, with the placement of the fingers if a trial will be repeated."""
-        words = self.texts.pause if trial else self.texts.pause_between_trials
-        words = words.format(
+        words = (self.texts.pause if trial else self.texts.pause_between_trials).format(
             key=key_name(self.texts, self.answers.continue_keys[0]),
             end_key=key_name(self.texts, AnswersSection.END_KEY),
         )
         if trial is None:
             return self.page("pause_between_trials", words, waits=False)
         title, *rest = _paragraphs(words)
-        layout, scale = self.layout, self.layout.type_scale
-        below = Box(0, -0.285, layout.headline.width, 0.24)
-        return Picture(
-            "pause",
-            (
-                self._headline(title, 0.056),
-                *self._beam(trial),
-                Words("\n\n".join(rest), below, 0.04 * scale, self.theme.text),
-            ),
-        )
+        below = Box(0, -0.285, self.layout.headline.width, 0.24)
+        words_below = Words("\n\n".join(rest), below, 0.04 * self.layout.type_scale, self.theme.text)
+        return Picture("pause", (self._headline(title, 0.056), *self._beam(trial), words_below))
 
     def finger_names(self, trial: Trial) -> tuple[str, ...]:
         """Return the names of the fingers on the zones for the participant, from left to right."""
@@ -349,22 +342,20 @@ class Illustrator:
         """
         condition = trial.condition
         on_beam = {finger.split()[0] for finger in condition.fingers(self.hand, self.fingers)}
-        if len(on_beam) == 2:
-            is_right = self.hand == "right"
-        else:
-            is_right = ("right" in on_beam) == self.answers.settles(condition.finger_condition)
+        lifts_to_press = ("right" in on_beam) == self.answers.settles(condition.finger_condition)
+        is_right = self.hand == "right" if len(on_beam) == 2 else lifts_to_press
         return self.texts.right_hand if is_right else self.texts.left_hand
 
     def _confirm_placement(self, trial: Trial) -> str:
         """Return the text on how a placement is confirmed: by whom, with which key and hand."""
         texts, way = self.texts, self.answers.way(trial.condition.finger_condition)
-        if self.answers.settles(trial.condition.finger_condition):
-            words = texts.placed_by_hand_on_beam
-        else:
-            words = {"free_hand": texts.placed_by_free_hand, "experimenter": texts.placed_by_experimenter}.get(way)
-        if words is None:
-            return self._continue_words()
-        return words.format(key=key_name(texts, self.answers.continue_keys[0]), hand=self._pressing_hand(trial))
+        words = {
+            "lifting": texts.placed_by_hand_on_beam,
+            "free_hand": texts.placed_by_free_hand,
+            "experimenter": texts.placed_by_experimenter,
+        }.get("lifting" if self.answers.settles(trial.condition.finger_condition) else way)
+        key = key_name(texts, self.answers.continue_keys[0])
+        return (words or texts.press_to_continue).format(key=key, hand=self._pressing_hand(trial))
 
     def _headline(self, words: str, size: float, *, dim: bool = False) -> Words:
         fill = self.theme.dim if dim else self.theme.text
@@ -407,14 +398,12 @@ class Illustrator:
 
     def _go_on(self, words: str = "") -> tuple[Mark, ...]:
         pill, theme = self.layout.go_on, self.theme
+        words = words or self.texts.press_to_continue.format(key=key_name(self.texts, self.answers.continue_keys[0]))
         within = Box(pill.x, pill.y, pill.width - 2 * pill.height, 0.7 * pill.height)
         return (
             *framed(pill, 0.043, theme.button_edge, theme.button, 0.003),
-            Words(words or self._continue_words(), within, 0.036 * self.layout.type_scale, theme.text),
+            Words(words, within, 0.036 * self.layout.type_scale, theme.text),
         )
-
-    def _continue_words(self) -> str:
-        return self.texts.press_to_continue.format(key=key_name(self.texts, self.answers.continue_keys[0]))
 
     def _progress(self, trial: Trial, progress: Progress) -> tuple[Mark, ...]:
         form = self.texts.practice_of if trial.practice else self.texts.trial_of
