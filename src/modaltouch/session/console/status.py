@@ -150,9 +150,7 @@ class Status:
             Whether it is replayed from an earlier sitting.
         """
         name = str(event["event"])
-        react = getattr(self, f"_on_{name}", None)
-        if react is not None:
-            react(event)
+        self._react(name, event)
         trouble = event.get("what", name)
         if trouble in TROUBLES:
             self._facts["generator"]["last_error"] = _words(trouble, event)
@@ -160,6 +158,58 @@ class Status:
             return False
         self._facts |= {"event": name, "line": event.get("n"), "replayed": replayed}
         return True
+
+    def _react(self, name: str, event: dict[str, Any]) -> None:
+        """Update the state by an event."""
+        facts = self._facts
+        match name:
+            case "start":
+                self._on_start(event)
+            case "resume":
+                self._on_resume(event)
+            case "fired":
+                self._on_fired(event)
+            case "answered":
+                self._on_answered(event)
+            case "trial":
+                self._on_trial(event)
+            case "masking":
+                self._unmasked = self._unmasked if event["state"] == "off" else ""
+            case "masking_lost":
+                self._unmasked = f"the beam is not masked: {event['reason']}"
+            case "trial_next":
+                facts |= {"state": "waiting", "trial": event["trial"], "nothing_to_repeat": False}
+            case "question_next":
+                keys = event["keys"]
+                facts["question"] = {"open": True, "keys": typed_keys(keys, None if event["rates"] else tuple(keys))}
+            case "discarded" if event.get("device"):
+                facts["too_early"] = str(event["key"])
+            case "form":
+                self._ask(on=False)
+            case "trial_cut":
+                self._cut()
+            case "withdrawn":
+                gone = set(event["lines"])
+                self._trials = {index: trial for index, trial in self._trials.items() if trial["n"] not in gone}
+            case "pause" | "focus_lost":
+                self._cut()
+                # A pause during a break returns to the break.
+                self._held = "break" if facts["state"] == "break" else "waiting"
+                usual = "participant" if name == "pause" else "lost focus"
+                facts |= {"state": "paused", "paused_by": str(event.get("by", usual))}
+                self._answered_at = None
+            case "continued":
+                facts |= {"state": self._held, "paused_by": ""}
+            case "rest":
+                facts["state"], self._answered_at = "break", None
+            case "experimenter":
+                facts["n_notes"] += event["asks"] == "note"
+            case "wishes":
+                names = ("ends_after_block", "repeats_trial", "repeats_practice", "nothing_to_repeat")
+                facts |= {each: event[each] for each in names}
+            case "stop":
+                self._cut()
+                facts |= {"state": "ended", "stopped_by": event["reason"]}
 
     def answer_by(self, key: str) -> str | None:
         """Return the answer currently given by a key of the console, if any."""
@@ -220,20 +270,6 @@ class Status:
         if self._facts["question"] is not None:
             self._facts["question"] = {"keys": self._keys, "open": on}
 
-    def _on_masking(self, event: dict[str, Any]) -> None:
-        self._unmasked = self._unmasked if event["state"] == "off" else ""
-
-    def _on_masking_lost(self, event: dict[str, Any]) -> None:
-        self._unmasked = f"the beam is not masked: {event['reason']}"
-
-    def _on_trial_next(self, event: dict[str, Any]) -> None:
-        self._facts |= {"state": "waiting", "trial": event["trial"], "nothing_to_repeat": False}
-
-    def _on_question_next(self, event: dict[str, Any]) -> None:
-        """Enable the answers to a further question at the console."""
-        keys = event["keys"]
-        self._facts["question"] = {"open": True, "keys": typed_keys(keys, None if event["rates"] else tuple(keys))}
-
     def _on_fired(self, event: dict[str, Any]) -> None:
         firing = event["confirmed"]
         self._facts["state"] = "trial"
@@ -246,13 +282,6 @@ class Status:
             # A stimulus is not yet confirmed at its beginning, which is a fault only if a reason is given.
             "confirmed": firing["confirmed"] or (False if firing.get("reason") else None),
         }
-
-    def _on_discarded(self, event: dict[str, Any]) -> None:
-        if event.get("device"):
-            self._facts["too_early"] = str(event["key"])
-
-    def _on_form(self, event: dict[str, Any]) -> None:
-        self._ask(on=False)
 
     def _on_trial(self, event: dict[str, Any]) -> None:
         self._ask(on=False)
@@ -288,41 +317,10 @@ class Status:
         if event["event"] == "answered" and not event["trial"]["practice"]:
             self._trials[event["trial"]["index"]] = event
 
-    def _on_withdrawn(self, event: dict[str, Any]) -> None:
-        gone = set(event["lines"])
-        self._trials = {index: trial for index, trial in self._trials.items() if trial["n"] not in gone}
-
-    def _on_trial_cut(self, event: dict[str, Any]) -> None:
+    def _cut(self) -> None:
+        """Show that the outputs are off, and disable answers."""
         self._facts["generator"]["outputs"] = "off"
         self._ask(on=False)
-
-    def _on_pause(self, event: dict[str, Any]) -> None:
-        self._on_trial_cut(event)
-        # A pause during a break returns to the break.
-        self._held = "break" if self._facts["state"] == "break" else "waiting"
-        self._facts |= {"state": "paused", "paused_by": str(event.get("by", "participant"))}
-        self._answered_at = None
-
-    def _on_focus_lost(self, event: dict[str, Any]) -> None:
-        self._on_pause({"by": "lost focus"})
-
-    def _on_continued(self, event: dict[str, Any]) -> None:
-        self._facts |= {"state": self._held, "paused_by": ""}
-
-    def _on_rest(self, event: dict[str, Any]) -> None:
-        self._facts["state"] = "break"
-        self._answered_at = None
-
-    def _on_experimenter(self, event: dict[str, Any]) -> None:
-        self._facts["n_notes"] += event["asks"] == "note"
-
-    def _on_wishes(self, event: dict[str, Any]) -> None:
-        names = ("ends_after_block", "repeats_trial", "repeats_practice", "nothing_to_repeat")
-        self._facts |= {name: event[name] for name in names}
-
-    def _on_stop(self, event: dict[str, Any]) -> None:
-        self._on_trial_cut(event)
-        self._facts |= {"state": "ended", "stopped_by": event["reason"]}
 
 
 def _words(name: str, event: dict[str, Any]) -> str:
