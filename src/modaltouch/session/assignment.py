@@ -51,10 +51,8 @@ def assign_turn(
     RecordError
         If a session cannot be read.
     """
-    n_turns = Turn.period(protocol)
-    filled: Counter[int] = Counter()
-    left: Counter[int] = Counter()
-    own: int | None = None
+    n_turns, own = Turn.period(protocol), None
+    filled, left = Counter[int](), Counter[int]()
     for participant, first, latest in _participants(place.dataset):
         if first.occasion[0] != group:
             continue
@@ -63,11 +61,9 @@ def assign_turn(
             own = base
         else:
             (filled if Session.is_complete_or_running(latest) else left)[base] += 1
-    if own is not None:
-        reason = "the participant's earlier sessions"
-    else:
-        own = min(range(n_turns), key=lambda turn: (filled[turn], left[turn], turn))
-        reason = LEAST_FILLED
+    reason = "the participant's earlier sessions"
+    if own is None:
+        own, reason = min(range(n_turns), key=lambda turn: (filled[turn], left[turn], turn)), LEAST_FILLED
     turn = Turn(own + drawn_as - 1, reason)
     return turn, {
         "rule": "least_filled",
@@ -104,8 +100,7 @@ def assign_group(place: SessionFolder, protocol: Protocol, seed: int, given: str
         raise RecordInputError(f"given --group {given}; allowed: {listed}; leave it out for the group that is due")
     if not names:
         return "", ""
-    filled: Counter[str] = Counter()
-    left: Counter[str] = Counter()
+    filled, left = Counter[str](), Counter[str]()
     for participant, first, latest in _participants(place.dataset):
         own = first.occasion[0]
         (filled if Session.is_complete_or_running(latest) else left)[own] += 1
@@ -200,9 +195,7 @@ def propose_participant(dataset: Path) -> str:
     """
     found = [re.match(r"([A-Za-z]*)(\d+)\Z", folder.name[4:]) for folder in dataset.glob("sub-*") if folder.is_dir()]
     numbered = [match.groups() for match in found if match]
-    if not numbered:
-        return "p01"
-    letters, digits = max(numbered, key=lambda parts: int(parts[1]))
+    letters, digits = max(numbered, key=lambda parts: int(parts[1]), default=("p", "00"))
     return f"{letters}{int(digits) + 1:0{len(digits)}d}"
 
 
@@ -283,8 +276,7 @@ def _find(preflight: Preflight, place: SessionFolder, thresholds_from: str) -> d
         _refuse(preflight, f"{thresholds_from!r}, whose session {log.parent} is not adaptive",
                 "an adaptive protocol", "name the one that finds thresholds")  # fmt: skip
     runs = analyse_responses(responses).as_dict()["thresholds"]
-    silent = [run for run in runs if run["threshold_mm_s"] is None or run["is_uncertain"]]
-    if silent:
+    if silent := [run for run in runs if run["threshold_mm_s"] is None or run["is_uncertain"]]:
         first = silent[0]
         why = first["why_not"] or "it is uncertain, since a constant probability explains the answers equally well"
         _refuse(

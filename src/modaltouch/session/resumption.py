@@ -83,8 +83,8 @@ def refuse_old(session: Session, interruption: dict[str, Any], within_hours: flo
             f"{anew}"
         )
     hours = interruption["age_s"] / 3600
-    ago = f"{hours:.1f} h" if hours >= 1 else f"{60 * hours:.1f} min"
     if hours > within_hours:
+        ago = f"{hours:.1f} h" if hours >= 1 else f"{60 * hours:.1f} min"
         raise RecordInputError(
             f"{session.path}: was interrupted {ago} ago, and {limit} (schedule.resume.within_hours); {anew}"
         )
@@ -94,8 +94,7 @@ def answers_to_ask_again(session: Session, schedule: Schedule, at: str) -> tuple
     """Return the lines of the answers to withdraw: those of the interrupted block if `at` is ``block``."""
     if at != "block":
         return ()
-    done = session.answered
-    cut = next((trial.block for trial in schedule.trials if (False, trial.index) not in done), None)
+    cut = next((trial.block for trial in schedule.trials if (False, trial.index) not in session.answered), None)
     return tuple(
         event["n"] for event in session.trials if not event["trial"]["practice"] and event["trial"]["block"] == cut
     )
@@ -135,8 +134,7 @@ def continue_log(
     log.append("resume", at=at, interruption=cut, **facts)
     if cut["cut_trial"] is not None:
         log.append("trial_cut", trial=cut["cut_trial"], reason=f"interrupted ({cut['reason']})")
-    lines = answers_to_ask_again(log.session, schedule, at)
-    if lines:
+    if lines := answers_to_ask_again(log.session, schedule, at):
         log.append("withdrawn", lines=list(lines), reason="the block that was interrupted begins anew")
     return log
 
@@ -170,8 +168,13 @@ def start_over(
         if log.session.started_over_as is None:
             log.append("closed", begun_anew_as=place.session, interruption=cut)
         log.write_view(old)
-    begun = {"session": old.session, "interruption": cut}
-    return SessionLog.create(place.log, "start", timed_by=clock, **facts, begins_anew=begun)
+    return SessionLog.create(
+        place.log,
+        "start",
+        timed_by=clock,
+        **facts,
+        begins_anew={"session": old.session, "interruption": cut},
+    )
 
 
 def _cut_trial(session: Session) -> dict[str, Any] | None:
@@ -180,8 +183,7 @@ def _cut_trial(session: Session) -> dict[str, Any] | None:
         if event["event"] in ("answered", "trial", "trial_cut"):
             return None
         if event["event"] == "fired":
-            trial: dict[str, Any] = event["trial"]
-            return trial
+            return dict(event["trial"])
     return None
 
 
@@ -230,7 +232,7 @@ def wire_resume(
     starts_over = starts_over or session.started_over_as is not None
     anew = _next_free_place(place, session) if starts_over else None
     latest = next(event for event in reversed(session.events) if event["event"] in ("start", "resume"))
-    wires = SessionParts(
+    parts = SessionParts(
         preflight,
         anew or place,
         seed=start["seed"],
@@ -241,7 +243,7 @@ def wire_resume(
         after=float(session.events[-1]["clock"]),
     )
     kept = ("sensation_levels", "people") if anew else ()
-    setup = wires.setup(schedule, {name: start[name] for name in kept if name in start})
+    setup = parts.setup(schedule, {name: start[name] for name in kept if name in start})
     return replace(setup, replaces=place if anew else None)
 
 
@@ -273,8 +275,7 @@ def resume(setup: Setup) -> Session:
 
     cut = examine_interruption(session, now=datetime.now(UTC), clock=setup.clock.now(), boot=boot_id())
     policy = setup.preflight.experiment.protocol.schedule.resume
-    if setup.replaces is not None:
-        old = setup.replaces
+    if (old := setup.replaces) is not None:
         setup.place.refuse_existing()
         return sit(setup, lambda place, facts: start_over(old, place, cut, facts, setup.clock), "start")
     if cut["reason"] == PRACTICE_FAILED:
@@ -307,15 +308,11 @@ def _refuse_another_kind(session: Session, rig: str, answers: AnswersBy, *, rest
 
 def _next_free_place(place: SessionFolder, session: Session) -> SessionFolder:
     """Return the folder with the next free number, for the session that replaces this one."""
-    number = session.started_over_as
-    if number is not None:
-        anew = replace(place, session=number)
-        if anew.log.exists():
-            raise RecordInputError(
-                f"{place.log}: was started over as session {number}; continue with `modaltouch resume {anew.folder}`"
-            )
-        return anew
-    number = place.session + 1
-    while replace(place, session=number).log.exists():
-        number += 1
-    return replace(place, session=number)
+    anew = replace(place, session=session.started_over_as or place.session + 1)
+    if session.started_over_as is not None and anew.log.exists():
+        raise RecordInputError(
+            f"{place.log}: was started over as session {anew.session}; continue with `modaltouch resume {anew.folder}`"
+        )
+    while anew.log.exists():
+        anew = replace(anew, session=anew.session + 1)
+    return anew

@@ -27,18 +27,6 @@ from modaltouch.window import AnswerWindow, Event, Masking
 if TYPE_CHECKING:
     from modaltouch.lab import Prober
 
-OpenRig = Callable[[Callable[..., None]], AbstractContextManager[Rig]]
-"""Opens the instrument as a context, given a function that receives each exchange with it."""
-
-OpenWindow = Callable[[Callable[[], Event | None], Callable[..., None]], AnswerWindow]
-"""Opens the answer window, given the tick to call while waiting and a function that receives its events."""
-
-OpenMasking = Callable[[Callable[..., None]], Masking]
-"""Opens the masking noise, given a function that receives its events."""
-
-OpenProber = Callable[[Rig], "AbstractContextManager[Prober]"]
-"""Opens the prober of fingers, given the open instrument."""
-
 _UNFORESEEN = ("rig fault", "record fault", "experimenter", "emergency stop")
 """Endings announced to the participant."""
 
@@ -55,8 +43,12 @@ class Setup:
         The participant's trials.
     place : SessionFolder
         Folder of the record.
-    open_rig, open_window, open_masking : callable
-        Open the instrument, the window and the masking noise.
+    open_rig : callable
+        Opens the instrument as a context, given a function that receives each exchange with it.
+    open_window : callable
+        Opens the answer window, given the tick to call while waiting and a function that receives its events.
+    open_masking : callable
+        Opens the masking noise, given a function that receives its events.
     facts : dict
         Further facts for the start record: rig, answers, seed.
     replaces : SessionFolder or None
@@ -71,7 +63,7 @@ class Setup:
     clock : Clock
         Clock of window, instrument and record, real or virtual.
     open_prober : callable or None
-        Opens the prober of fingers; None if fingers are not measured.
+        Opens the prober of fingers, given the open instrument; None if fingers are not measured.
     open_markers : callable
         Opens the marker stream for other devices, if any.
     """
@@ -79,16 +71,16 @@ class Setup:
     preflight: Preflight
     schedule: Schedule
     place: SessionFolder
-    open_rig: OpenRig
-    open_window: OpenWindow
-    open_masking: OpenMasking = lambda log: Masking()
+    open_rig: Callable[[Callable[..., None]], AbstractContextManager[Rig]]
+    open_window: Callable[[Callable[[], Event | None], Callable[..., None]], AnswerWindow]
+    open_masking: Callable[[Callable[..., None]], Masking] = lambda log: Masking()
     facts: dict[str, Any] = field(default_factory=dict)
     replaces: SessionFolder | None = None
     drawn_as: int | None = None
     on_progress: Callable[[int, int], None] | None = None
     console: Console = field(default_factory=Console)
     clock: Clock = SYSTEM_CLOCK
-    open_prober: OpenProber | None = None
+    open_prober: Callable[[Rig], AbstractContextManager[Prober]] | None = None
     open_markers: Callable[[], Markers | None] = lambda: None
 
     @property
@@ -108,10 +100,9 @@ class Setup:
         RecordInputError
             If a required consent is refused; nothing may then be recorded.
         """
-        consents = [name for name, each in self.to_ask.items() if each.kind == "consent" and each.required]
-        refused = [name for name in consents if answers.get(name) != "yes"]
-        if refused:
-            raise RecordInputError(f"no {refused[0]} was given: the session does not begin, and nothing is recorded")
+        for name, each in self.to_ask.items():
+            if each.kind == "consent" and each.required and answers.get(name) != "yes":
+                raise RecordInputError(f"no {name} was given: the session does not begin, and nothing is recorded")
         return replace(self, facts=self.facts | {"people": dict(answers)})
 
 
@@ -166,9 +157,8 @@ def begin(setup: Setup) -> Session:
     """
     setup.place.refuse_existing()
     if setup.to_ask:
-        asked = ", ".join(setup.to_ask)
         raise RecordInputError(
-            f"participant {setup.place.participant} has not been asked yet: {asked} (section people)"
+            f"participant {setup.place.participant} has not been asked yet: {', '.join(setup.to_ask)} (section people)"
         )
     return sit(
         setup, lambda place, facts: SessionLog.create(place.log, "start", timed_by=setup.clock, **facts), "start"
@@ -219,8 +209,8 @@ def sit(setup: Setup, open_log: Callable[[SessionFolder, dict[str, Any]], Sessio
         try:
             setup.place.list_participants(log.events[0])
             masking.start()
-            sitting = _sitting(setup, rig, window, log, buffer, tick, prober)
-            conduct(replace(sitting, experimenter=experimenter, masking=masking))
+            run = _session_run(setup, rig, window, log, buffer, tick, prober)
+            conduct(replace(run, experimenter=experimenter, masking=masking))
         except BaseException as error:
             ending = describe_ending(error)
             error.add_note(f"everything answered is kept; {how_to_continue(ending['reason'], setup.place.folder)}")
@@ -260,15 +250,13 @@ def _with_assigned_turn(setup: Setup) -> Setup:
     if drawn.group_by == LEAST_FILLED:
         due, _ = assign_group(setup.place, protocol, drawn.seed)
         if due != drawn.group:
-            given = (
+            raise RecordInputError(
                 f"the group {drawn.group} for participant {drawn.participant}, but another session has taken that "
-                "place since"
+                f"place since; now {due} is due: begin again, or keep it with --group {drawn.group}"
             )
-            raise RecordInputError(f"{given}; now {due} is due: begin again, or keep it with --group {drawn.group}")
     turn, balance = assign_turn(setup.place, protocol, setup.drawn_as, drawn.group)
     turn = replace(turn, group=drawn.group, group_by=drawn.group_by)
-    findings = setup.preflight.findings
-    schedule = Schedule.draw_from(findings, drawn.participant, drawn.seed, drawn.session, given=turn)
+    schedule = Schedule.draw_from(setup.preflight.findings, drawn.participant, drawn.seed, drawn.session, given=turn)
     return replace(setup, schedule=schedule, facts={**setup.facts, "balance": balance})
 
 
@@ -284,7 +272,7 @@ def _of_generator(setup: Setup, rig: Rig) -> Setup:
     return setup
 
 
-def _sitting(
+def _session_run(
     setup: Setup,
     rig: Rig,
     window: AnswerWindow,
@@ -294,7 +282,6 @@ def _sitting(
     prober: Prober | None,
 ) -> SessionRun:
     done, schedule, preflight = log.session.answered, setup.schedule, setup.preflight
-    remaining = [trial for trial in (*schedule.practice, *schedule.trials) if (trial.practice, trial.index) not in done]
     total = len(schedule.trials)
 
     def save_view() -> None:
@@ -317,7 +304,7 @@ def _sitting(
     latest = probing or setup
     return SessionRun(
         protocol=protocol,
-        trials=tuple(remaining),
+        trials=tuple(t for t in (*schedule.practice, *schedule.trials) if (t.practice, t.index) not in done),
         total=total,
         levels=levels,
         speeds=lambda trial: latest.preflight.speeds(trial),

@@ -166,11 +166,12 @@ def simulate_session(
         If the session exists already or cannot be written.
     """
     preflight = protocol if isinstance(protocol, Preflight) else examine(protocol)
-    setup = wire_run(
-        preflight.require(), participant, session=session, answers="simulated", seed=seed, results=Path(results),
-        observer=observer, any_gap=True, threshold_mm_s=threshold_mm_s,
+    return begin(
+        wire_run(
+            preflight.require(), participant, session=session, answers="simulated", seed=seed, results=Path(results),
+            observer=observer, any_gap=True, threshold_mm_s=threshold_mm_s,
+        )
     )  # fmt: skip
-    return begin(setup)
 
 
 @dataclass
@@ -199,20 +200,24 @@ class SessionParts:
         facts: dict[str, Any] = {"seed": self.seed, "rig_choice": self.rig, "answers_choice": self.answers}
         if self.answers != "window":
             facts["observer"] = self.observer.as_dict()
-        facts |= further
-        opened = self.open_rig, self.open_window, self.open_masking
-        prober = self.open_prober if self.preflight.findings.measured else None
         return Setup(
-            self.preflight, schedule, self.place, *opened, facts,
-            clock=self.clock, open_prober=prober, open_markers=self.open_markers,
-        )  # fmt: skip
+            self.preflight,
+            schedule,
+            self.place,
+            self.open_rig,
+            self.open_window,
+            self.open_masking,
+            {**facts, **further},
+            clock=self.clock,
+            open_prober=self.open_prober if self.preflight.findings.measured else None,
+            open_markers=self.open_markers,
+        )
 
     @contextmanager
     def open_rig(self, log: Callable[..., None]) -> Iterator[Rig]:
         """Open the driver; start the twin first if the rig is simulated."""
-        apparatus, address = self.preflight.experiment.apparatus, self.rig
+        address, options = self.rig, dict[str, Any](clock=self.clock)
         with ExitStack() as stack:
-            options: dict[str, Any] = {"clock": self.clock}
             if self.rig == SIMULATED:
                 from modaltouch.rig import Simulator
 
@@ -221,7 +226,7 @@ class SessionParts:
                 follow = self.place.log if self.preflight.findings.measured else None
                 self.simulator = stack.enter_context(Simulator(touched, clock=self.clock, follow=follow))
                 address, options = self.simulator.address, self.simulator.driver_options
-            yield stack.enter_context(Generator(address, apparatus, log=log, **options))
+            yield stack.enter_context(Generator(address, self.preflight.experiment.apparatus, log=log, **options))
 
     @contextmanager
     def open_prober(self, rig: Rig) -> Iterator[Prober]:
@@ -231,13 +236,12 @@ class SessionParts:
 
         apparatus, placements = self.preflight.experiment.apparatus, self.preflight.findings.placements
         expected = [] if placements is None else list(placements.all().values())
-        with ExitStack() as stack:
+        opened = Scope.open(apparatus) if self.simulator is None else self.simulator.scope()
+        with opened as scope:
             if self.simulator is not None:
-                scope: Scope = stack.enter_context(self.simulator.scope())
                 yield Prober(Laboratory(apparatus, rig, scope, "simulated", simulator=self.simulator), expected)
             else:
                 # The vibrometer is not re-aimed during a session.
-                scope = stack.enter_context(Scope.open(apparatus))
                 yield Prober(Laboratory(apparatus, rig, scope, "real", settling_time=SETTLING_TIME), expected)
 
     def open_window(self, tick: Callable[[], Event | None], log: Callable[..., None]) -> AnswerWindow:
@@ -283,8 +287,7 @@ class SessionParts:
 
     def _felt(self, trial: Trial) -> tuple[float, ...]:
         """Return the felt speeds, those of the twin if there is one, else as predicted [m/s]."""
-        predicted = self.preflight.speeds(trial)
-        peaks = predicted
+        peaks = predicted = self.preflight.speeds(trial)
         if self.simulator is not None:
             peaks = tuple(self.simulator.felt_velocity(trial.condition.zones).tolist())
         if self.observer.front_end == "peak" or trial.condition.is_catch:
@@ -301,8 +304,10 @@ class SessionParts:
     def _senses(self) -> dict[str, planning.FeltSpeeds]:
         """Felt speeds of each design, from the observer's front end and the predicted velocities."""
         centres = {name: zone.centre_mm * 1e-3 for name, zone in self.preflight.experiment.apparatus.zones.items()}
-        parts = self.preflight.designs.items()
-        return {name: planning.FeltSpeeds(part.stimulus, centres, self.observer.front_end) for name, part in parts}
+        return {
+            name: planning.FeltSpeeds(part.stimulus, centres, self.observer.front_end)
+            for name, part in self.preflight.designs.items()
+        }
 
 
 def _usual(protocol: Protocol, answers: AnswersBy) -> Observer:
