@@ -36,20 +36,11 @@ STATES = {
     "ended": "ended",
 }
 HELP = ("p pause", "space go on", "r repeat", "n note", "b end after block", "q stop")
-_EFFECT = ": outputs off at once"
-"""Effect of the emergency stop, shown on wide terminals."""
-
-_WIDE = 60
-"""Minimum number of columns for the effect of the emergency stop."""
-
 _ARROWS = {name: f"{name} arrow" for name in ("left", "right", "up", "down")}
 _BAR = 40
 """Maximum width of the progress bar [characters]."""
 _NAMES = 14
 """Width of the column of names [characters]."""
-_BY_ANSWER = ("answer by", "answers")
-"""Rows that list all answers and must be shown in full."""
-_MOST_WARNINGS = 4
 
 
 def draw_session(
@@ -75,13 +66,11 @@ def draw_session(
     state = STATES.get(str(facts["state"]), str(facts["state"]))
     foot = [
         *_wrap("   ".join(key.replace(" ", "\N{NO-BREAK SPACE}") for key in HELP), width, "dim"),
-        *_wrap(f"{emergency.upper()} or x   EMERGENCY STOP{_EFFECT if width >= _WIDE else ''}", width, "bold"),
+        *_wrap(f"{emergency.upper()} or x   EMERGENCY STOP{': outputs off at once' * (width >= 60)}", width, "bold"),
         *(_wrap(prompt, width, "bold") or [Text("")]),
     ]
-    (trial, fingers, predicted), (generator, outputs, error) = (
-        describe_trial(facts["trial"]),
-        _describe_generator(facts),
-    )
+    trial, fingers, predicted = describe_trial(facts["trial"])
+    generator, outputs, error = _describe_generator(facts)
     # The most important rows come first, since short terminals leave out the last ones.
     rows = [
         ("state", f"{state}{_describe_cause(facts)}"),
@@ -99,13 +88,13 @@ def draw_session(
     ]
     # Besides the table: two rules, a line for the cursor, and the warnings (only the first on short terminals).
     room = height - 3 - len(foot)
-    warnings = _describe_warnings(facts["warnings"][: _MOST_WARNINGS if height >= 24 else 1], width)
+    warnings = _describe_warnings(facts["warnings"][: 4 if height >= 24 else 1], width)
     table = [line for name, words in rows for line in _draw_row(name, words, width)][: max(room - len(warnings), 1)]
     return Group(Rule(Text(head, style="bold"), style="dim"), *table, Rule(style="dim"), *warnings, *foot)
 
 
 def _draw_row(name: str, words: str, width: int) -> list[Text]:
-    most = 7 if name in _BY_ANSWER else 3
+    most = 7 if name in ("answer by", "answers") else 3  # answers must be listed in full
     lines = textwrap.wrap(words, max(width - _NAMES - 1, 20), max_lines=most, placeholder=" ...") or ["-"]
     style = {"state": "bold reverse" if words.startswith(STATES["paused"]) else "bold", "last error": "bold"}.get(
         name, ""
@@ -245,24 +234,25 @@ def _show(news: News, file: TextIO, dialogue: Dialogue) -> None:
     known, came = None, 0.0
     with Live(console=console, screen=True, auto_refresh=False, redirect_stdout=False, redirect_stderr=False) as live:
         while True:
-            try:
-                said = [news.get(timeout=_REFRESH)]
-            except queue.Empty:
-                said = []
+            said = []
+            with suppress(queue.Empty):
+                said.append(news.get(timeout=_REFRESH))
             while not news.empty():
                 said.append(news.get())
             if None in said:
                 return
-            facts = [each for each in said if each]
-            if facts:
+            if facts := [each for each in said if each]:
                 known, came = facts[-1], time.monotonic()
             if known is not None:
                 size = os.get_terminal_size(file.fileno()) if sys.platform != "win32" else console.size
                 console.size = ConsoleDimensions(max(size[0], 40), max(size[1], 12))
-                since = time.monotonic() - came
-                width, height = console.size
                 picture = draw_session(
-                    known, dialogue.prompt, width=width, height=height, since_s=since, emergency=dialogue.emergency
+                    known,
+                    dialogue.prompt,
+                    width=console.width,
+                    height=console.height,
+                    since_s=time.monotonic() - came,
+                    emergency=dialogue.emergency,
                 )
                 live.update(picture, refresh=True)
 
@@ -273,8 +263,7 @@ def _read(keyboard: Keyboard, dialogue: Dialogue, news: News) -> None:
         while True:
             for key in keyboard.read(_KEY_WAIT):
                 at = SYSTEM_CLOCK.now()
-                request = dialogue.press(key)
-                if request is not None:
+                if (request := dialogue.press(key)) is not None:
                     said = {"command": request.command, "text": request.text, "at": at}
                     sys.stdout.write(json.dumps(said) + "\n")
                     sys.stdout.flush()

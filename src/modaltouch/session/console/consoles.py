@@ -108,8 +108,8 @@ class PlainLines(Console):
             self._write(words.get(facts["event"], f"ended: {facts['stopped_by']}"))
         for warning in facts["warnings"]:
             # Print a warning once, although its count rises from trial to trial.
-            if warning.split(" ", 1)[-1][:12] not in self._warned:
-                self._warned.add(warning.split(" ", 1)[-1][:12])
+            if (kind := warning.split(" ", 1)[-1][:12]) not in self._warned:
+                self._warned.add(kind)
                 self._write(f"warning: {warning}")
         if facts["generator"]["last_error"] not in ("", self._error):
             self._error = facts["generator"]["last_error"]

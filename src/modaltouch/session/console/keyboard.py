@@ -19,15 +19,19 @@ from typing import Any
 
 from modaltouch.session.console import AT_ONCE, Command, Request, SessionState
 
+if sys.platform != "win32":
+    import termios
+
 _ARROWS = ("up", "down", "right", "left")
 _NAMED_KEYS = {
+    **{"\r": "enter", "\n": "enter", "\x7f": "backspace", "\b": "backspace", "\x1b": "escape"},
     **{f"\x1b{opening}{letter}": name for opening in "[O" for letter, name in zip("ABCD", _ARROWS, strict=True)},
     **{f"\x1bO{letter}": f"f{number}" for number, letter in enumerate("PQRS", start=1)},
     **{
         f"\x1b[{code}~": f"f{number}" for number, code in enumerate((11, 12, 13, 14, 15, 17, 18, 19, 20, 21, 23, 24), 1)
     },
 }
-"""Sequences of terminals for arrow and function keys (xterm and VT220)."""
+"""Control characters and sequences of terminals (xterm and VT220) for keys that print nothing."""
 _WINDOWS_KEYS = {
     **dict(zip("HPMK", _ARROWS, strict=True)),
     **{chr(58 + number): f"f{number}" for number in range(1, 11)},
@@ -35,7 +39,6 @@ _WINDOWS_KEYS = {
     "\x86": "f12",
 }
 """Codes after NUL or 0xE0 on the Windows console for arrow and function keys."""
-_NAMES = {"\r": "enter", "\n": "enter", "\x7f": "backspace", "\b": "backspace", "\x1b": "escape"}
 _KEY = re.compile(r"\x1b[\[O][^@-~]*[@-~]?|.", re.DOTALL)
 """Input of a key: an escape sequence or a character."""
 _SEQUENCE_PAUSE = 0.05
@@ -56,9 +59,14 @@ def open_keyboard(descriptor: int) -> Iterator[Keyboard]:
     if sys.platform == "win32":
         yield WindowsKeyboard()
         return
-    before = save_terminal(descriptor)
+    before, settings = save_terminal(descriptor), termios.tcgetattr(descriptor)
+    settings[0] &= ~(termios.IXON | termios.ICRNL)
+    settings[3] &= ~(termios.ICANON | termios.ECHO)
+    for name in ("VSUSP", "VQUIT"):
+        settings[6][getattr(termios, name)] = b"\0"
+    settings[6][termios.VMIN], settings[6][termios.VTIME] = 1, 0
     try:
-        _take_single_keys(descriptor)
+        termios.tcsetattr(descriptor, termios.TCSANOW, settings)
         yield UnixKeyboard(descriptor)
     finally:
         restore_terminal(descriptor, before)
@@ -68,8 +76,6 @@ def save_terminal(descriptor: int) -> list[Any] | None:
     """Return the settings of a terminal; None if not available."""
     if sys.platform == "win32":
         return None
-    import termios
-
     try:
         return termios.tcgetattr(descriptor)
     except termios.error:
@@ -80,23 +86,9 @@ def restore_terminal(descriptor: int, before: list[Any] | None) -> None:
     """Restore the settings of a terminal, unless it is gone."""
     if sys.platform == "win32" or before is None:
         return
-    import termios
-
     # TCSANOW: waiting for output to drain would block forever on a stopped terminal.
     with suppress(termios.error):
         termios.tcsetattr(descriptor, termios.TCSANOW, before)
-
-
-def _take_single_keys(descriptor: int) -> None:
-    import termios
-
-    settings = termios.tcgetattr(descriptor)
-    settings[0] &= ~(termios.IXON | termios.ICRNL)
-    settings[3] &= ~(termios.ICANON | termios.ECHO)
-    for name in ("VSUSP", "VQUIT"):
-        settings[6][getattr(termios, name)] = b"\0"
-    settings[6][termios.VMIN], settings[6][termios.VTIME] = 1, 0
-    termios.tcsetattr(descriptor, termios.TCSANOW, settings)
 
 
 class UnixKeyboard:
@@ -167,8 +159,7 @@ def split_keys(text: str) -> list[str]:
     >>> split_keys("p\x1b[24~\r\x1b[A\x1b[Z")
     ['p', 'f12', 'enter', 'up']
     """
-    named = {**_NAMED_KEYS, **_NAMES}
-    keys = (named.get(typed, typed) for typed in _KEY.findall(text))
+    keys = (_NAMED_KEYS.get(typed, typed) for typed in _KEY.findall(text))
     return [key for key in keys if key.isprintable()]
 
 
