@@ -60,8 +60,9 @@ class Audit:
             With these problems, as `modaltouch verify` reports them.
         """
         if faults := [each for each in self.problems if each not in self.to_mend]:
-            remedy = f"`modaltouch doctor {self.path.parent}` says what can be recovered"
-            raise RecordError("\n".join([*faults, remedy]))
+            raise RecordError(
+                "\n".join([*faults, f"`modaltouch doctor {self.path.parent}` says what can be recovered"])
+            )
 
 
 def audit_session(session: Session) -> Audit:
@@ -84,9 +85,9 @@ def audit_session(session: Session) -> Audit:
         own = start.get("sensation_levels")
         protocol = restored.protocol.with_levels(tuple(own["levels_mm_s"])) if own else restored.protocol
         schedule = draw_again(session, protocol)
-        checked = [each for each in check_beginning(session, restored, protocol, schedule) if each[1]]
-        lines += [said for holds, said in checked if holds]
-        problems += [said for holds, said in checked if not holds]
+        for holds, said in check_beginning(session, restored, protocol, schedule):
+            if said:
+                (lines if holds else problems).append(said)
         sequence = EventSequence(session, TrialExpectation(restored, protocol, start.get("schema", 1)), schedule)
         sequence.walk()
         problems += sequence.problems
@@ -152,8 +153,7 @@ def _check_texts(start: dict[str, Any], protocol: Protocol, place: str) -> tuple
             False,
             f"{place} is a session of {start['protocol']!r}, but its protocol file is of {protocol.protocol!r}",
         )
-    differing = _first_difference(start["design"], protocol.model_dump(mode="json"), start.get("schema", 1))
-    if differing:
+    if differing := _first_difference(start["design"], protocol.model_dump(mode="json"), start.get("schema", 1)):
         return False, f"{place} its design differs from its protocol file in {differing}"
     return True, ""
 

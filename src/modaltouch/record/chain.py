@@ -179,8 +179,14 @@ def parse_chain(data: bytes, name: str) -> Chain:
         cut.append(f"{name}:{pending_line}: the last line was cut while being written ({len(pending)} bytes)")
     elif events and not data.endswith(b"\n"):
         cut.append(f"{name}:{len(events)}: the last line has no newline, but its content is complete")
-    ends_in_newline = data.endswith(b"\n") or not data
-    return Chain(tuple(events), tuple(checks), (*damage, *cut), tuple(damage), pending, ends_in_newline)
+    return Chain(
+        tuple(events),
+        tuple(checks),
+        problems=(*damage, *cut),
+        damage=tuple(damage),
+        torn=pending,
+        ends_in_newline=data.endswith(b"\n") or not data,
+    )
 
 
 BYTE_ORDER_MARK = b"\xef\xbb\xbf"

@@ -217,8 +217,7 @@ class SessionFolder:
             "DatasetType": "raw",
             "GeneratedBy": [{"Name": "modaltouch", "Version": version()}],
         }
-        text = json.dumps(description, indent=2, ensure_ascii=False) + "\n"
-        replace_text(dataset / "dataset_description.json", text)
+        replace_json(dataset / "dataset_description.json", description)
         replace_text(dataset / "README", f"{description['Name']}: sessions recorded by modaltouch {version()}.\n")
         replace_text(dataset / ".bidsignore", f"*.jsonl\n*.log\n{LOCK_NAME}\n")
 
@@ -269,7 +268,7 @@ class SessionFolder:
             if made != text:
                 replace_text(table, made)
             if described != known:
-                replace_text(side, json.dumps(described, indent=2, ensure_ascii=False) + "\n")
+                replace_json(side, described)
 
 
 def _cell(answer: object) -> str:
@@ -288,6 +287,11 @@ def _describe(field: Mapping[str, Any]) -> dict[str, Any]:
 def replace_text(path: Path, text: str) -> None:
     """Write a file of the view atomically, accessible to its owner only."""
     replace_file(path, text.encode(), "the session log is intact", OWNER_ALONE)
+
+
+def replace_json(path: Path, values: Mapping[str, Any]) -> None:
+    """Write plain values as a JSON file of the view."""
+    replace_text(path, json.dumps(values, indent=2, ensure_ascii=False) + "\n")
 
 
 def find_log(session: Path) -> Path:

@@ -85,7 +85,7 @@ class Recovery:
     @property
     def is_sound(self) -> bool:
         """Whether no line is lost, except incomplete lines declared by the next one."""
-        is_whole = not self.left_out and not self.missing and not self.converted
+        is_whole = not (self.left_out or self.missing or self.converted)
         return is_whole and self.numbers == tuple(sorted(self.numbers))
 
     @property
@@ -160,7 +160,7 @@ class Recovery:
             place.list_participants(first)
             log.write_view(place)
         if self.left_out:
-            content = b"\n".join(line.content for line in self.left_out) + b"\n"
+            content = b"".join(line.content + b"\n" for line in self.left_out)
             replace_file(place.log.with_name("left_out.txt"), content, "the new log is intact", OWNER_ALONE)
         return place.log
 
@@ -207,8 +207,16 @@ def survey(path: Path) -> Recovery:
     missing = tuple(n for n in range(1, max(in_view, *written, 0) + 1) if n not in written)
     chain = parse_chain(data, str(path))
     is_cut = bool(chain.problems and not chain.damage) and in_view <= len(chain.checks) + 1
-    sha256 = hashlib.sha256(data).hexdigest()
-    return Recovery(path, sha256, events, tuple(order), tuple(left_out), missing, converted, is_cut)
+    return Recovery(
+        path,
+        hashlib.sha256(data).hexdigest(),
+        events,
+        numbers=tuple(order),
+        left_out=tuple(left_out),
+        missing=missing,
+        converted=converted,
+        is_cut=is_cut,
+    )
 
 
 def _facts(event: dict[str, Any]) -> dict[str, Any]:

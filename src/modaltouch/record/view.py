@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from modaltouch.protocol import TIME_OUT, AnswerList
-from modaltouch.record.folders import LOG_NAME, SessionFolder, replace_text
+from modaltouch.record.folders import LOG_NAME, SessionFolder, replace_json, replace_text
 from modaltouch.record.session import Session
 
 COLUMNS: dict[str, dict[str, Any]] = {
@@ -176,13 +176,11 @@ def write_view(
     }
     if form := form_text(session):
         replace_text(place.form_table, form)
-        asked = session.start["design"]["form"]
-        described = {name: describe_question(asked[name]) for name in asked}
-        form_side = {"TaskName": f"{place.protocol} form", **described}
-        replace_text(place.form_table.with_suffix(".json"), json.dumps(form_side, indent=2, ensure_ascii=False) + "\n")
+        described = {name: describe_question(asked) for name, asked in session.start["design"]["form"].items()}
+        replace_json(place.form_table.with_suffix(".json"), {"TaskName": f"{place.protocol} form", **described})
     text = table_text(session, before)
     replace_text(place.table, text)
-    replace_text(place.table.with_suffix(".json"), json.dumps(side, indent=2, ensure_ascii=False) + "\n")
+    replace_json(place.table.with_suffix(".json"), side)
     return text
 
 
@@ -344,8 +342,8 @@ def check_view(session: Session) -> ViewFound:
     if session.trials != shown.trials:
         behind = len(checks) - len(shown.events)
         return ViewFound(f"BIDS view agrees, {behind} lines behind the log: `modaltouch resume` brings it up to date")
-    said = f"BIDS view agrees: {len(session.trials)} answers, practice included"
-    return ViewFound(said, is_current=n_lines == len(checks))
+    line = f"BIDS view agrees: {len(session.trials)} answers, practice included"
+    return ViewFound(line, is_current=n_lines == len(checks))
 
 
 _REMAKE = "`modaltouch resume` writes it again"
