@@ -137,8 +137,8 @@ class AskedQuestion:
         """
         if event.kind == "close":
             self._end("window closed")
-        name = "focus_lost" if event.kind == "blur" else "pause"
         by = {"by": "experimenter"} if event.kind == "pause" else {}
+        name = "focus_lost" if event.kind == "blur" else "pause"
         self._loop.note(name, trial=trial.index if trial else None, **by)
         began = self._loop.clock.now()
         shown = self._loop.show(self.pictures.pause(trial), Moment("go_on", trial))

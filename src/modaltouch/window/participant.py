@@ -145,8 +145,7 @@ class ParticipantWindow(AnswerWindow):
 
     def show_measuring(self, seconds: float) -> None:
         """Show for a time [s] that the beam is being measured; the screen then stays."""
-        picture = self._pictures.page("measuring", self._texts.measuring, waits=False)
-        self._rest_on(picture, self._clock.now() + seconds)
+        self._rest_on(self._pictures.page("measuring", self._texts.measuring, waits=False), self._clock.now() + seconds)
 
     def announce(self, text: str) -> None:
         """Show a text of the protocol, such as ``practice`` or ``start``, until the participant continues."""
@@ -154,9 +153,9 @@ class ParticipantWindow(AnswerWindow):
 
     def feel(self, trial: Trial, progress: tuple[int, int], presentation: Presentation, until: float) -> None:
         """Show the number of the current interval, then the beam alone."""
-        self._current = (trial, counted) = (trial, self._count(trial, progress))
+        self._current = (trial, self._count(trial, progress))
         self._loop.attend(Moment("feel", trial, presentation.onset, presentation.interval))
-        rest = self._pictures.ready(trial, counted)
+        rest = self._pictures.ready(*self._current)
         self._feel(trial, rest, presentation, until=presentation.ends)
         presentation.stop()
         self._loop.show(rest)
@@ -189,12 +188,8 @@ class ParticipantWindow(AnswerWindow):
         for event in self._loop.poll_quietly():
             self._before_question(event, trial, presentation.stop)
 
-        def interrupt(event: Event) -> NoReturn:
-            self._interrupt(trial, event, presentation.stop)
-
-        def draw(entered: str | None) -> Picture:
-            return self._pictures.question(trial, counted, chosen=entered, confirmed=False)
-
+        interrupt = partial(self._interrupt, trial, presentation.stop)
+        draw = partial(self._pictures.question, trial, counted, confirmed=False)
         moment, is_over = Moment("answer", trial, onset), self._end_of(presentation, asked)
         taken, value = self._first.take(moment, draw, interrupt, is_over)
         gap = self._loop.poll_gap
@@ -407,10 +402,10 @@ class ParticipantWindow(AnswerWindow):
 
     def _before_question(self, event: Event, trial: Trial, stop: Callable[[], None]) -> None:
         if self._reader.interrupts(event):
-            self._interrupt(trial, event, stop)
+            self._interrupt(trial, stop, event)
         self._first.discard(event, "before the question", trial)
 
-    def _interrupt(self, trial: Trial, event: Event, stop: Callable[[], None]) -> NoReturn:
+    def _interrupt(self, trial: Trial, stop: Callable[[], None], event: Event) -> NoReturn:
         """Stop the stimulus, pause, and raise so that the trial is repeated."""
         stop()
         self._hold(trial, event)
