@@ -76,7 +76,7 @@ class Person:
     def welcome(self, trial: Trial) -> None:
         self.seen.append("welcome " + "".join(trial.condition.zones))
 
-    def announce(self, text: str) -> None:
+    def announce(self, text: str, progress: Progress | None = None) -> None:
         self.seen.append(text)
 
     def place_fingers(self, trial: Trial) -> None:
@@ -98,9 +98,6 @@ class Person:
 
     def wait(self, seconds: float) -> None:
         pass
-
-    def rest(self, progress: Progress) -> None:
-        self.seen.append("rest")
 
     def settle(self, trial: Trial, progress: Progress, lead: float = 0.0) -> float:
         return 100.0 + lead

@@ -265,7 +265,7 @@ def test_a_wish_to_go_on_leads_past_no_other_screen_by_accident(paper_room: Call
         ("pause", 0.1, intervention(room, "continue")),
         ("rest", 0.3, send(room, "key", "space")),
     ]
-    room.window.rest(PROGRESS)
+    room.window.announce("rest", PROGRESS)
     assert room.names == ["rest", "pause_between_trials", "rest"]
 
 
@@ -361,7 +361,7 @@ def test_instructions_lead_from_screen_to_screen(paper_room: Callable[..., Any],
     room.window.welcome(trial)
     room.window.announce("practice")
     room.window.place_fingers(trial)
-    room.window.rest(PROGRESS)
+    room.window.announce("rest", PROGRESS)
     assert room.names == ["welcome", "answers", "practice", "place_fingers_one_hand_AC", "rest"]
 
 
@@ -373,7 +373,7 @@ def test_a_press_meant_for_the_last_screen_does_not_skip_the_next(paper_room: Ca
         ("rest", 0.3, send(room, "key", "w")),
         ("rest", 0.35, send(room, "key", "space")),
     ]
-    room.window.rest(PROGRESS)
+    room.window.announce("rest", PROGRESS)
     assert room.clock.now() - room.shown[0][1] >= 0.35
     assert [event for event, _ in room.log] == ["discarded", "ignored"]
 
@@ -388,7 +388,7 @@ def test_escape_on_a_waiting_screen_asks_and_returns_to_it(paper_room: Callable[
         ("pause", 0.3, send(room, "key", "q")),
     ]
     with pytest.raises(SessionStopped, match="escape"):
-        room.window.rest(PROGRESS)
+        room.window.announce("rest", PROGRESS)
     assert room.names == ["rest", "pause_between_trials", "rest", "pause_between_trials"]
 
 
@@ -536,7 +536,7 @@ def test_a_hand_of_the_beam_that_went_on_is_counted_back(paper_room: Callable[..
     elif screen == "start":
         room.window.announce("start")
     else:
-        room.window.rest(PROGRESS)
+        room.window.announce("rest", PROGRESS)
     pressed = room.clock.now()
     room.window.settle(TWO_HANDS, PROGRESS)
     assert room.names[1:] == COUNTDOWN

@@ -113,7 +113,7 @@ def conduct(sitting: SessionRun) -> None:
             sitting.window.announce("start")
         elif _rest_is_due(sitting, trial, rested):
             sitting.log.append("rest", before_trial=trial.index)
-            sitting.window.rest((trial.index, sitting.total))
+            sitting.window.announce("rest", (trial.index, sitting.total))
             rested = sitting.clock.now()
             if sitting.probing is not None:
                 previous = None  # place and measure the fingers again after a break

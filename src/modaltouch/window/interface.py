@@ -172,8 +172,8 @@ class AnswerWindow(AbstractContextManager["AnswerWindow"]):
     def show_measuring(self, seconds: float) -> None:
         """Show for a time [s] that the beam is being measured and fingers must keep still; the screen then stays."""
 
-    def announce(self, text: str) -> None:
-        """Show a text of the protocol, such as ``practice`` or ``hands_off``, until the participant continues."""
+    def announce(self, text: str, progress: tuple[int, int] | None = None) -> None:
+        """Show a text of the protocol, such as ``practice`` or ``rest``, until the participant continues."""
 
     @abstractmethod
     def feel(self, trial: Trial, progress: tuple[int, int], presentation: Presentation, until: float) -> None:
@@ -238,9 +238,6 @@ class AnswerWindow(AbstractContextManager["AnswerWindow"]):
 
     def wait(self, seconds: float) -> None:
         """Wait for the pause between two trials, counted from the answer; no wait for a simulated participant."""
-
-    def rest(self, progress: tuple[int, int]) -> None:
-        """Show the break until the participant continues."""
 
     def goodbye(self) -> None:
         """Thank the participant."""

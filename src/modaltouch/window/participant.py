@@ -147,9 +147,10 @@ class ParticipantWindow(AnswerWindow):
         """Show for a time [s] that the beam is being measured; the screen then stays."""
         self._rest_on(self._pictures.page("measuring", self._texts.measuring, waits=False), self._clock.now() + seconds)
 
-    def announce(self, text: str) -> None:
-        """Show a text of the protocol, such as ``practice`` or ``start``, until the participant continues."""
-        self._go_on(lambda: self._pictures.page(text, str(getattr(self._texts, text))))
+    def announce(self, text: str, progress: tuple[int, int] | None = None) -> None:
+        """Show a text of the protocol, such as ``practice`` or ``rest``, until the participant continues."""
+        shown = None if progress is None else Progress(*progress)
+        self._go_on(lambda: self._pictures.page(text, str(getattr(self._texts, text)), shown))
 
     def feel(self, trial: Trial, progress: tuple[int, int], presentation: Presentation, until: float) -> None:
         """Show the number of the current interval, then the beam alone."""
@@ -297,10 +298,6 @@ class ParticipantWindow(AnswerWindow):
         self._rest_on(None, min(until, self._answered + _CONFIRMATION))
         if self._clock.now() < until and self._current is not None and not self._settles:
             self._rest_on(self._pictures.ready(*self._current), until)
-
-    def rest(self, progress: tuple[int, int]) -> None:
-        """Show the break until the participant continues."""
-        self._go_on(lambda: self._pictures.page("rest", self._texts.rest, Progress(*progress)))
 
     def goodbye(self) -> None:
         """Thank the participant until a key press or for some seconds."""

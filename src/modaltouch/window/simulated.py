@@ -195,7 +195,7 @@ class SimulatedParticipant(AnswerWindow):
     def _look(self, *shown: Any, **named: Any) -> None:
         self._tick()
 
-    welcome = place_fingers = show_stall = announce = rest = goodbye = _look
+    welcome = place_fingers = show_stall = announce = goodbye = _look
 
     def settle(self, trial: Trial, progress: tuple[int, int], lead: float = 0.0) -> float:
         """Return at once, since `wait` has passed."""
