@@ -117,11 +117,6 @@ def encode_line(event: dict[str, Any], previous: str) -> tuple[bytes, str]:
 def read_chain(path: Path) -> Chain:
     """Read the valid lines of a log and its problems.
 
-    Parameters
-    ----------
-    path : Path
-        The log.
-
     Raises
     ------
     RecordError

@@ -31,13 +31,6 @@ MALFORMED = (LookupError, TypeError, ValueError, ArithmeticError, AttributeError
 class RestoredExperiment:
     """Part of an experiment that depends only on the texts of its files, shared by all sessions of a study.
 
-    Parameters
-    ----------
-    sources : Sources
-        The texts.
-    occasion : (str, str)
-        Group and kind of session.
-
     Raises
     ------
     InputError
@@ -59,15 +52,7 @@ class RestoredExperiment:
         self._amplitudes: dict[tuple[str, float], tuple[float, ...]] = {}
 
     def measured(self, trial: Trial, found: dict[str, Any], levels_mm_s: tuple[float, ...]) -> Self:
-        """Return a copy with the stimuli of a trial's placement designed for the measured fingers.
-
-        Parameters
-        ----------
-        trial, found
-            As for `modaltouch.preflight.with_measured`.
-        levels_mm_s : tuple of float
-            The participant's levels [mm/s].
-        """
+        """Return a copy with the stimuli of a trial's placement designed for the measured fingers."""
         other = copy.copy(self)
         other.preflight = preflight.with_measured(self.preflight.with_levels(levels_mm_s), trial, found)
         other._forget()
@@ -163,17 +148,7 @@ def check_answers(event: Event, asked: AnswersSection) -> Iterator[str]:
 
 
 def check_form(event: Event, protocol: Protocol, done: set[str]) -> Iterator[str]:
-    """Yield faults in an answer to the closing form.
-
-    Parameters
-    ----------
-    event : dict
-        Line of the answer.
-    protocol : Protocol
-        The protocol with the form.
-    done : set of str
-        Names of the answered questions; this one is added.
-    """
+    """Yield faults in an answer to the closing form."""
     name, asked = event["name"], protocol.closing
     if name not in asked or name in done:
         yield f"the form {'has no question' if name not in asked else 'already has an answer to'} {name!r}"

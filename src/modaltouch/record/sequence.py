@@ -36,17 +36,7 @@ _SAME = ("trial", "presentation", "fingers", "planned", "commanded", "response",
 
 
 class EventSequence:
-    """Check of the lines of a session in sequence.
-
-    Parameters
-    ----------
-    session : Session
-        The session, as read from its log.
-    given : TrialExpectation
-        Expected values of its trials.
-    schedule : Schedule
-        The redrawn order.
-    """
+    """Check of the lines of a session in sequence."""
 
     def __init__(self, session: Session, given: TrialExpectation, schedule: Schedule) -> None:
         self.problems: list[str] = []

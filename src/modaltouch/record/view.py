@@ -149,10 +149,6 @@ def write_view(
 
     Parameters
     ----------
-    place : SessionFolder
-        Folder of the session.
-    session : Session
-        The session, as read from its log.
     head : dict
         Length of the log (`SessionLog.head`), stated in the sidecar file to detect the loss of its last lines.
     before : tuple of (tuple of dict, str), optional
@@ -189,8 +185,6 @@ def table_text(session: Session, before: tuple[tuple[Any, ...], str] = ((), ""))
 
     Parameters
     ----------
-    session : Session
-        The session, as read from its log.
     before : tuple of (tuple of dict, str), optional
         Answers of an earlier table of this session, and that table. If these answers are unchanged, rows are only
         appended, so that the time per answer does not grow.
@@ -291,13 +285,7 @@ class ViewFound:
 
 
 def check_view(session: Session) -> ViewFound:
-    """Check the BIDS view of a session against its log.
-
-    Parameters
-    ----------
-    session : Session
-        The session, as read from its log.
-    """
+    """Check the BIDS view of a session against its log."""
     checks = session.chain.checks
     found = {path.name: path for path in session.path.parent.glob("*_beh.tsv")}
     forms = {name: found[name] for name in found if name.replace("form_beh.tsv", "_beh.tsv") in found.keys() - {name}}

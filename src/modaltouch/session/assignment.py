@@ -37,10 +37,6 @@ def assign_turn(
 
     Parameters
     ----------
-    place : SessionFolder
-        Folder of the session.
-    protocol : Protocol
-        The protocol.
     drawn_as : int
         Number of the session, without restarted ones; each session has the turn after that of the previous one.
     group : str
@@ -77,17 +73,6 @@ def assign_turn(
 
 def assign_group(place: SessionFolder, protocol: Protocol, seed: int, given: str | None = None) -> tuple[str, str]:
     """Return a participant's group and the reason for it; empty if the protocol has no groups.
-
-    Parameters
-    ----------
-    place : SessionFolder
-        Folder of the session.
-    protocol : Protocol
-        The protocol.
-    seed : int
-        Seed of the study.
-    given : str, optional
-        Group given by the experimenter.
 
     Raises
     ------
@@ -144,13 +129,6 @@ def is_early(place: SessionFolder, protocol: Protocol, drawn_as: int, now: datet
 
 def next_session(place: SessionFolder, n_sessions: int) -> tuple[SessionFolder, int]:
     """Return the folder of a participant's next session, and its number without restarted sessions.
-
-    Parameters
-    ----------
-    place : SessionFolder
-        Folder of any session of the participant.
-    n_sessions : int
-        Number of sessions per participant.
 
     Raises
     ------
@@ -229,8 +207,6 @@ def at_own_levels(
 
     Parameters
     ----------
-    preflight : Preflight
-        The checked protocol.
     place : SessionFolder
         Folder of the participant's session; the session that measured the threshold is in the same tree.
     given_mm_s : float, optional

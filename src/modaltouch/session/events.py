@@ -17,17 +17,7 @@ from modaltouch.window import SessionStopped, WindowError
 
 
 def describe_start(preflight: Preflight, schedule: Schedule, place: SessionFolder) -> dict[str, Any]:
-    """Return the start record's facts on the experiment, sufficient to repeat the session.
-
-    Parameters
-    ----------
-    preflight : Preflight
-        The checked experiment.
-    schedule : Schedule
-        The participant's trials.
-    place : SessionFolder
-        Folder of the record.
-    """
+    """Return the start record's facts on the experiment, sufficient to repeat the session."""
     experiment, burst = preflight.experiment, preflight.stimulus.burst
     adaptive = experiment.protocol.adaptive
     return {
@@ -69,28 +59,14 @@ PRACTICE_FAILED = "practice not passed"
 
 
 def how_to_continue(reason: str, folder: Path) -> str:
-    """Return advice on how to continue a session that ended early.
-
-    Parameters
-    ----------
-    reason : str
-        Reason for its end.
-    folder : Path
-        Folder of the record.
-    """
+    """Return advice on how to continue a session that ended early."""
     if reason == PRACTICE_FAILED:
         return f"`modaltouch resume --restart {folder}` starts it over, including practice"
     return f"continue with `modaltouch resume {folder}`"
 
 
 def describe_ending(error: BaseException) -> dict[str, str]:
-    """Return the reason for the early end of a session, for its stop record.
-
-    Parameters
-    ----------
-    error : BaseException
-        The exception that ended it.
-    """
+    """Return the reason for the early end of a session, for its stop record."""
     if isinstance(error, SessionStopped):
         return {"reason": error.reason}
     if isinstance(error, Interrupted):
@@ -117,12 +93,8 @@ def describe_answer(
 
     Parameters
     ----------
-    protocol : Protocol
-        The protocol.
     speeds : callable
         Predicted peak speeds under the fingers in a trial, from left to right [m/s].
-    trial, response
-        The trial and its response.
     firings : sequence of Firing
         The stimulus of each interval as confirmed; that of `trial.interval` has the trial's condition.
     masked : bool or None
@@ -187,15 +159,7 @@ def _first(part: Trial, firing: Firing) -> dict[str, float] | None:
 
 
 def describe_trial(protocol: Protocol, speeds: tuple[float, ...], trial: Trial) -> dict[str, Any]:
-    """Return the description of a trial shown to the experimenter before it begins.
-
-    Parameters
-    ----------
-    protocol, trial
-        As for `describe_answer`.
-    speeds : (left, right) of float
-        Predicted peak speeds under the two fingers [m/s].
-    """
+    """Return the description of a trial shown to the experimenter before it begins."""
     return {
         "number": trial.index,
         "practice": trial.practice,
@@ -209,13 +173,7 @@ def describe_trial(protocol: Protocol, speeds: tuple[float, ...], trial: Trial) 
 
 
 def describe_placement(protocol: Protocol, trial: Trial) -> dict[str, Any]:
-    """Return the finger on each zone, and the way of answering.
-
-    Parameters
-    ----------
-    protocol, trial
-        As for `describe_answer`.
-    """
+    """Return the finger on each zone, and the way of answering."""
     condition = trial.condition
     return {
         "finger_condition": condition.finger_condition,

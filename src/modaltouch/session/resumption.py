@@ -38,10 +38,6 @@ def examine_interruption(session: Session, *, now: datetime, clock: float, boot:
 
     Parameters
     ----------
-    session : Session
-        The session, with at least one line in its log.
-    now : datetime
-        Date and time, with time zone.
     clock : float
         Monotonic clock of the record, `time.perf_counter` [s].
     boot : str
@@ -110,21 +106,6 @@ def continue_log(
 ) -> SessionLog:
     """Reopen the log of an interrupted session, and record the cut trial and withdrawn answers.
 
-    Parameters
-    ----------
-    place : SessionFolder
-        Folder of the session.
-    schedule : Schedule
-        Trials of the session.
-    at : str
-        ``schedule.resume.at``, the point of resumption.
-    cut : dict
-        Facts of the interruption.
-    facts : dict
-        Further facts for the resume record.
-    clock : Clock
-        Clock of the session.
-
     Raises
     ------
     RecordError
@@ -147,17 +128,6 @@ def start_over(
     clock: Clock = SYSTEM_CLOCK,
 ) -> SessionLog:
     """Close an interrupted session and return the open log of its replacement.
-
-    Parameters
-    ----------
-    old, place : SessionFolder
-        Folders of the interrupted and the new session.
-    cut : dict
-        Facts of the interruption.
-    facts : dict
-        Further facts for the start record of the new session.
-    clock : Clock
-        Clock of the session.
 
     Raises
     ------

@@ -170,8 +170,6 @@ def sit(setup: Setup, open_log: Callable[[SessionFolder, dict[str, Any]], Sessio
 
     Parameters
     ----------
-    setup : Setup
-        The parts of the sitting.
     open_log : callable
         Opens the log in a folder, given the facts of its first line.
     first : str

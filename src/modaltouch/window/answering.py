@@ -113,13 +113,7 @@ Taken = tuple[str, Event] | None
 
 
 class AskedQuestion:
-    """A question on the display: shows it, takes its answer, and handles pauses.
-
-    Parameters
-    ----------
-    loop, pictures
-        The display loop, and the illustrator of the screens.
-    """
+    """A question on the display: shows it, takes its answer, and handles pauses."""
 
     def __init__(self, loop: DisplayLoop, pictures: Illustrator) -> None:
         self.pictures = pictures
@@ -209,17 +203,7 @@ class AskedQuestion:
         event: Event,
         interrupt: Callable[[Event], NoReturn],
     ) -> tuple[str, Event]:
-        """Return the answer once it is chosen a second time, with the event of the first choice.
-
-        Parameters
-        ----------
-        trial, progress
-            The trial and the progress of the session.
-        answer, event
-            First choice and its event.
-        interrupt : callable
-            Called with an event that interrupts the trial; raises.
-        """
+        """Return the answer once it is chosen a second time, with the event of the first choice."""
         while True:
             picture = self.pictures.question(trial, progress, chosen=answer, confirmed=False)
             self._loop.show(picture, Moment("confirm", trial))
@@ -260,17 +244,7 @@ class AskedQuestion:
         interrupt: Callable[[Event], NoReturn],
         times_out: Callable[[], bool],
     ) -> tuple[Taken, float | None]:
-        """Return the answer, and its number on a scale.
-
-        Parameters
-        ----------
-        moment : Moment
-            State of the display.
-        draw : callable
-            Draws the question with the number entered on the scale.
-        interrupt, times_out
-            As for `await_answer`.
-        """
+        """Return the answer, and its number on a scale."""
         trial, scale, since = moment.trial, self.pictures.answers.scale, self._loop.shown
         if scale is None:
             return self.await_answer(trial, interrupt, times_out), None

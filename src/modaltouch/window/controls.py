@@ -143,17 +143,7 @@ _LONGEST = 8
 
 
 class Entry:
-    """A number being entered on a scale.
-
-    Parameters
-    ----------
-    scale : ScaleSection
-        The scale.
-    line : Box
-        Line of the scale on the screen, if any.
-    text : str
-        Initial text of the number.
-    """
+    """A number being entered on a scale."""
 
     def __init__(self, scale: ScaleSection, line: Box | None = None, text: str = "") -> None:
         self._scale, self._line = scale, line
@@ -243,21 +233,7 @@ def as_read(asked: AnswersSection, texts: Texts) -> AnswersSection:
 def draw_scale(
     layout: Layout, theme: Theme, texts: Texts, scale: ScaleSection, entered: str, *, confirmed: bool, keys: bool
 ) -> tuple[Mark, ...]:
-    """Draw the scale with the number entered so far.
-
-    Parameters
-    ----------
-    layout : Layout
-        Layout with the parts of the scale.
-    theme, texts, scale
-        Colours, texts, and the scale.
-    entered : str
-        The number entered so far; empty at first.
-    confirmed : bool
-        Whether it is confirmed.
-    keys : bool
-        Whether to show the participant's keys.
-    """
+    """Draw the scale with the number entered so far."""
     parts = {"vas": _draw_line, "likert": _draw_points, "number": _draw_keypad}
     way = -1 if scale.is_from_right else 1
     marks = parts[scale.kind](layout, theme, entered, [f"{point:.10g}" for point in scale.points][::way], confirmed)

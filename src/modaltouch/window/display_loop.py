@@ -224,12 +224,6 @@ class Robot:
 
     Parameters
     ----------
-    answerer : Answerer
-        Source of the answers.
-    protocol : Protocol
-        Protocol with the keys.
-    patience : float
-        Time to read a screen [s].
     texts : Texts, optional
         Texts on the screen; scales run from right to left if the texts do.
     """

@@ -204,15 +204,7 @@ def _check_type(findings: Findings, window: tuple[int, int] | None) -> Iterator[
 
 
 def every_picture(pictures: Illustrator, trial: Trial) -> list[Picture]:
-    """Return each kind of screen that a session may show for a trial.
-
-    Parameters
-    ----------
-    pictures : Illustrator
-        Illustrator of the screens.
-    trial : Trial
-        Trial with the placement of the fingers.
-    """
+    """Return each kind of screen that a session may show for a trial."""
     from modaltouch.window.interface import Progress
 
     progress, texts = Progress(trial.index, max(trial.index, 99)), pictures.texts
@@ -243,17 +235,7 @@ def smallest_type(
     trials: list[Trial],
     size: tuple[int, int],
 ) -> tuple[float, str]:
-    """Return the height of a capital in the smallest type [pixels], and the text set in it.
-
-    Parameters
-    ----------
-    protocol, texts, zones
-        The protocol, its texts, and the zones of the beam.
-    trials : list of Trial
-        One trial per placement.
-    size : (width, height) of int
-        Size of the window [pixels].
-    """
+    """Return the height of a capital in the smallest type [pixels], and the text, in a window of a size [pixels]."""
     # Import the drawing modules only to measure type.
     from modaltouch.window.controls import typesetter_of
     from modaltouch.window.interface import Progress

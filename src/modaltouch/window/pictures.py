@@ -52,18 +52,10 @@ def draw_hands(
 
     Parameters
     ----------
-    layout : Layout
-        Layout with the zones.
-    theme : Theme
-        Colours.
     zones : tuple of str
         Zones under one to three fingers, from left to right as seen by the participant.
     fingers : tuple of str
         Those fingers, such as ``left index``.
-    names : tuple of str
-        Names of the fingers for the participant.
-    typesetter : Typesetter
-        Sets the names.
     """
     colours = (theme.left, *[theme.between] * (len(zones) - 2), theme.right)[: len(zones)]
     tips = {finger: (layout.zones[zone].x, layout.zones[zone].y) for finger, zone in zip(fingers, zones, strict=True)}
@@ -248,19 +240,7 @@ class Illustrator:
     def question(
         self, trial: Trial, progress: Progress, chosen: str | None = None, *, confirmed: bool = True, name: str = ""
     ) -> Picture:
-        """Return the screen of a question with its answers; `chosen` is shown as accepted or as to be confirmed.
-
-        Parameters
-        ----------
-        trial, progress
-            The trial and the progress of the session.
-        chosen : str, optional
-            The answer, or the number on a scale.
-        confirmed : bool
-            Whether it is accepted.
-        name : str
-            Name of a further question.
-        """
+        """Return the screen of a question with its answers; `chosen` is shown as accepted or as to be confirmed."""
         layout, way = self.layout, self.answers.way(trial.condition.finger_condition)
         texts, hand = self.texts, self._pressing_hand(trial)
         kind, asked = f"_{name}" if name else "", self.answers.question

@@ -50,13 +50,6 @@ class EventTap:
 
     PsychoPy's input classes lose fast clicks and keys, or end the process, so the tap is attached to the pyglet window.
     Its handlers only queue, since Windows would swallow an exception raised in a handler.
-
-    Parameters
-    ----------
-    window : pyglet window
-        The window that PsychoPy draws into (its ``winHandle``).
-    clock : Clock
-        Clock of the time stamps.
     """
 
     def __init__(self, window: Any, clock: Clock = SYSTEM_CLOCK) -> None:

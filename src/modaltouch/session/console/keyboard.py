@@ -193,13 +193,7 @@ class Dialogue:
         self._is_open = question["open"]
 
     def press(self, key: str) -> Request | None:
-        """Process a key and return the resulting request, if any.
-
-        Parameters
-        ----------
-        key : str
-            Name of the key, as from `Keyboard`.
-        """
+        """Process a key and return the resulting request, if any."""
         if key in self._emergency:
             return self._ask("emergency_stop", "EMERGENCY STOP")
         if self._note is not None:
