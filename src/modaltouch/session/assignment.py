@@ -326,6 +326,5 @@ def _refuse(
     *,
     path: tuple[str | int, ...] = (*_SECTION, "thresholds_from"),
 ) -> NoReturn:
-    """Raise an InputError at a path of the protocol."""
     reading = preflight.findings.protocol
     raise InputError([] if reading is None else [reading.problem(path, given, allowed, remedy)])

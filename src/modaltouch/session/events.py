@@ -247,21 +247,22 @@ class Markers:
 
     def follow(self, event: dict[str, Any]) -> None:
         """Send the markers for the stimulus, questions and answers in a log event, or for an interrupted trial."""
-        if event["event"] == "fired":
-            interval = f"interval_{event['interval']}" if "interval" in event else ""
-            self._send("stimulus", event["trial"], event["confirmed"]["onset"], interval)
-        elif event["event"] == "answered":
-            instant = event["instants"]["answer"]
-            middle = (instant["earliest_s"] + instant["latest_s"]) / 2
-            self._send("answer", event["trial"], middle, _say(event["response"]))
-        elif event["event"] == "trial":
-            for name, further in event["response"].get("further", {}).items():
-                if (after := further["question_after"]) is not None:
-                    asked = event["confirmed"]["onset"] + after
-                    self._send("question", event["trial"], asked, name)
-                    self._send("answer", event["trial"], asked + further["reaction_time"], f"{name}/{_say(further)}")
-        elif event["event"] == "trial_cut":
-            self._send("cut", event["trial"], event["clock"])
+        match event["event"]:
+            case "fired":
+                interval = f"interval_{event['interval']}" if "interval" in event else ""
+                self._send("stimulus", event["trial"], event["confirmed"]["onset"], interval)
+            case "answered":
+                instant = event["instants"]["answer"]
+                middle = (instant["earliest_s"] + instant["latest_s"]) / 2
+                self._send("answer", event["trial"], middle, _say(event["response"]))
+            case "trial":
+                for name, further in event["response"].get("further", {}).items():
+                    if (after := further["question_after"]) is not None:
+                        asked, answer = event["confirmed"]["onset"] + after, f"{name}/{_say(further)}"
+                        self._send("question", event["trial"], asked, name)
+                        self._send("answer", event["trial"], asked + further["reaction_time"], answer)
+            case "trial_cut":
+                self._send("cut", event["trial"], event["clock"])
 
     def _send(self, event: str, trial: dict[str, Any], instant: float, detail: str = "") -> None:
         """Send a marker such as ``answer/5/one_hand/AC/100/left``, at an instant of the session's clock [s]."""
@@ -273,5 +274,4 @@ class Markers:
 
 
 def _say(response: dict[str, Any]) -> str:
-    """Return the text of an answer, or its number on a scale."""
     return f"{response['value']:g}" if "value" in response else str(response["answer"])

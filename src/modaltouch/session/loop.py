@@ -418,7 +418,6 @@ def _write_down(
 
 
 def _write_cut(sitting: SessionRun, facts: dict[str, Any], reason: str, firing: Firing) -> None:
-    """Record the part played of a stimulus without an answer."""
     sitting.log.append(
         "trial_cut",
         **facts,

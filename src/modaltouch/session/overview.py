@@ -167,7 +167,6 @@ def _survey_session(log: Path) -> tuple[dict[str, Any], Session]:
 
 
 def _state(session: Session) -> tuple[str, str]:
-    """Return the state of a readable session and its reason."""
     last, anew = session.events[-1], session.started_over_as
     known = (
         (session.complete, "complete", ""),

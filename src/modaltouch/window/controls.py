@@ -171,21 +171,24 @@ class Entry:
             Event of the action.
         """
         self._held = ""
-        if action == "confirm":
-            return self.value is not None
-        if not self._names:
-            self._type(action)
-        elif action == "line" and self._line is not None:
-            share = (event.x - self._line.left) / self._line.width
-            share = 1 - share if self._scale.is_from_right else share
-            self.text = self._names[round(min(max(share, 0.0), 1.0) * (len(self._names) - 1))]
-        elif action in _MOVES:
-            self._move(action)
-            self._held, self._moves_at = (action if event.kind == "key" else ""), event.time + _BEFORE_CREEPING
-        elif action in ("lowest", "highest"):
-            self.text = self._names[0 if action == "lowest" else -1]
-        elif action in self._names:
-            self.text = action
+        match action:
+            case "confirm":
+                return self.value is not None
+            case _ if not self._names:
+                self._type(action)
+            case "line" if self._line is not None:
+                share = (event.x - self._line.left) / self._line.width
+                share = 1 - share if self._scale.is_from_right else share
+                self.text = self._names[round(min(max(share, 0.0), 1.0) * (len(self._names) - 1))]
+            case "lowest":
+                self.text = self._names[0]
+            case "highest":
+                self.text = self._names[-1]
+            case _ if action in _MOVES:
+                self._move(action)
+                self._held, self._moves_at = (action if event.kind == "key" else ""), event.time + _BEFORE_CREEPING
+            case _ if action in self._names:
+                self.text = action
         return False
 
     def creeps(self, now: float) -> bool:

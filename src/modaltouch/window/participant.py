@@ -254,7 +254,6 @@ class ParticipantWindow(AnswerWindow):
         return self._clock.now() >= instant
 
     def _asking(self, answers: AnswersSection) -> AskedQuestion:
-        """Return the question for a section of answers, a list or a scale."""
         answers = as_read(answers, self._texts)
         layout, design = lay_out(*self._display.size, self._zones, answers.offered, answers.scale), self._design
         pictures = Illustrator(layout, THEMES[self._theme], self._texts, answers, design.hand, design.fingers)
@@ -373,7 +372,6 @@ class ParticipantWindow(AnswerWindow):
         return True
 
     def _hold(self, trial: Trial | None, event: Event) -> None:
-        """Pause until the session continues."""
         self._note_press(self._first.hold(trial, event))
 
     def _note_press(self, event: Event) -> None:

@@ -85,7 +85,6 @@ def find_font(name: str, *, bold: bool = False) -> Font | None:
 
 
 def _find_file(name: str) -> str | None:
-    """Find the file of a bundled or installed font by name."""
     from PIL import ImageFont
 
     stem = name.removesuffix(".ttf")
@@ -101,7 +100,6 @@ def _find_file(name: str) -> str | None:
 
 @cache
 def _coverage(path: str) -> frozenset[int]:
-    """Return the code points for which a font has glyphs."""
     from fontTools.ttLib import TTFont
 
     with TTFont(path, fontNumber=0, lazy=True) as font:
@@ -318,7 +316,6 @@ class Typesetter:
         return [self._extended(line, size) for line in lines]
 
     def _line(self, text: str, size: float, *, bold: bool, is_rtl: bool) -> Line:
-        """Return a line with its runs from left to right and its width."""
         chosen = zip(*_levels(text, is_rtl=is_rtl), self.choose_fonts(text, bold=bold), text, strict=True)
         placed = {}
         for (level, font), group in groupby(chosen, key=itemgetter(0, 2)):
@@ -328,7 +325,6 @@ class Typesetter:
         return Line(runs, sum(_load(run.font.path, size).getlength(run.text, **self._shaping(run)) for run in runs))
 
     def _extended(self, line: Line, size: float) -> Line:
-        """Return a line with its extent above and below the baseline."""
         inks = [_load(run.font.path, size).getbbox(run.text, anchor="ls", **self._shaping(run)) for run in line.runs]
         over = _OVERHANG * size
         ascent, descent = (max(-ink[1] for ink in inks), max(ink[3] for ink in inks)) if inks else (0.0, 0.0)

@@ -140,28 +140,28 @@ class Experimenter:
         if status is None:
             return None
         for request in self._console.requests():
-            if request.command == "emergency_stop":
-                # Write nothing before the outputs are off; the stop record gives the reason.
-                raise window.SessionStopped("emergency stop")
-            if request.command == "answer":
-                # The answer has its own line; write nothing while a question is open.
-                answer = status.answer_by(request.text)
-                asked = asked if answer is None else window.Event(request.at, "answer", request.text, answer=answer)
-                continue
-            self._record("experimenter", asks=request.command, **({"text": request.text} if request.text else {}))
-            if request.command == "stop":
-                raise window.SessionStopped("experimenter")
-            if request.command == "pause":
-                asked = window.Event(request.at, "continue" if status.paused else "pause")
-            elif request.command == "go_on":
-                asked = window.Event(request.at, "continue")
-            elif request.command == "end_after_block":
-                self.ends_after_block = not self.ends_after_block
-                self._show_requests()
-            elif request.command == "repeat":
-                is_refused = self._repeats is None and self._last is None
-                self._repeats = None if self._repeats is not None else self._last
-                self._show_requests(nothing_to_repeat=is_refused)
+            # Write nothing before the outputs are off, and nothing while a question is open: the stop record gives the
+            # reason, and the answer has its own line.
+            if request.command not in ("emergency_stop", "answer"):
+                self._record("experimenter", asks=request.command, **({"text": request.text} if request.text else {}))
+            match request.command:
+                case "emergency_stop":
+                    raise window.SessionStopped("emergency stop")
+                case "stop":
+                    raise window.SessionStopped("experimenter")
+                case "answer" if (answer := status.answer_by(request.text)) is not None:
+                    asked = window.Event(request.at, "answer", request.text, answer=answer)
+                case "pause":
+                    asked = window.Event(request.at, "continue" if status.paused else "pause")
+                case "go_on":
+                    asked = window.Event(request.at, "continue")
+                case "end_after_block":
+                    self.ends_after_block = not self.ends_after_block
+                    self._show_requests()
+                case "repeat":
+                    is_refused = self._repeats is None and self._last is None
+                    self._repeats = None if self._repeats is not None else self._last
+                    self._show_requests(nothing_to_repeat=is_refused)
         return asked
 
     def take_repeat(self) -> dict[str, Any] | None:

@@ -229,7 +229,6 @@ def main() -> None:
 
 
 def _show(news: News, file: TextIO, dialogue: Dialogue) -> None:
-    """Draw new states until the end."""
     console = Console(file=file, force_terminal=True)
     known, came = None, 0.0
     with Live(console=console, screen=True, auto_refresh=False, redirect_stdout=False, redirect_stderr=False) as live:

@@ -221,12 +221,9 @@ class Dialogue:
 
     def _type(self, key: str) -> Request | None:
         note = self._note or ""
-        if key == "enter":
+        if key in ("enter", "escape"):
             self._note, self.prompt = None, ""
-            return Request("note", note.strip()) if note.strip() else None
-        if key == "escape":
-            self._note, self.prompt = None, ""
-            return None
+            return Request("note", note.strip()) if key == "enter" and note.strip() else None
         if key == "backspace":
             note = note[:-1]
         elif len(key) == 1:

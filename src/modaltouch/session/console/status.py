@@ -160,7 +160,6 @@ class Status:
         return True
 
     def _react(self, name: str, event: dict[str, Any]) -> None:
-        """Update the state by an event."""
         facts = self._facts
         match name:
             case "start":
