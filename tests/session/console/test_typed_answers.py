@@ -147,6 +147,20 @@ def test_a_typed_answer_reaches_the_window_with_its_key_and_its_time() -> None:
     assert recorded == ["experimenter"]
 
 
+def test_keys_typed_together_reach_the_window_one_by_one() -> None:
+    """Where a screen takes long to draw, two digits of a number or two answers come at once, and the first counts."""
+    experimenter = Experimenter(Asked(Request("answer", "1", 7.0), Request("answer", "3", 7.1), Request("pause")))
+    for event in (experimenters(), *asked()):
+        experimenter.tell(event)
+    events = [experimenter.attend() for _ in range(4)]
+    assert [event and (event.kind, event.key) for event in events] == [
+        ("answer", "1"),
+        ("answer", "3"),
+        ("pause", ""),
+        None,
+    ]
+
+
 def test_the_picture_shows_the_keys_while_a_trial_is_on() -> None:
     """And a key that came too early is told."""
     status = Status()

@@ -11,6 +11,7 @@ the window's polls and bias reaction times. If either process is killed, the oth
 from __future__ import annotations
 
 import typing
+from collections import deque
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
@@ -103,6 +104,7 @@ class Experimenter:
     ) -> None:
         self._console = console or Console()
         self._record = record
+        self._requests: deque[Request] = deque()
         self._status = status
         if status is None and type(self._console) is not Console:
             from modaltouch.session.console.status import Status
@@ -128,33 +130,36 @@ class Experimenter:
             self._leave_practice()
 
     def attend(self) -> window.Event | None:
-        """Process requests, and return the resulting event for the window; called about every millisecond.
+        """Process requests up to the first that is an event for the window; called about every millisecond.
+
+        Requests that came together, such as two digits of a number, are returned one at a time.
 
         Raises
         ------
         SessionStopped
             If a request ends the session.
         """
-        asked: window.Event | None = None
         status = self._status
         if status is None:
             return None
-        for request in self._console.requests():
-            # Write nothing before the outputs are off, and nothing while a question is open: the stop record gives the
-            # reason, and the answer has its own line.
-            if request.command not in ("emergency_stop", "answer"):
+        self._requests.extend(self._console.requests())
+        if any(request.command == "emergency_stop" for request in self._requests):
+            # Write nothing before the outputs are off; the stop record gives the reason.
+            raise window.SessionStopped("emergency stop")
+        while self._requests:
+            request = self._requests.popleft()
+            # The answer has its own line; write nothing while a question is open.
+            if request.command != "answer":
                 self._record("experimenter", asks=request.command, **({"text": request.text} if request.text else {}))
             match request.command:
-                case "emergency_stop":
-                    raise window.SessionStopped("emergency stop")
                 case "stop":
                     raise window.SessionStopped("experimenter")
                 case "answer" if (answer := status.answer_by(request.text)) is not None:
-                    asked = window.Event(request.at, "answer", request.text, answer=answer)
+                    return window.Event(request.at, "answer", request.text, answer=answer)
                 case "pause":
-                    asked = window.Event(request.at, "continue" if status.paused else "pause")
+                    return window.Event(request.at, "continue" if status.paused else "pause")
                 case "go_on":
-                    asked = window.Event(request.at, "continue")
+                    return window.Event(request.at, "continue")
                 case "end_after_block":
                     self.ends_after_block = not self.ends_after_block
                     self._show_requests()
@@ -162,7 +167,7 @@ class Experimenter:
                     is_refused = self._repeats is None and self._last is None
                     self._repeats = None if self._repeats is not None else self._last
                     self._show_requests(nothing_to_repeat=is_refused)
-        return asked
+        return None
 
     def take_repeat(self) -> dict[str, Any] | None:
         """Return the event of the trial to be repeated, and clear the request; None if there is none."""
