@@ -293,12 +293,13 @@ class PlayedMasking(SimulatedMasking):
     def ensure(self, tick: Callable[[], object], *, on: bool = True) -> None:
         """Ensure that the noise is at its level, or silent; reopen a lost device."""
         self._watch()
+        if self._is_lost and not self._given_up:
+            self._reopen()
         if on != self._is_wanted:
             self._is_wanted = on
             self._playback.fade(on=on)
-            self._log("masking", state="on" if on else "silent")
-        if self._is_lost and not self._given_up:
-            self._reopen()
+            if not self._is_lost:
+                self._log("masking", state="on" if on else "silent")
         while not (self._is_lost or self._playback.is_faded(on=on)):
             tick()
             time.sleep(1e-3)

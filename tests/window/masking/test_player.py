@@ -231,6 +231,7 @@ def test_a_device_that_stays_away_ends_the_session_or_is_recorded(
         assert events_of(log) == ["masking on", "masking_lost"]
         return
     masking.ensure(lambda: None)
+    masking.ensure(lambda: None, on=False)
     masking.ensure(lambda: None)
     assert masking.is_on is False
     assert events_of(log) == ["masking on", "masking_lost", "masking_lost"]
