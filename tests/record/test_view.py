@@ -213,6 +213,23 @@ def test_the_description_of_the_dataset_is_that_of_bids(place):
     assert path.read_text() == "{}"
 
 
+@pytest.mark.parametrize("at", ["README", ".bidsignore", "dataset_description.json"])
+def test_a_dataset_whose_description_was_interrupted_is_described_by_the_next_session(place, monkeypatch, at):
+    """Killed at any of the three files, the next session writes what is missing."""
+
+    def kill(path, text):
+        if path.name == at:
+            raise KeyboardInterrupt
+        path.write_text(text)
+
+    with monkeypatch.context() as patch:
+        patch.setattr("modaltouch.record.folders.replace_text", kill)
+        with pytest.raises(KeyboardInterrupt):
+            place.describe_dataset("")
+    place.describe_dataset("")
+    assert all((place.dataset / name).read_text() for name in ("README", ".bidsignore", "dataset_description.json"))
+
+
 def test_masking_and_stimuli_have_columns_where_there_are_any(session, place):
     """A protocol with neither keeps its table; values are those of the trial."""
     start, trial = session.events

@@ -217,9 +217,10 @@ class SessionFolder:
             "DatasetType": "raw",
             "GeneratedBy": [{"Name": "modaltouch", "Version": version()}],
         }
-        replace_json(dataset / "dataset_description.json", description)
         replace_text(dataset / "README", f"{description['Name']}: sessions recorded by modaltouch {version()}.\n")
         replace_text(dataset / ".bidsignore", f"*.jsonl\n*.log\n{LOCK_NAME}\n")
+        # Last, since its presence says that all three are there, whatever is interrupted.
+        replace_json(dataset / "dataset_description.json", description)
 
     def hold_dataset(self) -> AbstractContextManager[None]:
         """Lock the dataset, so that no other session starts in it; raises `RecordError` like `hold`."""
