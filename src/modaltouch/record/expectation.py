@@ -112,16 +112,8 @@ class TrialExpectation:
     schema: int
 
 
-@lru_cache(maxsize=4)
-def restore(sources: Sources, occasion: tuple[str, str] = ("", "")) -> RestoredExperiment:
-    """Restore an experiment from its texts; the latest few are cached.
-
-    Raises
-    ------
-    InputError
-        With all faults in the texts.
-    """
-    return RestoredExperiment(sources, occasion)
+restore = lru_cache(maxsize=4)(RestoredExperiment)
+"""Restores an experiment from its texts; the latest few are cached."""
 
 
 def check_answers(event: Event, asked: AnswersSection) -> Iterator[str]:

@@ -228,7 +228,20 @@ def at_own_levels(
     given: dict[str, Any] = {"threshold_mm_s": given_mm_s, "found": "given"}
     own = _find(preflight, place, section.thresholds_from) if given_mm_s is None else given
     levels = section.levels(own["threshold_mm_s"])
-    _refuse_beyond(preflight, place.participant, own, section.multiples, levels)
+    velocities = preflight.experiment.protocol.conditions.peak_velocities_mm_s
+    low, high = min(velocities), max(velocities)
+    for at, (multiple, level) in enumerate(zip(section.multiples, levels, strict=True)):
+        if not low <= level <= high:
+            fits = low / min(section.multiples), high / max(section.multiples)
+            _refuse(
+                preflight,
+                f"{multiple:g} times the threshold of participant {place.participant}, {own['threshold_mm_s']:g} mm/s, "
+                f"which gives {level:g} mm/s",
+                f"{low:g} to {high:g} mm/s, so thresholds of {fits[0]:.4g} to {fits[1]:.4g} mm/s",
+                ("check the value of --threshold, or " if own["found"] == "given" else "")
+                + "change the multiples or conditions.peak_velocities_mm_s for all participants",
+                path=(*_SECTION, "multiples", at),
+            )
     facts = {**own, "multiples": list(section.multiples), "levels_mm_s": list(levels)}
     return preflight.with_levels(levels), {"sensation_levels": facts}
 
@@ -288,34 +301,6 @@ def _latest(place: SessionFolder) -> tuple[Path | None, str]:
         if session.complete:
             return log, ""
     return None, ""
-
-
-def _refuse_beyond(
-    preflight: Preflight,
-    participant: str,
-    own: dict[str, Any],
-    multiples: tuple[float, ...],
-    levels: tuple[float, ...],
-) -> None:
-    velocities = preflight.experiment.protocol.conditions.peak_velocities_mm_s
-    low, high = min(velocities), max(velocities)
-    beyond = [
-        (at, multiple, level)
-        for at, (multiple, level) in enumerate(zip(multiples, levels, strict=True))
-        if not low <= level <= high
-    ]
-    if beyond:
-        at, multiple, level = beyond[0]
-        fits = low / min(multiples), high / max(multiples)
-        _refuse(
-            preflight,
-            f"{multiple:g} times the threshold of participant {participant}, {own['threshold_mm_s']:g} mm/s, which "
-            f"gives {level:g} mm/s",
-            f"{low:g} to {high:g} mm/s, so thresholds of {fits[0]:.4g} to {fits[1]:.4g} mm/s",
-            ("check the value of --threshold, or " if own["found"] == "given" else "")
-            + "change the multiples or conditions.peak_velocities_mm_s for all participants",
-            path=(*_SECTION, "multiples", at),
-        )
 
 
 def _refuse(

@@ -197,8 +197,9 @@ def wire_resume(
     protocol = preflight.experiment.protocol
     schedule = Schedule.draw(protocol, place.participant, start["seed"], session.drawn_as, given=given)
     observer = Observer.from_dict(start["observer"]) if "observer" in start else Observer()
-    at = protocol.schedule.resume.at
-    starts_over = (restart and not session.complete) or (at == "restart" and session.lacks_trials)
+    starts_over = (restart and not session.complete) or (
+        protocol.schedule.resume.at == "restart" and session.lacks_trials
+    )
     starts_over = starts_over or session.started_over_as is not None
     anew = _next_free_place(place, session) if starts_over else None
     latest = next(event for event in reversed(session.events) if event["event"] in ("start", "resume"))

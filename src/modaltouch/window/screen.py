@@ -169,7 +169,7 @@ class DisplayLoss:
             self._decline_to_exit()
 
     @contextmanager
-    def told(self) -> Iterator[None]:
+    def reported(self) -> Iterator[None]:
         """Report a lost display as such, whatever OpenGL and pyglet raise.
 
         Raises
@@ -308,7 +308,7 @@ class Screen:
 
     def prepare(self, picture: Picture) -> None:
         """Prepare the picture's marks, so that drawing it later takes at most one frame."""
-        with self._loss.told():
+        with self._loss.reported():
             for mark in picture.marks:
                 self._stimulus(mark)
 
@@ -316,7 +316,7 @@ class Screen:
         """Draw the picture to the back buffer, until `flip` shows it."""
         from pyglet.gl import glFinish
 
-        with self._loss.told():
+        with self._loss.reported():
             self._window.clearBuffer()
             for mark in picture.marks:
                 self._stimulus(mark).draw()
@@ -336,7 +336,7 @@ class Screen:
         WindowError
             If the screenshot cannot be written, or the display is lost.
         """
-        with self._loss.told():
+        with self._loss.reported():
             image = self._window._getFrame(buffer="back") if screenshot is not None else None
             self._window.flip()
             shown = self._clock.now()
@@ -358,7 +358,7 @@ class Screen:
         WindowError
             If the display is lost.
         """
-        with self._loss.told():
+        with self._loss.reported():
             return self._tap.poll()
 
     def type_key(self, key: str, *, down: bool) -> None:

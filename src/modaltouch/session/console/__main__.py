@@ -216,7 +216,7 @@ def main() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     for name in ("SIGTERM", "SIGHUP"):
         if hasattr(signal, name):
-            signal.signal(getattr(signal, name), _end)
+            signal.signal(getattr(signal, name), lambda *_: sys.exit(0))
     target = "CONOUT$" if sys.platform == "win32" else screen
     news: News = queue.Queue()
     dialogue = Dialogue(emergency)
@@ -280,10 +280,6 @@ def _listen(news: News, dialogue: Dialogue) -> None:
             news.put(facts)
     finally:
         news.put(None)
-
-
-def _end(*_: object) -> None:
-    sys.exit(0)
 
 
 if __name__ == "__main__":
