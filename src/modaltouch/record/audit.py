@@ -17,9 +17,6 @@ from modaltouch.record.sequence import EventSequence
 from modaltouch.record.session import Session, check_shape
 from modaltouch.record.view import check_view
 
-Checked = Iterator[tuple[bool, str]]
-"""Results of checks: whether each passed, and a sentence; empty if there is nothing to report."""
-
 
 @dataclass(frozen=True)
 class Audit:
@@ -120,8 +117,10 @@ def _completeness(session: Session, audit: Audit) -> str:
     return "not complete: `modaltouch resume` continues it; until then the analysis leaves it out"
 
 
-def check_beginning(session: Session, restored: RestoredExperiment, protocol: Protocol, schedule: Schedule) -> Checked:
-    """Yield the result of each check of the start record."""
+def check_beginning(
+    session: Session, restored: RestoredExperiment, protocol: Protocol, schedule: Schedule
+) -> Iterator[tuple[bool, str]]:
+    """Yield whether each check of the start record passed, and a sentence; empty if there is nothing to report."""
     place = f"{session.path}:1:"
     yield _check_texts(session.start, protocol, place)
     yield _check_mode(session.start, restored, place)

@@ -19,8 +19,6 @@ INSTANT = 5e-6
 """Tolerance of sums of instants, which are recorded to 1 us [s]."""
 _LATE = 0.2
 """Tolerance in counts of due bursts [periods]; a burst more than 1/20 of a period late is dropped."""
-_IN_ORDER = ("trigger", "first_burst", "question", "answer")
-_COUNTS = ("asked", "played", "whole", "dropped")
 SPEED = 2e-3
 """Tolerance of speeds, which are recorded to 0.001 mm/s [mm/s]."""
 
@@ -259,7 +257,7 @@ def check_instants(event: Event, trial: Trial) -> Iterator[str]:
             yield f"its {name.replace('_', ' ')} came between {earliest} and {latest} s"
     if not between["answer"][0] <= event["clock"] + INSTANT:
         yield f"its answer came at {between['answer'][0]} s, after its line was written at {event['clock']} s"
-    known = [name for name in _IN_ORDER if name in between]
+    known = [name for name in ("trigger", "first_burst", "question", "answer") if name in between]
     for place, name in enumerate(known):
         late = next((each for each in known[place + 1 :] if between[each][1] < between[name][0] - INSTANT), None)
         if late is not None:
@@ -284,7 +282,7 @@ def check_instants(event: Event, trial: Trial) -> Iterator[str]:
 def check_bursts(event: Event, trial: Trial, given: TrialExpectation) -> Iterator[str]:
     """Yield inconsistencies between the burst counts of a finished stimulus, its protocol and its instants."""
     bursts, confirmed = event["bursts"], event["confirmed"]
-    asked, played, whole, dropped = counts = [bursts[name] for name in _COUNTS]
+    asked, played, whole, dropped = counts = [bursts[name] for name in ("asked", "played", "whole", "dropped")]
     first, around = bursts["first_s"], bursts["uncertainty_s"]
     if any(each is not None and (type(each) is not int or each < 0) for each in counts):
         yield f"its burst counts are not whole numbers from 0: {counts}"

@@ -26,8 +26,6 @@ BIDS_VERSION = "1.10.0"
 Mode = Literal["real", "pilot", "simulated"]
 LOG_NAME = "session.jsonl"
 
-_PARTICIPANT = re.compile(r"[A-Za-z0-9]{1,32}\Z")
-
 
 @dataclass(frozen=True)
 class SessionFolder:
@@ -96,7 +94,7 @@ class SessionFolder:
         RecordInputError
             If it is empty, longer than 32 characters, or contains anything but ASCII letters and digits.
         """
-        if not _PARTICIPANT.match(participant):
+        if not re.fullmatch(r"[A-Za-z0-9]{1,32}", participant):
             raise RecordInputError(
                 f"participant id {participant!r} is not allowed: use 1 to 32 letters and digits (A-Z, a-z, 0-9), "
                 "for example p01, and never a person's name"

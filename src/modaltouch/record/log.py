@@ -17,9 +17,6 @@ from modaltouch.record.session import SCHEMA, Session, count, read_session
 from modaltouch.record.view import check_view, write_view
 from modaltouch.system import SYSTEM_CLOCK, Clock, lock, sync_file
 
-_MOMENT = 0.1
-"""Time to wait for a lock that another process may hold only to test it [s]."""
-
 
 class SessionLog(AbstractContextManager["SessionLog"]):
     """An open session log; `append` returns once the event is on disk.
@@ -278,7 +275,7 @@ def _open_log(path: Path) -> int:
 
 def _take(path: Path, descriptor: int) -> None:
     try:
-        lock(descriptor, _MOMENT)
+        lock(descriptor, 0.1)  # another process may hold it for a moment, only to test it
     except OSError as error:
         os.close(descriptor)
         raise RecordError(f"{path}: another process is writing this session; wait until it ends") from error

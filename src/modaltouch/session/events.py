@@ -203,10 +203,6 @@ def _between(earliest: float, latest: float) -> dict[str, float]:
     return {"earliest_s": round(earliest, 6), "latest_s": round(latest, 6)}
 
 
-_OWN_SETTINGS = ("lsl_api.cfg", "~/lsl_api/lsl_api.cfg", "/etc/lsl_api/lsl_api.cfg")
-"""Paths where liblsl looks for local settings."""
-
-
 class Markers:
     """Outlet of Lab Streaming Layer markers of stimulus, question and answer, time-stamped by the LSL clock.
 
@@ -227,8 +223,9 @@ class Markers:
         import pylsl
         from pylsl.lib import lib
 
-        if not any(Path(place).expanduser().is_file() for place in (os.environ.get("LSLAPICFG", ""), *_OWN_SETTINGS)):
-            # Keep liblsl from printing log messages to the console.
+        places = os.environ.get("LSLAPICFG", ""), "lsl_api.cfg", "~/lsl_api/lsl_api.cfg", "/etc/lsl_api/lsl_api.cfg"
+        if not any(Path(place).expanduser().is_file() for place in places):
+            # Without settings of the lab, keep liblsl from printing log messages to the console.
             lib.lsl_set_config_content(b"[log]\nlevel = -1\n")
         about = pylsl.StreamInfo("modaltouch", "Markers", 1, pylsl.IRREGULAR_RATE, "string", source)
         self._outlet = pylsl.StreamOutlet(about)

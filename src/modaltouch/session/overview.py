@@ -17,9 +17,6 @@ from modaltouch.protocol import Findings, InputError, Protocol, Sources, Turn
 from modaltouch.record import RecordError, Session, SessionFolder, read_session
 from modaltouch.session.assignment import assign_group, assign_turn, first_turn, propose_participant
 
-_AFTER_THE_END = ("stop", "closed", "recovered")
-"""Events that may be written long after a sitting, when a record is repaired."""
-
 
 def survey_results(place: Path) -> list[dict[str, Any]]:
     """Survey a results tree, and return plain values for each dataset (one protocol in one mode).
@@ -181,7 +178,9 @@ def _sittings(session: Session) -> list[float]:
     """Return the duration of each sitting of a session [s]; a reboot resets the clock."""
     begins = [place for place, event in enumerate(session.events) if event.get("event") in ("start", "resume")]
     parts = (session.events[begin:end] for begin, end in pairwise([*begins, None]))
-    read = ([e.get("clock") for e in part if e.get("event") not in _AFTER_THE_END] for part in parts)
+    # Such events may be written long after a sitting, when a record is repaired.
+    late = ("stop", "closed", "recovered")
+    read = ([e.get("clock") for e in part if e.get("event") not in late] for part in parts)
     clocks = ([clock for clock in each if isinstance(clock, (int, float))] for each in read)
     return [each[-1] - each[0] if each else 0.0 for each in clocks]
 

@@ -27,9 +27,6 @@ from modaltouch.window import AnswerWindow, Event, Masking
 if TYPE_CHECKING:
     from modaltouch.lab import Prober
 
-_UNFORESEEN = ("rig fault", "record fault", "experimenter", "emergency stop")
-"""Endings announced to the participant."""
-
 
 @dataclass(frozen=True)
 class Setup:
@@ -219,7 +216,7 @@ def sit(setup: Setup, open_log: Callable[[SessionFolder, dict[str, Any]], Sessio
             with suppress(RecordError):  # already reported
                 masking.stop(hurry=ending["reason"] != "finished")
             _conclude(setup, log, buffer, ending)
-            if ending["reason"] in _UNFORESEEN:
+            if ending["reason"] in ("rig fault", "record fault", "experimenter", "emergency stop"):
                 window.dismiss()
     return read_session(setup.place.log)
 

@@ -14,8 +14,6 @@ from modaltouch.window.shapes import Box, Mark, Words, capsule, framed, rectangl
 from modaltouch.window.typesetting import Typesetter, first_letter_is_rtl
 
 _ARROWS = ("left", "right", "up", "down")
-_REFERENCE = 1000
-"""Height of a window in which labels are measured [pixels]."""
 
 
 @dataclass(frozen=True)
@@ -122,7 +120,8 @@ def key_caps(texts: Texts, theme: Theme, keys: Sequence[str], box: Box) -> tuple
 def common_size(typesetter: Typesetter, labels: tuple[str, ...], box: Box, size: float) -> float:
     """Return the largest type size up to `size` at which every label fits a box; cached."""
     words = (Words(label, box, size, "", bold=True) for label in labels)
-    return size * min(typesetter.set_type(each, _REFERENCE).share for each in words)
+    # In a window 1000 pixels high, whatever the real one has.
+    return size * min(typesetter.set_type(each, 1000).share for each in words)
 
 
 def typesetter_of(texts: Texts) -> Typesetter:

@@ -18,8 +18,6 @@ from modaltouch.window.simulated import Answerer
 
 POLL_INTERVAL = 1e-3
 """Time between two polls, the resolution of reaction times [s]."""
-_REDRAW_INTERVAL = 0.25
-"""Minimum time between two redraws of a window that was covered [s]."""
 
 
 @dataclass(frozen=True)
@@ -193,7 +191,8 @@ class DisplayLoop:
 
     def _refresh(self) -> None:
         """Redraw the picture after the window was covered."""
-        if self._is_stale and self.clock.now() - self._drawn > _REDRAW_INTERVAL and self._picture is not None:
+        # At most every 0.25 s, since a window that is moved is exposed all the time.
+        if self._is_stale and self.clock.now() - self._drawn > 0.25 and self._picture is not None:
             self._display.draw(self._picture)
             self._drawn = self._display.flip()
             self._is_stale, self._ahead = False, None

@@ -30,11 +30,6 @@ LIBRARIES = {
 }
 """Shared libraries required by the window on Linux, with the Debian package of each."""
 
-_SELDOM_USED = ("json_tricks", "pandas", "requests", "scipy.interpolate")
-"""Modules imported by PsychoPy at start but used only for monitor files, spreadsheets and web fonts."""
-_NOT_NEEDED = ("matplotlib", "openpyxl")
-"""Optional modules of PsychoPy, for points in polygons and Excel files."""
-
 
 class _PutOff(ModuleType):
     """Placeholder of a module until one of its names is used; Python's lazy loader would load it at a second import."""
@@ -75,10 +70,12 @@ def few_imports() -> Iterator[None]:
 
     Rarely used modules are imported at first use; optional ones cannot be imported meanwhile.
     """
-    for name in _SELDOM_USED:
+    # These serve monitor files, spreadsheets and web fonts only.
+    for name in ("json_tricks", "pandas", "requests", "scipy.interpolate"):
         if name not in sys.modules:
             sys.modules[name] = _PutOff(name)
-    hidden = [name for name in _NOT_NEEDED if name not in sys.modules]
+    # PsychoPy does without these, which serve points in polygons and Excel files.
+    hidden = [name for name in ("matplotlib", "openpyxl") if name not in sys.modules]
     # Python refuses to import a module whose entry in sys.modules is None.
     sys.modules.update(dict.fromkeys(hidden))  # type: ignore[arg-type]
     try:

@@ -24,16 +24,8 @@ from modaltouch.window.screen import Screen
 from modaltouch.window.shapes import Box, Picture, Words, rectangle
 from modaltouch.window.typesetting import Typesetter
 
-_LATE_FRAME = 1.5
-"""Ratio to the usual frame time above which a frame counts as dropped [1]."""
 _TIMEOUT = 0.5
 """Time after which an unseen key counts as lost [s]."""
-_F12 = 0xFFC9
-"""X keysym of F12, to which no program reacts."""
-_LETTERS = {"\u0915": "fonts-noto-core", "\u4e2d": "fonts-wqy-microhei"}
-"""A letter of Devanagari and an ideograph, with the Debian package of a font for each script."""
-_NO_RETRACE_MS = 4.0
-"""Frame time below which frames do not wait for a monitor, since none refreshes so fast [ms]."""
 
 
 class MachineCheck(NamedTuple):
@@ -114,7 +106,9 @@ def _virtual_display() -> MachineCheck:
 
 def _fonts() -> MachineCheck:
     """Check for fonts of scripts beyond the bundled Latin, Greek, Cyrillic, Arabic and Hebrew."""
-    packages = [package for letter, package in _LETTERS.items() if Typesetter().lacking(letter)]
+    # A letter of Devanagari and an ideograph, with the Debian package of a font for each script.
+    fonts = {"\u0915": "fonts-noto-core", "\u4e2d": "fonts-wqy-microhei"}
+    packages = [package for letter, package in fonts.items() if Typesetter().lacking(letter)]
     if not packages:
         return MachineCheck("fonts", "ok", "Latin, Greek, Cyrillic, Arabic, Hebrew, Devanagari, Chinese, Japanese")
     remedy = f"where texts are in other scripts, apt install {' '.join(packages)}, or name a font in the texts"
@@ -245,8 +239,9 @@ def time_window(
     figures = {
         "display": display,
         "n_frames": n_frames,
-        "n_dropped": int(np.sum(frames > _LATE_FRAME * usual)),
-        "waits_for_monitor": usual > _NO_RETRACE_MS and float(np.quantile(frames, 0.1)) > 0.8 * usual,
+        "n_dropped": int(np.sum(frames > 1.5 * usual)),
+        # No monitor refreshes in less than 4 ms.
+        "waits_for_monitor": usual > 4.0 and float(np.quantile(frames, 0.1)) > 0.8 * usual,
         "n_keys": n_keys,
         "n_lost": n_keys - len(seen),
         "key_path": path,
@@ -336,7 +331,7 @@ def _injector(screen: Screen) -> Iterator[tuple[Callable[[], float], str]]:
     from Xlib.ext import xtest
 
     with closing(display.Display()) as server:
-        code = server.keysym_to_keycode(_F12)
+        code = server.keysym_to_keycode(0xFFC9)  # F12, to which no program reacts
 
         def press() -> float:
             xtest.fake_input(server, X.KeyPress, code)

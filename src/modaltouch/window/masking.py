@@ -170,8 +170,6 @@ class LoopedNoise:
 
 STALE = 1.0
 """Time without a request for samples after which a device counts as lost [s]."""
-_HURRY = 0.1
-"""Maximum fade-out after a fault [s]."""
 
 
 @dataclass(frozen=True)
@@ -320,7 +318,7 @@ class PlayedMasking(SimulatedMasking):
         if self._stream is None:
             return
         self._playback.fade(on=False)
-        until = time.perf_counter() + (_HURRY if hurry else self._section.fade_s + STALE)
+        until = time.perf_counter() + (0.1 if hurry else self._section.fade_s + STALE)
         while not (self._is_lost or self._playback.is_faded(on=False)) and time.perf_counter() < until:
             time.sleep(0.01)
             self._watch()

@@ -149,10 +149,7 @@ class WindowOptions:
 LEAST_ANGLE = 20.0
 """Minimum visual angle of the height of a capital; ISO 9241-303 recommends 20 to 22 [arcmin]."""
 _NOT_SHOWN = {"protocol", "title", "apparatus", "texts", "language", "language_code", "font", "stimulus", "stimuli"}
-_CAPITAL = 0.714
-"""Height of a capital of Noto Sans, matched by the other Noto fonts [em]."""
 _PAGES = ("practice", "start", "practice_again", "rest", "stalled", "hands_off", "measuring", "measure_again")
-_LAST_PAGES = ("session_ended", "goodbye")
 
 
 def _check_letters(findings: Findings) -> Iterator[Problem]:
@@ -222,7 +219,7 @@ def every_picture(pictures: Illustrator, trial: Trial) -> list[Picture]:
         pictures.question(trial, progress, chosen=chosen, confirmed=False),
         *(pictures.feedback(trial, progress, given, name) for name in expected for given in names[:2]),
         *(pictures.page(name, str(getattr(texts, name)), progress) for name in _PAGES),
-        *(pictures.page(name, str(getattr(texts, name)), waits=False) for name in _LAST_PAGES),
+        *(pictures.page(name, str(getattr(texts, name)), waits=False) for name in ("session_ended", "goodbye")),
         pictures.pause(trial),
         pictures.pause(None),
     ]
@@ -253,4 +250,5 @@ def smallest_type(
     every += [picture.question(trials[0], Progress(1, 1)) for picture in others]
     words = {mark for picture in every for mark in picture.marks if isinstance(mark, Words)}
     set_type = typesetter_of(texts).set_type
-    return min((_CAPITAL * set_type(mark, size[1]).size, mark.text) for mark in words)
+    # A capital of Noto Sans, which the other Noto fonts match, is 0.714 em high.
+    return min((0.714 * set_type(mark, size[1]).size, mark.text) for mark in words)

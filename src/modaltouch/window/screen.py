@@ -214,10 +214,6 @@ class DisplayLoss:
         return 0
 
 
-_KEPT_MARKS = 1500
-"""Number of cached marks; a session with ten zone pairs needs about 600."""
-
-
 class Screen:
     """An open window.
 
@@ -260,7 +256,8 @@ class Screen:
         self._visual = visual
         self._place: dict[str, Any] = {"fullscreen": fullscreen, "monitor": monitor}
         self._typesetter = typesetter or Typesetter()
-        self._stimulus = lru_cache(_KEPT_MARKS)(self._image)
+        # A session with ten zone pairs needs about 600 marks.
+        self._stimulus = lru_cache(1500)(self._image)
         within = fit(size, monitor)
         try:
             self._window = visual.Window(

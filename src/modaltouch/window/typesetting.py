@@ -115,10 +115,6 @@ _ASCENT, _DESCENT, _LEADING = 0.93, 0.22, 0.21
 protrude, and the leading between two lines [em]."""
 _OVERHANG = 0.04
 """Allowed protrusion of letters such as descenders from that extent, so that adjacent texts share a baseline [em]."""
-_STROKE = 0.02
-"""Stroke width added to embolden a font without a bold companion [em]."""
-_NARROWER = (0.6, 0.7, 0.8, 0.9)
-"""Shares of the width tried to avoid a single word on the last of several lines [1]."""
 _STEP, _SMALLEST = 0.05, 0.4
 """Step of reductions of the type size until a text fits, and its minimum share of the intended size [1]."""
 _NEVER_FIRST = frozenset("ぁぃぅぇぉっゃゅょゎァィゥェォッャュョヮ々")
@@ -282,7 +278,7 @@ class Typesetter:
             x = float(round((columns - line.width) / 2))
             for run in line.runs:
                 font, shaping = _load(run.font.path, block.size), self._shaping(run)
-                stroke = _STROKE * block.size * run.font.is_emboldened
+                stroke = 0.02 * block.size * run.font.is_emboldened
                 pen.text((x, round(baseline)), run.text, 255, font, "ls", stroke_width=stroke, **shaping)
                 x += font.getlength(run.text, **shaping)
             baseline += line.descent + _LEADING * block.size
@@ -299,7 +295,8 @@ class Typesetter:
         """Yield the lines of a text, broken within the width if possible, of similar length in each paragraph."""
         for paragraph in text.split("\n"):
             lines = self._fill(paragraph, size, width, bold=bold)
-            shares = _NARROWER if len(lines) > 1 else ()
+            # A narrower column avoids a single word on the last of several lines.
+            shares = (0.6, 0.7, 0.8, 0.9) if len(lines) > 1 else ()
             narrower = (self._fill(paragraph, size, width * share, bold=bold) for share in shares)
             yield from next((fewer for fewer in narrower if len(fewer) == len(lines)), lines)
 

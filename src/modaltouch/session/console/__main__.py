@@ -37,8 +37,6 @@ STATES = {
 }
 HELP = ("p pause", "space go on", "r repeat", "n note", "b end after block", "q stop")
 _ARROWS = {name: f"{name} arrow" for name in ("left", "right", "up", "down")}
-_BAR = 40
-"""Maximum width of the progress bar [characters]."""
 _NAMES = 14
 """Width of the column of names [characters]."""
 
@@ -115,7 +113,7 @@ def describe_progress(facts: SessionState, since_s: float = 0.0, width: int = 80
     ticking = since_s if facts["state"] != "ended" else 0.0
     left = max(facts["time_left_s"] - (ticking if facts["state"] == "trial" else 0.0), 0.0)
     said = f"{done} of {facts['n_trials']}, {describe_time(left)} left"
-    length = min(_BAR, width - len(said) - 3)
+    length = min(40, width - len(said) - 3)
     full = round(length * min(done / total, 1))
     return f"{'#' * full}{'.' * (length - full)} {said}" if length > 5 else said
 
@@ -199,12 +197,6 @@ def _describe_warnings(warnings: list[str], width: int) -> list[Text]:
     return [Text(f" {words}", style="yellow", no_wrap=True) for words in shortened]
 
 
-_KEY_WAIT = 0.1
-"""Maximum wait for a key [s]."""
-_REFRESH = 1.0
-"""Interval of redraws, which update times and cover other output to the terminal [s]."""
-
-
 News = queue.Queue[dict[str, Any] | None]
 """States to show; empty after a key press; None at the end."""
 
@@ -235,7 +227,8 @@ def _show(news: News, file: TextIO, dialogue: Dialogue) -> None:
         while True:
             said = []
             with suppress(queue.Empty):
-                said.append(news.get(timeout=_REFRESH))
+                # Redraw every second, which updates times and covers other output to the terminal.
+                said.append(news.get(timeout=1.0))
             while not news.empty():
                 said.append(news.get())
             if None in said:
@@ -260,7 +253,7 @@ def _read(keyboard: Keyboard, dialogue: Dialogue, news: News) -> None:
     """Turn keys into requests until the terminal is gone."""
     try:
         while True:
-            for key in keyboard.read(_KEY_WAIT):
+            for key in keyboard.read(0.1):
                 at = SYSTEM_CLOCK.now()
                 if (request := dialogue.press(key)) is not None:
                     said = {"command": request.command, "text": request.text, "at": at}

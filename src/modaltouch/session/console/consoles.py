@@ -28,8 +28,6 @@ _KEPT = 64
 """Number of states kept for a blocked terminal; each is complete, so old ones are dropped."""
 _PATIENCE = 2.0
 """Maximum time for the process to restore the terminal [s]."""
-_LEAVE_SCREEN = b"\x1b[?1049l\x1b[?25h"
-"""Leaves the alternate screen and shows the cursor."""
 
 
 def open_console(events: Path | None, emergency_keys: Sequence[str], *, plain: bool) -> Console:
@@ -247,7 +245,8 @@ class TerminalConsole(Console):
         self._is_given_back = True
         if self._process.returncode != 0:
             with contextlib.suppress(OSError):
-                os.write(self._screen, _LEAVE_SCREEN)
+                # Leave the alternate screen and show the cursor.
+                os.write(self._screen, b"\x1b[?1049l\x1b[?25h")
         restore_terminal(self._terminal, self._before)
 
     def _send(self) -> None:

@@ -41,8 +41,6 @@ _WINDOWS_KEYS = {
 """Codes after NUL or 0xE0 on the Windows console for arrow and function keys."""
 _KEY = re.compile(r"\x1b[\[O][^@-~]*[@-~]?|.", re.DOTALL)
 """Input of a key: an escape sequence or a character."""
-_SEQUENCE_PAUSE = 0.05
-"""Maximum time to the rest of an escape sequence; otherwise the key is Escape itself [s]."""
 
 
 @contextmanager
@@ -109,10 +107,8 @@ class UnixKeyboard:
         if not select.select([self._descriptor], [], [], patience)[0]:
             return []
         text = self._receive()
-        # On a slow line, a sequence may arrive in pieces.
-        while (
-            text.endswith(("\x1b", "\x1b[", "\x1bO")) and select.select([self._descriptor], [], [], _SEQUENCE_PAUSE)[0]
-        ):
+        # On a slow line, a sequence may arrive in pieces; after 50 ms, the key is Escape itself.
+        while text.endswith(("\x1b", "\x1b[", "\x1bO")) and select.select([self._descriptor], [], [], 0.05)[0]:
             text += self._receive()
         return split_keys(text)
 
