@@ -478,6 +478,24 @@ def test_an_answer_may_be_changed_until_it_is_chosen_again(paper_room: Callable[
     assert [(facts["first"], facts["to"]) for facts in room.events("changed")] == [("left", "right")]
 
 
+@pytest.mark.parametrize("after_longest", ["ask", "time_out"])
+def test_the_longest_stimulus_stops_while_a_chosen_answer_waits(
+    paper_room: Callable[..., Any], trial: Trial, after_longest: str
+) -> None:
+    """Chosen before the end of the stimulus and confirmed after it: the beam comes to rest then, and the answer counts.
+
+    A generator that repeats by its own timer would play on until the answer is confirmed.
+    """
+    room = paper_room(answers={"change_until_confirmed": True, "after_longest": after_longest})
+    room.script = [
+        ("question", 0.1, send(room, "key", "left")),
+        ("chosen_left", 2.0, send(room, "key", "left")),
+    ]
+    onset = room.clock.now()
+    assert ask(room, trial, onset, 1.0).answer == "left"
+    assert room.stopped == pytest.approx([onset + 1.0], abs=0.002)
+
+
 def test_a_double_click_or_a_bouncing_foot_switch_does_not_confirm(
     paper_room: Callable[..., Any], trial: Trial
 ) -> None:

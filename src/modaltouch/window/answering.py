@@ -161,7 +161,7 @@ class AskedQuestion:
         self,
         trial: Trial | None,
         interrupt: Callable[[Event], NoReturn],
-        times_out: Callable[[], bool] | None = None,
+        times_out: Callable[[], bool],
         since: float | None = None,
     ) -> Taken:
         """Return the first answer and its event, or None after a time-out; later events stay unread.
@@ -172,7 +172,7 @@ class AskedQuestion:
             The trial.
         interrupt : callable
             Called with an event that interrupts the trial; raises.
-        times_out : callable, optional
+        times_out : callable
             Called at every poll; returns whether the time for an answer is up.
         since : float, optional
             Time of appearance of the question; that of the current picture if not given [s].
@@ -192,7 +192,7 @@ class AskedQuestion:
                     return answer, event
                 if is_press(event):
                     self._loop.note("ignored", trial=trial.index if trial else None, **describe_press(event))
-            if times_out is not None and times_out():
+            if times_out():
                 return None
 
     def await_confirmation(
@@ -202,12 +202,21 @@ class AskedQuestion:
         answer: str,
         event: Event,
         interrupt: Callable[[Event], NoReturn],
+        stop_at_end: Callable[[], object],
     ) -> tuple[str, Event]:
-        """Return the answer once it is chosen a second time, with the event of the first choice."""
+        """Return the answer once it is chosen a second time, with the event of the first choice.
+
+        A chosen answer no longer times out, but `stop_at_end` is called at every poll, to stop the stimulus at its end.
+        """
+
+        def never_times_out() -> bool:
+            stop_at_end()
+            return False
+
         while True:
             picture = self.pictures.question(trial, progress, chosen=answer, confirmed=False)
             self._loop.show(picture, Moment("confirm", trial))
-            chosen = self.await_answer(trial, interrupt)
+            chosen = self.await_answer(trial, interrupt, never_times_out)
             if chosen is None:
                 continue
             again, press = chosen

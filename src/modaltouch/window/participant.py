@@ -195,7 +195,7 @@ class ParticipantWindow(AnswerWindow):
         taken, value = self._first.take(moment, draw, interrupt, is_over)
         gap = self._loop.poll_gap
         if taken is not None and value is None and answers.change_until_confirmed:
-            taken = self._first.await_confirmation(trial, counted, *taken, interrupt)
+            taken = self._first.await_confirmation(trial, counted, *taken, interrupt, is_over)
         presentation.end()
         since, by = asked if stops_first else onset, self._answered_by or self._who(trial)
         response = self._first.respond(taken, value, since, by)
