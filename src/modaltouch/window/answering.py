@@ -60,12 +60,15 @@ class Reader:
 
     def answer(self, event: Event) -> str | None:
         """Return the answer given by an event, or its action on a scale; None for other events."""
-        if event.kind == "key":
-            return self.keys.get(event.key) or self.keys.get(event.digit)
-        if event.kind == "click":
-            return self.layout.answer_at(event.x, event.y)
-        if self.rates and event.kind in ("release", "continue"):
-            return "release" if event.kind == "release" else "confirm"
+        match event.kind:
+            case "key":
+                return self.keys.get(event.key) or self.keys.get(event.digit)
+            case "click":
+                return self.layout.answer_at(event.x, event.y)
+            case "release" if self.rates:
+                return "release"
+            case "continue" if self.rates:
+                return "confirm"
         return event.answer
 
     def goes_on(self, event: Event) -> bool:

@@ -200,15 +200,16 @@ class Dialogue:
         if key in AT_ONCE:
             return self._ask(*AT_ONCE[key])
         self.prompt = ""
-        if key == "n":
-            self._note, self.prompt = "", "note (Enter keeps it, Escape drops it): _"
-        elif key == "q":
-            self._asks_to_stop, self.prompt = True, "stop the session now? y: yes, any other key: no"
-        elif key in self._answers and self._is_open:
-            self.prompt = f"typed: {self._answers[key]}"
-            return Request("answer", key)
-        elif key in self._answers:
-            self.prompt = f"{self._answers[key]} is not accepted: no trial is running"
+        match key:
+            case "n":
+                self._note, self.prompt = "", "note (Enter keeps it, Escape drops it): _"
+            case "q":
+                self._asks_to_stop, self.prompt = True, "stop the session now? y: yes, any other key: no"
+            case _ if key in self._answers and self._is_open:
+                self.prompt = f"typed: {self._answers[key]}"
+                return Request("answer", key)
+            case _ if key in self._answers:
+                self.prompt = f"{self._answers[key]} is not accepted: no trial is running"
         return None
 
     def _ask(self, command: Command, prompt: str) -> Request:
