@@ -19,7 +19,7 @@ from modaltouch.session.console import Console as SilentConsole
 from modaltouch.session.console import Experimenter, Request
 from modaltouch.session.console.__main__ import describe_trial, draw_session
 from modaltouch.session.console.consoles import LONGEST_LINE, EventLines, PlainLines
-from modaltouch.session.console.keyboard import LONGEST_NOTE, Dialogue, split_keys
+from modaltouch.session.console.keyboard import LONGEST_NOTE, Dialogue, UnixKeyboard, split_keys
 from modaltouch.session.console.status import Status, read_signs
 from modaltouch.session.events import describe_trial as of_trial
 from modaltouch.window.interface import SessionStopped
@@ -324,6 +324,16 @@ def test_a_note_that_is_full_says_so() -> None:
 def test_no_bytes_of_a_terminal_upset_the_keyboard(text: str) -> None:
     """Whatever is pasted: keys are printable characters or names."""
     assert all(len(key) == 1 and key.isprintable() or key.isascii() for key in split_keys(text))
+
+
+@pytest.mark.parametrize("place", range(1, len("\x1b[24~")))
+def test_a_sequence_that_arrives_in_pieces_is_one_key(monkeypatch: pytest.MonkeyPatch, place: int) -> None:
+    """F12, the emergency stop, over a slow line: wherever it is cut, its rest does not answer with 4."""
+    pieces = iter(["\x1b[24~"[:place], "\x1b[24~"[place:]])
+    keyboard = UnixKeyboard(0)
+    monkeypatch.setattr(keyboard, "_receive", lambda: next(pieces))
+    monkeypatch.setattr("modaltouch.session.console.keyboard.select.select", lambda *_: ([0], [], []))
+    assert keyboard.read(0.0) == ["f12"]
 
 
 def test_events_are_written_from_the_session_alone(tmp_path: Path) -> None:

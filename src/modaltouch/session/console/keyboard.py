@@ -108,7 +108,7 @@ class UnixKeyboard:
             return []
         text = self._receive()
         # On a slow line, a sequence may arrive in pieces; after 50 ms, the key is Escape itself.
-        while text.endswith(("\x1b", "\x1b[", "\x1bO")) and select.select([self._descriptor], [], [], 0.05)[0]:
+        while re.search(r"\x1b([\[O][^@-~]*)?\Z", text) and select.select([self._descriptor], [], [], 0.05)[0]:
             text += self._receive()
         return split_keys(text)
 
