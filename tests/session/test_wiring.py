@@ -7,11 +7,12 @@ import pytest
 
 from modaltouch.preflight import examine
 from modaltouch.record.chain import RecordError
+from modaltouch.session.console import Console, Request
 from modaltouch.session.resumption import wire_resume
 from modaltouch.session.setup import begin
 from modaltouch.session.wiring import wire_run
 from modaltouch.window import WindowOptions
-from modaltouch.window.interface import SessionStopped
+from modaltouch.window.interface import Masking, SessionStopped
 
 PROTOCOL = Path(__file__).parents[2] / "protocols" / "demo.yaml"
 ADDRESS = "TCPIP::192.0.2.1::INSTR"
@@ -21,6 +22,40 @@ ADDRESS = "TCPIP::192.0.2.1::INSTR"
 def preflight():
     """The demonstration, checked."""
     return examine(PROTOCOL).require()
+
+
+class Keys(Console):
+    """A console that asks for what it is told to, and goes on from every pause."""
+
+    def __init__(self):
+        self.asked, self.was = [], ""
+
+    def show(self, facts):
+        if facts["state"] == "paused" != self.was:
+            self.asked.append(Request("go_on"))
+        self.was = facts["state"]
+
+    def requests(self):
+        asked, self.asked = self.asked, []
+        return asked
+
+
+def test_a_pause_asked_for_while_the_noise_fades_is_kept(preflight, tmp_path):
+    """No window waits for events then; the pause comes as soon as one does, and the session goes on from it."""
+    keys = Keys()
+
+    class Fading(Masking):
+        requests = (Request("pause"),)
+
+        def ensure(self, tick, *, on=True):
+            keys.asked += self.requests
+            self.requests = ()
+            tick()
+
+    setup = wire_run(preflight, "p01", answers="simulated", results=tmp_path)
+    session = begin(replace(setup, console=keys, open_masking=lambda log: Fading()))
+    assert session.complete
+    assert [event["by"] for event in session.events if event["event"] == "pause"] == ["experimenter"]
 
 
 @pytest.mark.parametrize(

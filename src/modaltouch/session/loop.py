@@ -56,7 +56,7 @@ class SessionRun:
     save_view : callable
         Updates the BIDS view from the log.
     tick : callable
-        Called between steps; raises to end the session.
+        Called between steps, where the window does not wait; raises to end the session.
     which : callable
         Index of the loaded burst for a trial; the first by default.
     played : callable

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, ExitStack, suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, Self
 
 from modaltouch.preflight import Preflight, estimated_duration
@@ -184,10 +185,10 @@ def sit(setup: Setup, open_log: Callable[[SessionFolder, dict[str, Any]], Sessio
         if prober is None:
             rig.load(*setup.preflight.bursts)
 
-        def tick() -> Event | None:
+        def tick(*, window_waits: bool = True) -> Event | None:
             interruption.check()
             rig.heartbeat()
-            return experimenter.attend()
+            return experimenter.attend(window_waits=window_waits)
 
         masking = stack.enter_context(setup.open_masking(buffer.event))
         window = stack.enter_context(setup.open_window(tick, buffer.event))
@@ -204,7 +205,7 @@ def sit(setup: Setup, open_log: Callable[[SessionFolder, dict[str, Any]], Sessio
         try:
             setup.place.list_participants(log.events[0])
             masking.start()
-            run = _session_run(setup, rig, window, log, buffer, tick, prober)
+            run = _session_run(setup, rig, window, log, buffer, partial(tick, window_waits=False), prober)
             conduct(replace(run, experimenter=experimenter, masking=masking))
         except BaseException as error:
             ending = describe_ending(error)

@@ -129,10 +129,11 @@ class Experimenter:
         if event["event"] == "practice_round" or (event["event"] == "trial_next" and not event["trial"]["practice"]):
             self._leave_practice()
 
-    def attend(self) -> window.Event | None:
+    def attend(self, *, window_waits: bool = True) -> window.Event | None:
         """Process requests up to the first that is an event for the window; called about every millisecond.
 
-        Requests that came together, such as two digits of a number, are returned one at a time.
+        Requests that came together, such as two digits of a number, are returned one at a time. Unless the window waits
+        for an event, only an emergency stop is processed, and the others are kept.
 
         Raises
         ------
@@ -146,7 +147,7 @@ class Experimenter:
         if any(request.command == "emergency_stop" for request in self._requests):
             # Write nothing before the outputs are off; the stop record gives the reason.
             raise window.SessionStopped("emergency stop")
-        while self._requests:
+        while self._requests and window_waits:
             request = self._requests.popleft()
             # The answer has its own line; write nothing while a question is open.
             if request.command != "answer":
