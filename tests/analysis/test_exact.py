@@ -10,7 +10,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import binomtest
 
-from modaltouch.analysis import convolution
 from modaltouch.analysis.exact import (
     _heads,
     multinomial_test,
@@ -162,7 +161,7 @@ class TestSignFlip:
     @pytest.mark.parametrize(("against", "n_alike"), [(0, 1), (1, 1 + 60)])
     def test_transforms_keep_the_smallest_p(self, against, n_alike, monkeypatch) -> None:
         """Closed form for 60 participants: each of the most extreme patterns has 2^-60, on either side."""
-        monkeypatch.setattr(convolution, "DIRECT_COST", 0)
+        monkeypatch.setattr("modaltouch.analysis.sums.DIRECT_COST", 0)
         test = sign_flip_test([-3] * against + [3] * (60 - against))
         assert test.p == pytest.approx(2 * n_alike * 2.0**-60, rel=1e-8, abs=0)
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.stats import page_trend_test
 
-from modaltouch.analysis.convolution import Kernel, tail_probability
 from modaltouch.analysis.exact import sign_flip_test
 from modaltouch.analysis.intervals import clopper_pearson
+from modaltouch.analysis.sums import tail_probability
 from modaltouch.analysis.trend import trend_test
 
 
@@ -44,7 +44,7 @@ def test_convolution_gives_pages_table(n_levels: int, n_judges: int, five: int, 
     steps, ways = np.unique(
         [np.dot(order, range(1, n_levels + 1)) for order in permutations(range(1, n_levels + 1))], return_counts=True
     )
-    judges = [Kernel((steps.astype(np.int64), ways / ways.sum()), n_judges)]
+    judges = [(steps.astype(np.int64), ways / ways.sum(), n_judges)]
     for level, critical in ((0.05, five), (0.01, one)):
         if critical is not None:
             below_all = -1

@@ -3,13 +3,23 @@
 Each score has one of a few distributions (`laws`), so a test is a row of counts: the number of participants with each
 distribution.
 
-`Sums.tails` convolves test by test, with relative accuracy for the smallest p. `Sums.quick_tails` multiplies
-characteristic functions, as the product of the counts and a table of logarithms shared by all tests. Its absolute error
-is near 1e-14, negligible at any significance level, and thousands of tests take milliseconds.
+`Sums.tails` convolves test by test, with relative accuracy for the smallest p. Small problems are convolved directly:
+all terms are positive, so p is accurate to machine precision. Large problems use the FFT of the exponentially tilted
+distribution, centred on the tail; this keeps the *relative* error of even the smallest p near 1e-10 (without tilting,
+the FFT loses all p below 1e-16).
+
+`Sums.quick_tails` multiplies characteristic functions, as the product of the counts and a table of logarithms shared by
+all tests. Its absolute error is near 1e-14, negligible at any significance level, and thousands of tests take
+milliseconds.
+
+References
+----------
+Keich, "Efficiently computing p-values by exponential shifts", J. Comput. Biol. 12 (2005) 416-430.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -17,15 +27,21 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.analysis.convolution import Kernel, tail_probability
-
 IntArray = NDArray[np.int64]
 FloatArray = NDArray[np.float64]
 Law = tuple[IntArray, FloatArray]
 """Values in increasing order, and their probabilities [1]."""
+Term = tuple[IntArray, FloatArray, int]
+"""A distribution, and the number of participants whose score has it."""
 
 LEAST_P = 1e-14
 """Lower limit of the approximate p of batches of tests [1]."""
+
+DIRECT_COST = 100_000_000
+"""Maximum number of additions for direct convolution; about 0.15 s."""
+
+_STEEPEST = 50.0
+"""Tilt that concentrates a sum of integers at the end of its range [1]."""
 
 _AT_ONCE = 1_000_000
 """Maximum size of temporary arrays."""
@@ -82,12 +98,12 @@ class Sums:
         """
         p = np.ones(len(distance))
         for row in np.flatnonzero(distance):
-            kernels = [Kernel(law, int(n)) for law, n in zip(self.laws, self.counts[row], strict=True) if n]
+            terms = [(*law, int(n)) for law, n in zip(self.laws, self.counts[row], strict=True) if n]
             lower, upper = (
                 (self.mean[row] - distance[row]) // self.scale,
                 -((-self.mean[row] - distance[row]) // self.scale),
             )
-            p[row] = tail_probability(kernels, int(lower), int(upper))
+            p[row] = tail_probability(terms, int(lower), int(upper))
         return p
 
     def quick_tails(self, distance: IntArray) -> FloatArray:
@@ -104,20 +120,26 @@ class Sums:
         width = (self.highest - self.lowest) // unit
         first = np.maximum(((self.mean - distance) // self.scale - self.lowest) // unit + 1, 0)
         last = np.minimum(-((-self.mean - distance) // self.scale) - self.lowest - 1, width * unit) // unit
-        nodes = _Nodes(int(width.max()))
+        # The characteristic function is evaluated at half-angles. With an odd period, no cosine of an integer multiple
+        # is zero.
+        period = (int(width.max()) + 1) | 1
+        place = np.arange(1, (period - 1) // 2 + 1)
+        angles, sines = np.pi * place / period, np.sin(np.pi * np.arange(2 * period) / period)
         # Distributions wider than the period do not occur in any sum.
         steps = (np.bincount((values - values[0]) // unit, weights) for values, weights in self.laws)
-        waves = np.stack([np.fft.rfft(each, nodes.period)[1:] for each in steps])
+        waves = np.stack([np.fft.rfft(each, period)[1:] for each in steps])
         log_size, turn = np.log(np.maximum(np.abs(waves), 1e-300)), -np.angle(waves)
 
         def between(rows: slice) -> FloatArray:
             counts, n_values = self.counts[rows].astype(float), last[rows] - first[rows] + 1
-            phase = _times(counts, turn) - (first[rows] + last[rows])[:, None] * nodes.angles
-            product = np.exp(_times(counts, log_size)) * np.cos(phase)
-            inner = np.einsum("tk,tk,k->t", product, nodes.sine(n_values), 1 / np.sin(nodes.angles))
-            return np.asarray((n_values + 2 * inner) / nodes.period)
+            # einsum runs in a single thread, so that its rounding is reproducible.
+            phase = np.einsum("ts,sk->tk", counts, turn) - (first[rows] + last[rows])[:, None] * angles
+            product = np.exp(np.einsum("ts,sk->tk", counts, log_size)) * np.cos(phase)
+            sine = sines[(n_values[:, None] * place) % (2 * period)]
+            inner = np.einsum("tk,tk,k->t", product, sine, 1 / np.sin(angles))
+            return np.asarray((n_values + 2 * inner) / period)
 
-        step = max(1, _AT_ONCE // nodes.n_nodes)
+        step = max(1, _AT_ONCE // max(place.size, 1))
         p = 1 - np.concatenate([between(slice(start, start + step)) for start in range(0, len(distance), step)])
         return np.where(distance == 0, 1.0, np.clip(p, LEAST_P, 1.0))
 
@@ -135,22 +157,89 @@ def _different_rows(counts: IntArray, distance: IntArray) -> tuple[IntArray, Int
     return first, inverse
 
 
-def _times(rows: FloatArray, table: FloatArray) -> FloatArray:
-    """Return the matrix product, computed in a single thread so that its rounding is reproducible."""
-    return np.asarray(np.einsum("ts,sk->tk", rows, table))
+def tail_probability(terms: Sequence[Term], lower: int, upper: int) -> float:
+    """Return the two-sided tail probability P(sum <= lower) + P(sum >= upper) [1].
+
+    Parameters
+    ----------
+    terms : sequence of (values, probabilities, count)
+        Distributions of the independent terms of the sum, and how many terms have each.
+    lower, upper : int
+        Bounds of the two tails, lower < upper.
+    """
+    width = sum(count * int(values[-1] - values[0]) for values, _, count in terms) + 1
+    n_copies = sum(count * len(values) for values, _, count in terms)
+    if n_copies * width <= 2 * DIRECT_COST:
+        offset, pmf = _add_copies(terms)
+        low, high = max(lower - offset + 1, 0), max(upper - offset, 0)
+        return float(pmf[:low].sum() + pmf[high:].sum())
+    return _tilted_tail(terms, upper, 1) + _tilted_tail(terms, lower, -1)
 
 
-class _Nodes:
-    """Half-angles of the nodes at which the characteristic functions of sums from 0 to `width` are evaluated."""
+def _add_copies(terms: Sequence[Term]) -> tuple[int, FloatArray]:
+    offset, pmf = 0, np.ones(1)
+    for values, weights, count in terms:
+        low, steps = int(values[0]), (values - values[0]).tolist()
+        for _ in range(count):
+            grown = np.zeros(pmf.size + steps[-1])
+            for step, weight in zip(steps, weights.tolist(), strict=True):
+                grown[step : step + pmf.size] += weight * pmf
+            offset, pmf = offset + low, grown
+    return offset, pmf
 
-    def __init__(self, width: int) -> None:
-        # With an odd period, no cosine of an integer multiple is zero.
-        self.period = (width + 1) | 1
-        self._place = np.arange(1, (self.period - 1) // 2 + 1)
-        self.angles = np.pi * self._place / self.period
-        self._table = np.sin(np.pi * np.arange(2 * self.period) / self.period)
-        self.n_nodes = max(int(self._place.size), 1)
 
-    def sine(self, multiples: IntArray) -> FloatArray:
-        """Return the sines of integer multiples of the angles, (n_multiples, n_nodes) array."""
-        return np.asarray(self._table[(multiples[:, None] * self._place) % (2 * self.period)])
+def _tilted_tail(terms: Sequence[Term], bound: int, side: int) -> float:
+    """Return P(sum >= bound) for side 1, P(sum <= bound) for side -1."""
+    parts = [(values * side, weights, count) for values, weights, count in terms]
+    target = bound * side
+    top = sum(count * int(steps.max()) for steps, _, count in parts)
+    if target > top:
+        return 0.0
+    if target == top:
+        return math.exp(sum(count * math.log(float(weights[np.argmax(steps)])) for steps, weights, count in parts))
+    tilt = _tilt_towards(parts, target)
+    mean, deviation = _moments(parts, tilt)
+    span = max(int(steps.max() - steps.min()) for steps, _, _ in parts)
+    # The tilted probability this far from the mean is negligible, so a window replaces the full range.
+    margin = 14 * deviation + 40 * span
+    last = min(top, math.ceil(mean + margin))
+    size = 1 << max(last - min(target, math.floor(mean - margin)), span + 1).bit_length()
+    spectrum = np.ones(size // 2 + 1, dtype=complex)
+    log_scale, origin = 0.0, 0
+    for steps, weights, count in parts:
+        first = int(steps.min())
+        tilted = np.zeros(size)
+        log_weight = np.log(weights) + tilt * (steps - first)
+        log_sum = float(np.logaddexp.reduce(log_weight))
+        tilted[steps - first] = np.exp(log_weight - log_sum)
+        spectrum *= np.fft.rfft(tilted) ** count
+        log_scale += count * log_sum
+        origin += count * first
+    reach = np.arange(target, last + 1) - origin
+    pmf = np.maximum(np.fft.irfft(spectrum, size)[reach % size], 1e-300)
+    return float(np.sum(np.exp(log_scale - tilt * reach + np.log(pmf))))
+
+
+def _tilt_towards(parts: Sequence[Term], target: int) -> float:
+    """Find the non-negative exponential tilt for which the mean of the sum equals the target."""
+    from scipy.optimize import brentq
+
+    def short(tilt: float) -> float:
+        return target - _moments(parts, tilt)[0]
+
+    if short(0.0) <= 0:
+        return 0.0
+    return _STEEPEST if short(_STEEPEST) > 0 else float(brentq(short, 0.0, _STEEPEST))
+
+
+def _moments(parts: Sequence[Term], tilt: float) -> tuple[float, float]:
+    """Return mean and standard deviation of the tilted sum."""
+    mean = variance = 0.0
+    for steps, weights, count in parts:
+        log_weight = np.log(weights) + tilt * (steps - steps.max())
+        weight = np.exp(log_weight - log_weight.max())
+        weight /= weight.sum()
+        centre = float((steps * weight).sum())
+        mean += count * centre
+        variance += count * float(((steps - centre) ** 2 * weight).sum())
+    return mean, math.sqrt(variance)
