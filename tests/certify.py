@@ -21,9 +21,8 @@ import scipy
 
 import certified_measures
 import modaltouch
-from modaltouch.analysis.agreement import ac1_interval
 from modaltouch.analysis.association import association_test
-from modaltouch.analysis.consistency import shows_dominance
+from modaltouch.analysis.consistency import ac1_interval, shows_dominance
 from modaltouch.analysis.counts import AnswerCounts, Pair
 from modaltouch.analysis.exact import sign_flip_test, sign_test
 from modaltouch.analysis.findings import holm

@@ -5,8 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from modaltouch.analysis import agreement
-from modaltouch.analysis.agreement import ac1_interval, agreement_between, prevalence
+from modaltouch.analysis.consistency import ac1_interval, agreement_between, prevalence
 
 NA = 0
 RAW4RATERS = [
@@ -74,7 +73,7 @@ class TestInterval:
         """
         n_draws, rng = 400_000, np.random.default_rng(12)
         answers = np.eye(3)[np.random.default_rng(11).multinomial(1, [0.7, 0.2, 0.1], (8, 4)).argmax(axis=-1)]
-        monkeypatch.setattr(agreement, "_DRAWS", n_draws)
+        monkeypatch.setattr("modaltouch.analysis.consistency._DRAWS", n_draws)
         expected = []
         for end, quantile in ((np.min, 0.025), (np.max, 0.975)):
             votes = answers.sum(axis=0)
@@ -95,7 +94,7 @@ class TestInterval:
         """As many as memory allows at once: the bounds of thirty agree to rounding."""
         given = np.random.default_rng(7).multinomial(1, [0.7, 0.2, 0.1], (2, 30, 4))
         whole = ac1_interval(given)
-        monkeypatch.setattr(agreement, "_AT_ONCE", 2000)
+        monkeypatch.setattr("modaltouch.analysis.consistency._AT_ONCE", 2000)
         parts = ac1_interval(given)
         np.testing.assert_allclose([parts.low, parts.high], [whole.low, whole.high], rtol=1e-12)
 

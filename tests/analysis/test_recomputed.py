@@ -10,8 +10,7 @@ import pytest
 from scipy import optimize, stats
 from statsmodels.stats.multitest import multipletests
 
-from modaltouch.analysis.agreement import ac1_interval, agreement_between
-from modaltouch.analysis.consistency import consistency_findings
+from modaltouch.analysis.consistency import ac1_interval, agreement_between, consistency_findings
 from modaltouch.analysis.counts import count_answers
 from modaltouch.analysis.covariates import side_findings
 from modaltouch.analysis.exact import multinomial_test, sign_flip_test

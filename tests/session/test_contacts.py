@@ -10,7 +10,7 @@ import pytest
 from ruamel.yaml import YAML
 
 from modaltouch.analysis import TableFormat, analyse, read_responses
-from modaltouch.analysis.zones import label_zones
+from modaltouch.analysis.columns import label_zones
 from modaltouch.planning import Observer, designs_for
 from modaltouch.preflight import Preflight, examine
 from modaltouch.protocol import InputError

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from modaltouch.analysis.columns import VELOCITY, scale_of
 from modaltouch.analysis.csv_table import Table, list_faults
 from modaltouch.analysis.responses import answers_per_cell, cell_of, describe_cell, keys_of
-from modaltouch.analysis.scale import VELOCITY, scale_of
 from modaltouch.protocol import Problem
 
 _MOST_MISSING = 0.25

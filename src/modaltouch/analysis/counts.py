@@ -14,9 +14,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from modaltouch.analysis.scale import VELOCITY, LevelScale, scale_of
+from modaltouch.analysis.columns import VELOCITY, LevelScale, scale_of, zones_in_words, zones_of
 from modaltouch.analysis.shares import Shares
-from modaltouch.analysis.zones import zones_in_words, zones_of
 from modaltouch.protocol import AnswerList
 
 PAPER_CONDITIONS = ("one_hand", "two_hands")

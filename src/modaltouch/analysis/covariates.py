@@ -11,13 +11,13 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
+from modaltouch.analysis.columns import label_zones
 from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.exact import sign_flip_test
 from modaltouch.analysis.findings import Finding, finding_of
 from modaltouch.analysis.intervals import CONFIDENCE, Interval
 from modaltouch.analysis.means import BoundedMean
 from modaltouch.analysis.shares import Shares, mean_of_known
-from modaltouch.analysis.zones import label_zones
 
 IntArray = NDArray[np.int64]
 FloatArray = NDArray[np.float64]

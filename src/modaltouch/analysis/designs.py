@@ -11,6 +11,7 @@ from typing import Any
 
 from modaltouch.analysis.catches import CatchRow, catch_findings, catch_rows
 from modaltouch.analysis.certificates import certificates_in_words
+from modaltouch.analysis.columns import LevelScale, scale_of
 from modaltouch.analysis.counts import Pair
 from modaltouch.analysis.detection import sensitivities
 from modaltouch.analysis.findings import Finding
@@ -25,7 +26,6 @@ from modaltouch.analysis.measures import (
 )
 from modaltouch.analysis.ratings import level_findings, questions_of, ratings
 from modaltouch.analysis.responses import Responses
-from modaltouch.analysis.scale import LevelScale, scale_of
 from modaltouch.analysis.task import TrialTask
 from modaltouch.analysis.thresholds.constant import FittedCell, fit_cells, measures_of_fits
 

@@ -8,10 +8,10 @@ from dataclasses import replace
 
 import pandas as pd
 
+from modaltouch.analysis.columns import scale_of, zones_of
 from modaltouch.analysis.intervals import Interval
 from modaltouch.analysis.measures import Cell, IndividualValue, Measure, cells, kind_of
 from modaltouch.analysis.responses import Responses
-from modaltouch.analysis.scale import scale_of
 from modaltouch.analysis.sensitivity import (
     Count,
     SignalDetection,
@@ -22,7 +22,6 @@ from modaltouch.analysis.sensitivity import (
     yes_no,
 )
 from modaltouch.analysis.task import TrialTask
-from modaltouch.analysis.zones import zones_of
 
 D_PRIME = Measure("d'", "sensitivity d'", "sensitivity", null=0.0)
 CRITERION = Measure("criterion", "criterion c", "sensitivity")

@@ -15,8 +15,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
+from modaltouch.analysis.columns import scale_of
 from modaltouch.analysis.intervals import clopper_pearson
-from modaltouch.analysis.scale import scale_of
 from modaltouch.report import FAINT, INK, PAIR_COLOURS, house_style, quiet_grid
 
 ANSWER_COLOURS = {"dominant": "#0b3c8c", "other": "#d1603d"}

@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
+from modaltouch.analysis.columns import label_zones, scale_of
 from modaltouch.analysis.counts import AnswerCounts
-from modaltouch.analysis.scale import scale_of
-from modaltouch.analysis.zones import label_zones
 from modaltouch.report import render_page
 
 if TYPE_CHECKING:

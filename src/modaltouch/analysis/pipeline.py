@@ -7,10 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from modaltouch.analysis.columns import Speed
 from modaltouch.analysis.gallery import FIGURES, draw_all
 from modaltouch.analysis.provenance import form_files
 from modaltouch.analysis.reading import read_responses
-from modaltouch.analysis.scale import Speed
 from modaltouch.protocol import InputError
 from modaltouch.report import write_files
 from modaltouch.system import version

@@ -12,13 +12,13 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from modaltouch.analysis.association import shuffle_conditions
+from modaltouch.analysis.columns import LevelScale, scale_of
 from modaltouch.analysis.exact import ExactTest
 from modaltouch.analysis.findings import Finding, finding_of
 from modaltouch.analysis.intervals import Interval, student_quantile
 from modaltouch.analysis.location import by_ranks
 from modaltouch.analysis.measures import IndividualValue, Measure, as_told, cells, linear
 from modaltouch.analysis.responses import Responses
-from modaltouch.analysis.scale import LevelScale, scale_of
 from modaltouch.analysis.task import TrialTask
 from modaltouch.protocol import ScaleSection
 

@@ -12,12 +12,12 @@ from typing import Any
 import pandas as pd
 
 from modaltouch.analysis.certificates import certificates_in_words, certificates_of
+from modaltouch.analysis.columns import OWN_THRESHOLD, zones_in_words, zones_of
 from modaltouch.analysis.counts import AnswerCounts, Pair
 from modaltouch.analysis.covariates import has_values
 from modaltouch.analysis.findings import ALPHA, Finding
 from modaltouch.analysis.outcome import Analysis
 from modaltouch.analysis.responses import cell_of
-from modaltouch.analysis.scale import OWN_THRESHOLD
 from modaltouch.analysis.tables import PAPER_TEXT, zone_table
 from modaltouch.analysis.words import (
     answer_question,
@@ -27,7 +27,6 @@ from modaltouch.analysis.words import (
     scope_in_words,
     state_families,
 )
-from modaltouch.analysis.zones import zones_in_words, zones_of
 from modaltouch.report import ReportFigure, format_number, page_files
 
 MOST_ROWS = 8

@@ -15,8 +15,16 @@ from collections.abc import Callable, Collection, Container, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-from modaltouch.analysis.scale import DELIVERED, OWN_THRESHOLD, PREDICTED, VELOCITY, LevelScale, Speed, scale_of
-from modaltouch.analysis.zones import zones_of
+from modaltouch.analysis.columns import (
+    DELIVERED,
+    OWN_THRESHOLD,
+    PREDICTED,
+    VELOCITY,
+    LevelScale,
+    Speed,
+    scale_of,
+    zones_of,
+)
 from modaltouch.protocol import AnswerList, InputError
 
 if TYPE_CHECKING:

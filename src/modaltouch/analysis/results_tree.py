@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from modaltouch.analysis.columns import OWN_THRESHOLD, VELOCITY
 from modaltouch.analysis.provenance import SessionFacts, take_facts
 from modaltouch.analysis.responses import (
     MODES,
@@ -31,7 +32,6 @@ from modaltouch.analysis.responses import (
     sum_catches,
     unmirror,
 )
-from modaltouch.analysis.scale import OWN_THRESHOLD, VELOCITY
 from modaltouch.protocol import TIME_OUT, AnswerList, InputError
 from modaltouch.record import RecordError, Session, SessionFolder, audit_session, read_session
 

@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 
 from modaltouch.analysis.balance import check_balance, check_unit, doubling_notes
+from modaltouch.analysis.columns import OWN_THRESHOLD, VELOCITY, zones_of
 from modaltouch.analysis.csv_table import Table, list_faults, read_table
 from modaltouch.analysis.responses import (
     MODES,
@@ -26,8 +27,6 @@ from modaltouch.analysis.responses import (
     sum_catches,
     unmirror,
 )
-from modaltouch.analysis.scale import OWN_THRESHOLD, VELOCITY
-from modaltouch.analysis.zones import zones_of
 from modaltouch.protocol import TIME_OUT, AnswerList, InputError, Problem, ScaleSection, suggest
 
 _SPEEDS = ("speed_left_mm_s", "speed_between_mm_s", "speed_right_mm_s")

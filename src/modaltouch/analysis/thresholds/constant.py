@@ -16,10 +16,10 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from modaltouch.analysis.columns import LevelScale, scale_of
 from modaltouch.analysis.intervals import Interval
 from modaltouch.analysis.measures import Cell, IndividualValue, Measure, cells, kind_of
 from modaltouch.analysis.responses import Responses
-from modaltouch.analysis.scale import LevelScale, scale_of
 from modaltouch.analysis.task import TrialTask
 from modaltouch.analysis.thresholds.psychometric import Psychometric, fit_psychometric
 

@@ -12,13 +12,12 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from modaltouch.analysis.columns import label_zones, scale_of, zones_of
 from modaltouch.analysis.findings import Finding
 from modaltouch.analysis.intervals import Interval, student_interval
 from modaltouch.analysis.measures import IndividualValue, Measure, contrast_findings, group_findings
 from modaltouch.analysis.responses import Responses
-from modaltouch.analysis.scale import scale_of
 from modaltouch.analysis.thresholds.psychometric import Psychometric, fit_psychometric
-from modaltouch.analysis.zones import label_zones, zones_of
 from modaltouch.report import format_number
 
 KEYS = ("participant", "session", "finger_condition")
