@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from modaltouch.analysis.exact import multinomial_test, sign_flip_test, sign_test
-from modaltouch.analysis.intervals import Interval, clopper_pearson
-from modaltouch.analysis.means import BoundedMean
+from modaltouch.analysis.intervals import BoundedMean, Interval, clopper_pearson
 from modaltouch.analysis.trend import trend_test
 
 

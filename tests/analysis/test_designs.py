@@ -18,9 +18,8 @@ from scipy.special import ndtr, ndtri
 from modaltouch.analysis.designs import analyse_design
 from modaltouch.analysis.detection import CRITERION, D_PRIME
 from modaltouch.analysis.findings import Finding, correct
-from modaltouch.analysis.intervals import Interval
+from modaltouch.analysis.intervals import BoundedMean, Interval
 from modaltouch.analysis.location import by_flips, by_ranks, group_test
-from modaltouch.analysis.means import BoundedMean
 from modaltouch.analysis.measures import IndividualValue, Measure, contrast_findings, over_participants
 from modaltouch.analysis.outcome import Analysis
 from modaltouch.analysis.pipeline import analyse

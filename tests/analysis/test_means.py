@@ -11,9 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import beta
 
-from modaltouch.analysis import means
-from modaltouch.analysis.intervals import clopper_pearson
-from modaltouch.analysis.means import BoundedMean
+from modaltouch.analysis import intervals
+from modaltouch.analysis.intervals import BoundedMean, clopper_pearson
 
 SCORES = st.lists(st.sampled_from([-1.0, -0.75, -0.5, -0.25, 0.0, 0.25, 0.5, 0.75, 1.0]), min_size=2, max_size=12)
 
@@ -148,9 +147,9 @@ def test_many_participants_have_the_same_chance_by_transform(spread) -> None:
     rows = np.sort(rows, axis=1)
     for value in (-0.05, 0.0, 0.03, 0.3):
         values = np.full(5, value)
-        chance, is_small = means._inverted(rows, -1.0, values)
+        chance, is_small = intervals._inverted(rows, -1.0, values)
         assert not is_small.any()
-        assert chance == pytest.approx(means._dropped(rows, -1.0, values), abs=1e-13)
+        assert chance == pytest.approx(intervals._dropped(rows, -1.0, values), abs=1e-13)
 
 
 @pytest.mark.parametrize("n", [300, 800, 1000])

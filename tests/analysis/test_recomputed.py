@@ -15,9 +15,8 @@ from modaltouch.analysis.counts import count_answers
 from modaltouch.analysis.covariates import side_findings
 from modaltouch.analysis.exact import multinomial_test, sign_flip_test
 from modaltouch.analysis.findings import holm
-from modaltouch.analysis.intervals import matched_odds_ratio
+from modaltouch.analysis.intervals import BoundedMean, matched_odds_ratio
 from modaltouch.analysis.location import rank_test, shuffle_test
-from modaltouch.analysis.means import BoundedMean
 from modaltouch.analysis.ratings import power_law
 from modaltouch.analysis.trend import trend_test
 

@@ -7,7 +7,7 @@ import pytest
 
 from modaltouch.analysis.counts import AnswerCounts, count_answers
 from modaltouch.analysis.figures import draw_counts
-from modaltouch.analysis.means import BoundedMean
+from modaltouch.analysis.intervals import BoundedMean
 from modaltouch.analysis.tables import figure_names, zone_table
 from modaltouch.report.page import PAIR_COLOURS
 

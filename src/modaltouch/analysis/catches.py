@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from modaltouch.analysis.findings import Finding, finding_of
-from modaltouch.analysis.means import BoundedMean
+from modaltouch.analysis.intervals import BoundedMean
 from modaltouch.analysis.responses import Responses
 
 _ABSENT = "none"

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from modaltouch.analysis.exact import ExactTest, sign_flip_test
 from modaltouch.analysis.findings import ALPHA, holm
-from modaltouch.analysis.intervals import Interval
-from modaltouch.analysis.means import BoundedMean
+from modaltouch.analysis.intervals import BoundedMean, Interval
 from modaltouch.analysis.shares import Shares, mean_of_known
 
 FloatArray = NDArray[np.float64]

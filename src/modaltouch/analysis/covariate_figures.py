@@ -11,7 +11,7 @@ from modaltouch.analysis.columns import label_zones
 from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.covariates import ANTICIPATION, has_values, ranked_answers
 from modaltouch.analysis.figures import ANSWER_COLOURS, pair_colours
-from modaltouch.analysis.means import BoundedMean
+from modaltouch.analysis.intervals import BoundedMean
 from modaltouch.analysis.words import condition_in_words
 from modaltouch.protocol import AnswerList
 from modaltouch.report import FAINT, INK, house_style, quiet_grid

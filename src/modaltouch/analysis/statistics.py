@@ -26,8 +26,7 @@ from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.covariates import secondary_findings
 from modaltouch.analysis.exact import multinomial_test, sign_test
 from modaltouch.analysis.findings import Finding, correct, finding_of
-from modaltouch.analysis.intervals import Interval, clopper_pearson
-from modaltouch.analysis.means import BoundedMean
+from modaltouch.analysis.intervals import BoundedMean, Interval, clopper_pearson
 from modaltouch.analysis.shares import Shares
 from modaltouch.analysis.trend import MOST_EXACT, smallest_trend_p, trend_test
 
