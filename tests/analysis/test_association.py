@@ -7,11 +7,11 @@ from itertools import permutations, product
 import numpy as np
 import pytest
 
-from modaltouch.analysis.association import association_test, joint_findings
 from modaltouch.analysis.consistency import effect_findings
 from modaltouch.analysis.counts import AnswerCounts, Pair
 from modaltouch.analysis.exact import sign_flip_test
-from modaltouch.analysis.statistics import cell_share_findings
+from modaltouch.analysis.permutation import association_test
+from modaltouch.analysis.statistics import cell_share_findings, joint_findings
 from modaltouch.protocol import AnswerList
 
 WORDS = AnswerList.of({"keys": ["rough", "smooth", "sharp"]})

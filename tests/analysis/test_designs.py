@@ -19,11 +19,11 @@ from modaltouch.analysis.designs import analyse_design
 from modaltouch.analysis.detection import CRITERION, D_PRIME
 from modaltouch.analysis.findings import Finding, correct
 from modaltouch.analysis.intervals import BoundedMean, Interval
-from modaltouch.analysis.location import by_flips, by_ranks, group_test
 from modaltouch.analysis.measures import IndividualValue, Measure, contrast_findings, over_participants
 from modaltouch.analysis.outcome import Analysis
+from modaltouch.analysis.permutation import by_flips, by_ranks, friedman, group_test
 from modaltouch.analysis.pipeline import analyse
-from modaltouch.analysis.ratings import friedman, level_findings, power_law
+from modaltouch.analysis.ratings import level_findings, power_law
 from modaltouch.analysis.reading import read_responses
 from modaltouch.analysis.report import design_limits
 from modaltouch.analysis.responses import AnswerSource, Responses, TableFormat

@@ -16,7 +16,7 @@ from modaltouch.analysis.covariates import side_findings
 from modaltouch.analysis.exact import multinomial_test, sign_flip_test
 from modaltouch.analysis.findings import holm
 from modaltouch.analysis.intervals import BoundedMean, matched_odds_ratio
-from modaltouch.analysis.location import rank_test, shuffle_test
+from modaltouch.analysis.permutation import rank_test, shuffle_test
 from modaltouch.analysis.ratings import power_law
 from modaltouch.analysis.trend import trend_test
 

@@ -6,7 +6,6 @@ import pytest
 
 from modaltouch.analysis.counts import count_answers
 from modaltouch.analysis.covariates import (
-    centre_interval,
     order_findings,
     secondary_findings,
     side_findings,
@@ -15,6 +14,7 @@ from modaltouch.analysis.covariates import (
 )
 from modaltouch.analysis.exact import sign_flip_test
 from modaltouch.analysis.intervals import student_interval
+from modaltouch.analysis.permutation import centre_interval
 
 
 def test_a_side_bias_is_the_difference_between_focus_right_and_left(build) -> None:

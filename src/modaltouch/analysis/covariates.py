@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from itertools import combinations
 
@@ -15,7 +14,8 @@ from modaltouch.analysis.columns import label_zones
 from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.exact import sign_flip_test
 from modaltouch.analysis.findings import Finding, finding_of
-from modaltouch.analysis.intervals import CONFIDENCE, BoundedMean, Interval
+from modaltouch.analysis.intervals import BoundedMean, Interval
+from modaltouch.analysis.permutation import centre_interval
 from modaltouch.analysis.shares import Shares, mean_of_known
 
 IntArray = NDArray[np.int64]
@@ -147,30 +147,6 @@ def time_findings(answers: AnswerCounts, frame: pd.DataFrame, n_untimed: int = 0
                 f"{condition} {first.label} - {second.label}", test, "difference of medians [s]",
                 _rounded(centre_interval(gap), known), int(gap.size), notes=notes,
             )  # fmt: skip
-
-
-def centre_interval(seconds: FloatArray) -> Interval:
-    """Return the mean with the interval of centres not rejected by the sign-flip test, to a millisecond.
-
-    Parameters
-    ----------
-    seconds : (n,) array
-        One value per participant [s].
-
-    References
-    ----------
-    Hartigan, J. Am. Stat. Assoc. 64 (1969) 1303-1317 (typical values).
-    """
-    values = np.rint(seconds * 1000).astype(np.int64)
-    if 2.0 ** (1 - values.size) > 1 - CONFIDENCE:
-        return Interval(float(seconds.mean()) if values.size else math.nan, -math.inf, math.inf, values.size)
-
-    def lowest(values: IntArray) -> int:
-        centres = range(int(values.min()), int(np.rint(values.mean())))
-        kept = bisect_right(centres, 1 - CONFIDENCE, key=lambda centre: sign_flip_test(values - centre).p)
-        return centres.start + kept
-
-    return Interval(float(seconds.mean()), lowest(values) / 1000, -lowest(-values) / 1000, values.size)
 
 
 def _rounded(interval: Interval, known: float) -> Interval:

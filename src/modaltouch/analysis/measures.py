@@ -20,7 +20,7 @@ from modaltouch.analysis.certificates import certificates
 from modaltouch.analysis.columns import LevelScale, label_zones
 from modaltouch.analysis.findings import ALPHA, Finding, finding_of
 from modaltouch.analysis.intervals import BoundedMean, Interval
-from modaltouch.analysis.location import Located, by_flips, by_ranks, flip_test, group_test
+from modaltouch.analysis.permutation import Located, by_flips, by_ranks, flip_test, group_test
 
 FloatArray = NDArray[np.float64]
 Cell = tuple[str, str, str, float]

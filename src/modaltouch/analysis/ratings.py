@@ -11,13 +11,11 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from modaltouch.analysis.association import shuffle_conditions
 from modaltouch.analysis.columns import LevelScale, scale_of
-from modaltouch.analysis.exact import ExactTest
 from modaltouch.analysis.findings import Finding, finding_of
 from modaltouch.analysis.intervals import Interval, student_quantile
-from modaltouch.analysis.location import by_ranks
 from modaltouch.analysis.measures import IndividualValue, Measure, as_told, cells, linear
+from modaltouch.analysis.permutation import by_ranks, friedman
 from modaltouch.analysis.responses import Responses
 from modaltouch.analysis.task import TrialTask
 from modaltouch.protocol import ScaleSection
@@ -235,25 +233,3 @@ def _over_levels(
         family="rating over levels",
         notes=[f"{left_out} participants without a rating at every level left out" if left_out else ""],
     )  # fmt: skip
-
-
-def friedman(rows: np.ndarray) -> tuple[ExactTest, Any]:
-    """Return Friedman's test, with p from permutations within participants, and Kendall's W.
-
-    Parameters
-    ----------
-    rows : (..., n_participants, n_levels) array
-        Mean ratings.
-    """
-    shape, (n, k) = rows.shape[:-2], rows.shape[-2:]
-    ranks = pd.DataFrame(rows.reshape(-1, k)).round(9).rank(axis=1).to_numpy().reshape(-1, n, k)
-    ties = ((ranks[..., np.newaxis] == ranks[..., np.newaxis, :]).sum(axis=-1) ** 2 - 1).sum(axis=(1, 2))
-    most = n**2 * (k**3 - k) / 12 - n * ties / 12
-    # Ranks are multiples of 1/2, so their sums are exact in single precision.
-    test = shuffle_conditions((ranks - (k + 1) / 2).astype(np.float32)[..., np.newaxis])
-    concordance = np.divide(test.statistic, most, out=np.full(most.shape, math.nan), where=most > 0)
-    statistic = np.where(most > 0, n * (k - 1) * concordance, 0.0)
-    found: list[Any] = [
-        each.reshape(shape)[()] for each in (statistic, test.p, test.p_min, test.n_informative, concordance)
-    ]
-    return ExactTest(*found[:4]), found[4]

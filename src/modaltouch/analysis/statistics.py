@@ -27,6 +27,7 @@ from modaltouch.analysis.covariates import secondary_findings
 from modaltouch.analysis.exact import multinomial_test, sign_test
 from modaltouch.analysis.findings import Finding, correct, finding_of
 from modaltouch.analysis.intervals import BoundedMean, Interval, clopper_pearson
+from modaltouch.analysis.permutation import association_test
 from modaltouch.analysis.shares import Shares
 from modaltouch.analysis.trend import MOST_EXACT, smallest_trend_p, trend_test
 
@@ -118,6 +119,29 @@ def cell_share_findings(answers: AnswerCounts) -> Iterator[Finding]:
         for label, place in answers.effects(answers.pairs[q])[: None if answers.is_nominal else 1]:
             share, n = clopper_pearson(own[place], own.sum()), int(own.sum())
             yield finding_of("a1", "share in a cell, exact interval", scope, None, f"P({label})", share, n)
+
+
+def joint_findings(answers: AnswerCounts) -> Iterator[Finding]:
+    """Yield joint tests of all unordered answers over levels, finger conditions and pairs of zones."""
+    counts, pairs = answers.counts, [pair.label for pair in answers.pairs]
+    over_levels = counts.sum(axis=3)
+    for question, scopes, own in (
+        ("b", [scope for *_, scope in answers.pair_cells], np.concatenate(np.moveaxis(counts, 0, 2))),
+        ("c", pairs, over_levels.transpose(2, 0, 1, 3)),
+        ("d", answers.finger_conditions, over_levels.swapaxes(0, 1)),
+    ):
+        if own.shape[-2] > 1:
+            where = " over levels" * (question == "b")
+            test, n, name = (
+                association_test(own),
+                len(counts),
+                f"all answers together{where}, shuffles within participants",
+            )
+            for place, scope in enumerate(scopes):
+                yield finding_of(
+                    question, name, scope, test[place], "shares of all answers", Interval.point(math.nan, n), n,
+                    family=f"{question} together",
+                )  # fmt: skip
 
 
 def dominance(answers: AnswerCounts) -> Contrast | None:
@@ -367,8 +391,6 @@ def _choice_findings(answers: AnswerCounts) -> Iterator[Finding]:
         if family == "a2" and answers.compares:
             yield from leaning_findings(answers)
     if answers.is_nominal:
-        from modaltouch.analysis.association import joint_findings
-
         yield from joint_findings(answers)
     yield from consistency_findings(answers)
     yield from effect_findings(answers)

@@ -1,29 +1,34 @@
-"""Location tests for one value per participant, with the intervals that invert them.
+"""Permutation tests within and between participants, with the intervals that invert them.
 
-One-sample tests of symmetry use sign flips, or signed ranks for ratings. Two-sample tests permute the group labels.
+Of one value per participant: one-sample tests of symmetry use sign flips, or signed ranks for ratings; two-sample tests
+permute the group labels. Of several conditions: ranks or unordered answers are permuted within participants.
 
 References
 ----------
 Hollander and Wolfe, "Nonparametric Statistical Methods" (1973), sections 3.1 to 3.3 (signed ranks).
 Pitman, J. R. Stat. Soc. Suppl. 4 (1937) 119-130 (shuffled groups).
+Friedman, J. Am. Stat. Assoc. 32 (1937) 675-701; Landis, Heyman and Koch, Int. Stat. Rev. 46 (1978) 237-254 (general
+association of unordered answers, stratified by participant).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from bisect import bisect_right
+from collections.abc import Callable, Iterator
 from functools import lru_cache
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from modaltouch.analysis.covariates import centre_interval
 from modaltouch.analysis.exact import ExactTest, sign_flip_test
 from modaltouch.analysis.intervals import CONFIDENCE, Interval
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 Located = tuple[ExactTest, Interval]
 
 
@@ -47,6 +52,30 @@ def by_flips(values: FloatArray) -> Located:
     """Return the sign-flip test of `flip_test`, and the mean with the interval of centres that it does not reject."""
     unit = _unit(values)
     return flip_test(values), centre_interval(values / unit).changed(lambda scaled: scaled * unit)
+
+
+def centre_interval(seconds: FloatArray) -> Interval:
+    """Return the mean with the interval of centres not rejected by the sign-flip test, to a millisecond.
+
+    Parameters
+    ----------
+    seconds : (n,) array
+        One value per participant [s].
+
+    References
+    ----------
+    Hartigan, J. Am. Stat. Assoc. 64 (1969) 1303-1317 (typical values).
+    """
+    values = np.rint(seconds * 1000).astype(np.int64)
+    if 2.0 ** (1 - values.size) > 1 - CONFIDENCE:
+        return Interval(float(seconds.mean()) if values.size else math.nan, -math.inf, math.inf, values.size)
+
+    def lowest(values: IntArray) -> int:
+        centres = range(int(values.min()), int(np.rint(values.mean())))
+        kept = bisect_right(centres, 1 - CONFIDENCE, key=lambda centre: sign_flip_test(values - centre).p)
+        return centres.start + kept
+
+    return Interval(float(seconds.mean()), lowest(values) / 1000, -lowest(-values) / 1000, values.size)
 
 
 def rank_test(values: FloatArray) -> ExactTest:
@@ -161,3 +190,82 @@ def _last_kept(p: Callable[[float], float], kept: float, rejected: float) -> flo
         middle = (kept + rejected) / 2
         kept, rejected = (middle, rejected) if p(middle) > 1 - CONFIDENCE else (kept, middle)
     return kept
+
+
+_SHUFFLES = 9_999
+
+
+def association_test(counts: NDArray[np.int64]) -> ExactTest:
+    """Test the null hypothesis that no participant's answers depend on the condition.
+
+    As in Pearson's statistic, the deviations of the counts from those expected from each participant's totals are
+    squared and divided by the total of the answer; the deviations are first summed over participants.
+
+    Parameters
+    ----------
+    counts : (..., n_participants, n_conditions, n_answers) array of int
+        Counts of answers.
+    """
+    given, asked = counts.sum(axis=-2, keepdims=True), counts.sum(axis=-1, keepdims=True)
+    expected = asked * given / np.maximum(asked.sum(axis=-2, keepdims=True), 1)
+    return shuffle_conditions((counts - expected) / np.sqrt(np.maximum(given.sum(axis=-3, keepdims=True), 1)))
+
+
+def shuffle_conditions(values: NDArray[Any]) -> ExactTest:
+    """Test the exchangeability of conditions within participants, by 9,999 permutations with a fixed seed.
+
+    Parameters
+    ----------
+    values : (..., n_participants, n_conditions, n_values) array
+        Values to permute. The statistic is the sum of squares of their sums over participants.
+    """
+    shape, (n, k, n_values) = values.shape[:-3], values.shape[-3:]
+    rows = values.reshape(-1, n, k, n_values)
+    order = np.lexsort(np.moveaxis(rows.reshape(-1, n, k * n_values), -1, 0))  # independent of participant order
+    rows = np.take_along_axis(rows, order[..., np.newaxis, np.newaxis], axis=1)
+    observed = (rows.sum(axis=1, dtype=float) ** 2).sum(axis=(-2, -1))
+    flat, reached = np.moveaxis(rows, -1, 1).reshape(-1, n * k), np.zeros(len(rows))
+    for shuffles in _shuffles(n, k, 1_000_000 // (k * max(len(flat), n * k))):
+        sums = (flat @ shuffles).astype(float).reshape(len(rows), n_values, -1, k)
+        least = observed - 1e-9 * np.maximum(observed, 1.0)  # tolerance for rounding
+        reached += ((sums**2).sum(axis=(1, 3)) >= least[:, np.newaxis]).sum(axis=-1)
+    # Relabelling the conditions for all participants leaves the statistic unchanged, so the most extreme arrangement is
+    # reached in at least as many ways as the participant with the most distinct arrangements has.
+    alike = (rows[:, :, :, np.newaxis] == rows[:, :, np.newaxis]).all(axis=-1)
+    ways = math.lgamma(k + 1) - np.log(np.tril(alike).sum(axis=-1)).sum(axis=-1)  # log of the number
+    p_min = np.maximum(1 / (_SHUFFLES + 1), np.exp(ways.max(axis=-1) - ways.sum(axis=-1)))
+    p = np.maximum((reached + 1) / (_SHUFFLES + 1), p_min)
+    return ExactTest(*(each.reshape(shape)[()] for each in (observed, p, p_min, (ways > 1e-9).sum(axis=-1))))
+
+
+def _shuffles(n: int, k: int, at_once: int) -> Iterator[NDArray[np.float32]]:
+    """Yield batches of permutations within n participants, as matrices that map values to their sums by condition."""
+    rng = np.random.default_rng(1)
+    for start in range(0, _SHUFFLES, max(at_once, 1)):
+        size = min(max(at_once, 1), _SHUFFLES - start)
+        places = rng.permuted(np.broadcast_to(np.arange(k), (size, n, k)), axis=2)
+        picked = np.zeros((n, k, size, k), dtype=np.float32)
+        picked[np.arange(n)[:, np.newaxis], places, np.arange(size)[:, np.newaxis, np.newaxis], np.arange(k)] = 1
+        yield picked.reshape(n * k, size * k)
+
+
+def friedman(rows: FloatArray) -> tuple[ExactTest, Any]:
+    """Return Friedman's test, with p from permutations within participants, and Kendall's W.
+
+    Parameters
+    ----------
+    rows : (..., n_participants, n_levels) array
+        Mean ratings.
+    """
+    shape, (n, k) = rows.shape[:-2], rows.shape[-2:]
+    ranks = pd.DataFrame(rows.reshape(-1, k)).round(9).rank(axis=1).to_numpy().reshape(-1, n, k)
+    ties = ((ranks[..., np.newaxis] == ranks[..., np.newaxis, :]).sum(axis=-1) ** 2 - 1).sum(axis=(1, 2))
+    most = n**2 * (k**3 - k) / 12 - n * ties / 12
+    # Ranks are multiples of 1/2, so their sums are exact in single precision.
+    test = shuffle_conditions((ranks - (k + 1) / 2).astype(np.float32)[..., np.newaxis])
+    concordance = np.divide(test.statistic, most, out=np.full(most.shape, math.nan), where=most > 0)
+    statistic = np.where(most > 0, n * (k - 1) * concordance, 0.0)
+    found: list[Any] = [
+        each.reshape(shape)[()] for each in (statistic, test.p, test.p_min, test.n_informative, concordance)
+    ]
+    return ExactTest(*found[:4]), found[4]
