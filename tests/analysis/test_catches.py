@@ -10,9 +10,9 @@ from statistics import NormalDist
 import numpy as np
 import pytest
 
-from modaltouch.analysis.catches import catch_findings, catch_rows
 from modaltouch.analysis.counts import count_answers
 from modaltouch.analysis.designs import analyse_design
+from modaltouch.analysis.detection import catch_findings, catch_rows
 from modaltouch.analysis.exact import multinomial_test
 from modaltouch.analysis.pipeline import analyse
 from modaltouch.analysis.reading import read_responses

@@ -9,11 +9,10 @@ from functools import cached_property
 from itertools import combinations
 from typing import Any
 
-from modaltouch.analysis.catches import CatchRow, catch_findings, catch_rows
 from modaltouch.analysis.certificates import certificates_in_words
 from modaltouch.analysis.columns import LevelScale, scale_of
 from modaltouch.analysis.counts import Pair
-from modaltouch.analysis.detection import sensitivities
+from modaltouch.analysis.detection import CatchRow, catch_findings, catch_rows, sensitivities
 from modaltouch.analysis.findings import Finding
 from modaltouch.analysis.intervals import Interval
 from modaltouch.analysis.measures import (
