@@ -13,8 +13,7 @@ from modaltouch.analysis.covariates import (
     time_findings,
 )
 from modaltouch.analysis.exact import sign_flip_test
-from modaltouch.analysis.intervals import student_interval
-from modaltouch.analysis.permutation import centre_interval
+from modaltouch.analysis.intervals import centre_interval, student_interval
 
 
 def test_a_side_bias_is_the_difference_between_focus_right_and_left(build) -> None:

@@ -18,6 +18,7 @@ Learned-Miller and Thomas, "A new confidence interval for the mean of a bounded 
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections.abc import Callable
 from dataclasses import dataclass
 from statistics import NormalDist
@@ -26,7 +27,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from modaltouch.analysis.exact import ExactTest
+from modaltouch.analysis.exact import ExactTest, sign_flip_test
 
 FloatArray = NDArray[np.float64]
 
@@ -134,6 +135,30 @@ def student_interval(values: FloatArray) -> Interval:
         return Interval(float(values.mean()) if n else math.nan, math.nan, math.nan, n)
     mean, half = float(values.mean()), student_quantile(n - 1) * float(values.std(ddof=1)) / math.sqrt(n)
     return Interval(mean, mean - half, mean + half, n)
+
+
+def centre_interval(seconds: FloatArray) -> Interval:
+    """Return the mean with the interval of centres not rejected by the sign-flip test, to a millisecond.
+
+    Parameters
+    ----------
+    seconds : (n,) array
+        One value per participant [s].
+
+    References
+    ----------
+    Hartigan, J. Am. Stat. Assoc. 64 (1969) 1303-1317 (typical values).
+    """
+    values = np.rint(seconds * 1000).astype(np.int64)
+    if 2.0 ** (1 - values.size) > 1 - CONFIDENCE:
+        return Interval(float(seconds.mean()) if values.size else math.nan, -math.inf, math.inf, values.size)
+
+    def lowest(values: NDArray[np.int64]) -> int:
+        centres = range(int(values.min()), int(np.rint(values.mean())))
+        kept = bisect_right(centres, 1 - CONFIDENCE, key=lambda centre: sign_flip_test(values - centre).p)
+        return centres.start + kept
+
+    return Interval(float(seconds.mean()), lowest(values) / 1000, -lowest(-values) / 1000, values.size)
 
 
 def student_quantile(degrees: int) -> float:

@@ -14,7 +14,6 @@ association of unordered answers, stratified by participant).
 from __future__ import annotations
 
 import math
-from bisect import bisect_right
 from collections.abc import Callable, Iterator
 from functools import lru_cache
 from itertools import combinations
@@ -25,10 +24,9 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from modaltouch.analysis.exact import ExactTest, sign_flip_test
-from modaltouch.analysis.intervals import CONFIDENCE, Interval
+from modaltouch.analysis.intervals import CONFIDENCE, Interval, centre_interval
 
 FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 Located = tuple[ExactTest, Interval]
 
 
@@ -52,30 +50,6 @@ def by_flips(values: FloatArray) -> Located:
     """Return the sign-flip test of `flip_test`, and the mean with the interval of centres that it does not reject."""
     unit = _unit(values)
     return flip_test(values), centre_interval(values / unit).changed(lambda scaled: scaled * unit)
-
-
-def centre_interval(seconds: FloatArray) -> Interval:
-    """Return the mean with the interval of centres not rejected by the sign-flip test, to a millisecond.
-
-    Parameters
-    ----------
-    seconds : (n,) array
-        One value per participant [s].
-
-    References
-    ----------
-    Hartigan, J. Am. Stat. Assoc. 64 (1969) 1303-1317 (typical values).
-    """
-    values = np.rint(seconds * 1000).astype(np.int64)
-    if 2.0 ** (1 - values.size) > 1 - CONFIDENCE:
-        return Interval(float(seconds.mean()) if values.size else math.nan, -math.inf, math.inf, values.size)
-
-    def lowest(values: IntArray) -> int:
-        centres = range(int(values.min()), int(np.rint(values.mean())))
-        kept = bisect_right(centres, 1 - CONFIDENCE, key=lambda centre: sign_flip_test(values - centre).p)
-        return centres.start + kept
-
-    return Interval(float(seconds.mean()), lowest(values) / 1000, -lowest(-values) / 1000, values.size)
 
 
 def rank_test(values: FloatArray) -> ExactTest:

@@ -27,7 +27,6 @@ from modaltouch.analysis.covariates import secondary_findings
 from modaltouch.analysis.exact import multinomial_test, sign_test
 from modaltouch.analysis.findings import Finding, correct, finding_of
 from modaltouch.analysis.intervals import BoundedMean, Interval, clopper_pearson
-from modaltouch.analysis.permutation import association_test
 from modaltouch.analysis.shares import Shares
 from modaltouch.analysis.trend import MOST_EXACT, smallest_trend_p, trend_test
 
@@ -123,6 +122,8 @@ def cell_share_findings(answers: AnswerCounts) -> Iterator[Finding]:
 
 def joint_findings(answers: AnswerCounts) -> Iterator[Finding]:
     """Yield joint tests of all unordered answers over levels, finger conditions and pairs of zones."""
+    from modaltouch.analysis.permutation import association_test
+
     counts, pairs = answers.counts, [pair.label for pair in answers.pairs]
     over_levels = counts.sum(axis=3)
     for question, scopes, own in (
