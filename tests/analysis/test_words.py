@@ -8,12 +8,18 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from modaltouch.analysis.certificates import certificates, certificates_in_words, certificates_of
 from modaltouch.analysis.counts import count_answers
 from modaltouch.analysis.findings import Finding
 from modaltouch.analysis.report import delivered_rows, list_questions, speed_rows
 from modaltouch.analysis.statistics import find
-from modaltouch.analysis.words import format_p, scope_in_words, state_families
+from modaltouch.analysis.words import (
+    certificates,
+    certificates_in_words,
+    certificates_of,
+    format_p,
+    scope_in_words,
+    state_families,
+)
 from modaltouch.report import format_number
 
 

@@ -9,7 +9,6 @@ from functools import cached_property
 from itertools import combinations
 from typing import Any
 
-from modaltouch.analysis.certificates import certificates_in_words
 from modaltouch.analysis.columns import LevelScale, scale_of
 from modaltouch.analysis.counts import Pair
 from modaltouch.analysis.detection import CatchRow, catch_findings, catch_rows, sensitivities
@@ -27,6 +26,7 @@ from modaltouch.analysis.ratings import level_findings, questions_of, ratings
 from modaltouch.analysis.responses import Responses
 from modaltouch.analysis.task import TrialTask
 from modaltouch.analysis.thresholds.constant import FittedCell, fit_cells, measures_of_fits
+from modaltouch.analysis.words import certificates_in_words
 
 _CERTIFICATES = {
     "detection threshold": "", "differencing criterion": "", "criterion": "criterion of one",

@@ -16,11 +16,11 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from modaltouch.analysis.certificates import certificates
 from modaltouch.analysis.columns import LevelScale, label_zones
 from modaltouch.analysis.findings import ALPHA, Finding, finding_of
 from modaltouch.analysis.intervals import BoundedMean, Interval
 from modaltouch.analysis.permutation import Located, by_flips, by_ranks, flip_test, group_test
+from modaltouch.analysis.words import certificates
 
 FloatArray = NDArray[np.float64]
 Cell = tuple[str, str, str, float]
@@ -301,23 +301,6 @@ def cells(frame: pd.DataFrame, scale: LevelScale, *, by_level: bool) -> Iterator
     for key, part in frame.groupby([*keys, *levels], sort=True, observed=True):
         who, finger_condition, label, *level = cast(tuple[Any, ...], key)
         yield (str(who), str(finger_condition), str(label), float(level[0]) if level else math.nan), part
-
-
-_CLAIMS = {
-    " compared": "{claim} between conditions",
-    " together": "{claim} for at least one participant, in any of the answers",
-    " over levels": "ratings or further answers change with the level",
-    "groups": "{claim}",
-    "PSE": "the PSE is not the standard",
-    "": "{family} is not zero",
-}
-"""Claims of the families of tests of measures, by suffix of the family's name."""
-
-
-def claim_of(family: str, claim: str) -> str:
-    """Return the claim of a family of tests of measures, given the claim of its question."""
-    end = next(end for end in _CLAIMS if family.endswith(end))
-    return _CLAIMS[end].format(claim=claim, family=family)
 
 
 def by_measure(values: Iterable[IndividualValue]) -> Iterator[tuple[Measure, list[IndividualValue]]]:

@@ -53,8 +53,7 @@ def terms_of_tests(tests: Mapping[str, int]) -> dict[str, Any]:
 
 def describe_families(confirmatory: Iterable[tuple[str, AnswerCounts, Finding]]) -> list[dict[str, Any]]:
     """Describe the families of confirmatory tests, as in `RegisteredAnalysis.describe_families`."""
-    from modaltouch.analysis.measures import claim_of
-    from modaltouch.analysis.words import headings, scope_in_words
+    from modaltouch.analysis.words import claim_of, headings, scope_in_words
 
     families: dict[str, list[tuple[str, AnswerCounts, Finding]]] = {}
     for each in confirmatory:

@@ -11,7 +11,6 @@ from typing import Any
 
 import pandas as pd
 
-from modaltouch.analysis.certificates import certificates_in_words, certificates_of
 from modaltouch.analysis.columns import OWN_THRESHOLD, zones_in_words, zones_of
 from modaltouch.analysis.counts import AnswerCounts, Pair
 from modaltouch.analysis.covariates import has_values
@@ -21,6 +20,8 @@ from modaltouch.analysis.responses import cell_of
 from modaltouch.analysis.tables import PAPER_TEXT, zone_table
 from modaltouch.analysis.words import (
     answer_question,
+    certificates_in_words,
+    certificates_of,
     condition_in_words,
     format_interval,
     headings,

@@ -1,11 +1,15 @@
-"""Wording of findings: answers to questions, families of tests, finger conditions and zones."""
+"""Wording of findings: answers to questions, families of tests and their error rates, finger conditions and zones."""
 
 from __future__ import annotations
 
+import json
 import math
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from functools import lru_cache
+from importlib.resources import files
+from typing import Any
 
 from modaltouch.analysis.counts import AnswerCounts, Pair
 from modaltouch.analysis.findings import ALPHA, OUT_OF_REACH, Finding
@@ -120,11 +124,26 @@ def answer_question(own: Sequence[Finding], claim: str, answers: AnswerCounts) -
     return " ".join(_answer_family(rows, _claim(claim, name), answers) for name, rows in parts.items())
 
 
+_CLAIMS = {
+    " compared": "{claim} between conditions",
+    " together": "{claim} for at least one participant, in any of the answers",
+    " over levels": "ratings or further answers change with the level",
+    "groups": "{claim}",
+    "PSE": "the PSE is not the standard",
+    "": "{family} is not zero",
+}
+"""Claims of the families of tests of measures, by suffix of the family's name."""
+
+
+def claim_of(family: str, claim: str) -> str:
+    """Return the claim of a family of tests of measures, given the claim of its question."""
+    end = next(end for end in _CLAIMS if family.endswith(end))
+    return _CLAIMS[end].format(claim=claim, family=family)
+
+
 def _claim(claim: str, family: str) -> str:
     """Return the claim of a family of tests: on average, for some participant, or of equivalence."""
     if family not in STATISTICS:
-        from modaltouch.analysis.measures import claim_of
-
         return claim_of(family, claim)
     if family == "c alike":
         return "the finger conditions are alike on average, within the margin"
@@ -203,4 +222,46 @@ def state_families(findings: Sequence[Finding]) -> str:
         f"Confirmatory tests, by family: {named}. Holm's correction keeps the probability of any false claim within a "
         f"family at {level:g} % at most.{together} All other tests are exploratory: their p are not corrected and "
         "support no claim."
+    )
+
+
+_OF_NAMES = {
+    " between groups": ("group",), " compared, sign flips": (), "signed ranks": ("rank", "rank interval"),
+    "Friedman": ("friedman",), "leaning": ("leaning", "leaning share"), "agreement between": ("agreement",),
+    "prevalence of": ("prevalence",), "share of answers": ("share",), "paired difference": ("paired difference",),
+    "odds ratio": ("odds ratio",), "reaction times": ("time",), "false alarms,": ("share",), "misses,": ("share",),
+    "together over levels": ("b together",), "answers together": ("c together",),
+    "share in a cell": ("a1 share",), "bounded mean": ("c mean",),
+    "differencing criterion": (), "criterion over": ("mean criterion, as estimated", "mean criterion"),
+    "d' over": ("d'", "mean d', as estimated", "mean d'"), "detection threshold": (),
+    "threshold over": ("mean threshold, as estimated", "mean threshold"),
+    "PSE over": ("mean PSE",), "JND over": ("mean JND, as estimated", "mean JND"), "exponent of": ("mean exponent",),
+}  # fmt: skip
+"""Certificates of findings outside families, by a substring of their name; the first match applies.
+
+Empty for findings without simulated error rates, such as sign flips of criteria or ratings.
+"""
+
+
+@lru_cache(maxsize=1)
+def certificates() -> Any:
+    """Return the mean and maximum error rate by name, with the reason if one is significantly above 5 %.
+
+    The rates are counted by ``make certify``.
+    """
+    return json.loads(files(__package__).joinpath("certificates.json").read_text(encoding="utf-8"))
+
+
+def certificates_of(finding: Finding) -> tuple[str, ...]:
+    """Return the names of the certificates that apply to a test and its interval, if any."""
+    known = (names for part, names in _OF_NAMES.items() if part in finding.name)
+    return (finding.family,) if finding.family in STATISTICS else next(known, ())
+
+
+def certificates_in_words(names: Iterable[str]) -> str:
+    """Describe the simulated error rates in words."""
+    known = ((name, *certificates()[name]) for name in names if name in certificates())
+    return "; ".join(
+        f"{name} {100 * mean:.3g} %, at worst {100 * worst:.3g} %{f', so not a 95 % interval: {why}' if why else ''}"
+        for name, mean, worst, why in known
     )

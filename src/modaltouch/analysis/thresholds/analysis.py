@@ -8,14 +8,13 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from modaltouch.analysis.certificates import certificates_in_words
 from modaltouch.analysis.columns import scale_of
 from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.findings import Finding, plain_row, to_frame
 from modaltouch.analysis.registration import RegisteredAnalysis, Registration
 from modaltouch.analysis.responses import Responses
 from modaltouch.analysis.thresholds.runs import Run, compare_runs, find_runs, in_words, is_forced, over_participants
-from modaltouch.analysis.words import format_interval
+from modaltouch.analysis.words import certificates_in_words, format_interval
 from modaltouch.report import ReportFigure, page_files
 
 MOST_FIGURES = 60
