@@ -153,7 +153,7 @@ def test_of_three_intervals_no_answer_is_right_where_two_are_the_stronger() -> N
 def test_guessing_is_unknown_only_where_no_design_tells_it(compared, design: dict, is_told: bool) -> None:
     """Of two intervals one is right by chance in half; of one finger condition none can be shown to be alike."""
     responses = take(compared, design).by_choice()
-    limits = " ".join(design_limits(Analysis(responses, responses.count(), (), {}, None)))
+    limits = " ".join(design_limits(Analysis(responses, responses.count(), ())))
     assert ("lapses and guessing stay unknown" in limits) == is_told
     assert "finger conditions can be shown to be alike" not in limits
 

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 import pandas as pd
 
 from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.findings import Finding, plain_row, to_frame
-from modaltouch.analysis.registration import RegisteredAnalysis, Registration
+from modaltouch.analysis.preregistration import RegisteredAnalysis, terms_of
 from modaltouch.analysis.responses import Responses
+from modaltouch.analysis.statistics import find
 from modaltouch.analysis.tables import tabulate
 from modaltouch.protocol import InputError
 
@@ -26,26 +26,17 @@ class Analysis(RegisteredAnalysis):
 
     Attributes
     ----------
-    responses : Responses
-        The answers.
     answers : AnswerCounts
         Counts of the answers.
     findings : tuple of Finding
         The statistics.
-    files : dict of str to Path
-        Files written, by name.
     design : DesignAnalysis, optional
         Results of individual participants.
-    registration : Registration
-        The preregistration checked against the analysis.
     """
 
-    responses: Responses
     answers: AnswerCounts
     findings: tuple[Finding, ...]
-    files: dict[str, Path]
     design: DesignAnalysis | None = None
-    registration: Registration = Registration()
 
     @classmethod
     def of(cls, responses: Responses, *, model: bool = False) -> Self:
@@ -63,8 +54,6 @@ class Analysis(RegisteredAnalysis):
         InputError
             If the answers do not suit the model.
         """
-        from modaltouch.analysis.statistics import find
-
         chosen = responses.by_choice()
         counts = chosen.count()
         design = None
@@ -80,7 +69,7 @@ class Analysis(RegisteredAnalysis):
                 given, allowed = "answers that do not name each of two fingers alone", "answers that do"
                 raise InputError.of("--model", given, allowed, "leave --model out")
             findings += tuple(model_findings(counts, chosen.frame))
-        return cls(chosen, counts, findings, {}, design)
+        return cls(chosen, counts, findings, design)
 
     @property
     def confirmatory(self) -> list[tuple[str, AnswerCounts, Finding]]:
@@ -89,8 +78,6 @@ class Analysis(RegisteredAnalysis):
 
     def terms(self, tests: Mapping[str, int]) -> dict[str, Any]:
         """Return the terms fixed by a preregistration, by name."""
-        from modaltouch.analysis.preregistration import terms_of
-
         return terms_of(self.answers, tests)
 
     @property

@@ -142,8 +142,7 @@ def _hold_against(prereg: Path | str | None, analysis: Held) -> Held:
         if not beside.is_file():
             return analysis
         prereg = beside
-    from modaltouch.analysis.preregistration import read_preregistration
-    from modaltouch.analysis.registration import Registration
+    from modaltouch.analysis.preregistration import Registration, read_preregistration
 
     path = Path(prereg)
     departures = analysis.departures_from(read_preregistration(path))

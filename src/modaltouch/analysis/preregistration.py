@@ -1,17 +1,20 @@
-"""Terms of a preregistration, and departures of an analysis from them."""
+"""Preregistrations: their terms, and the departures of an analysis from them."""
 
 from __future__ import annotations
 
 import json
 import re
+from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from modaltouch.analysis.covariates import ANTICIPATION
 from modaltouch.analysis.findings import ALPHA, Finding
 from modaltouch.analysis.statistics import STATISTICS
+from modaltouch.analysis.words import claim_of, headings, scope_in_words
 from modaltouch.protocol import InputError
 
 if TYPE_CHECKING:
@@ -21,8 +24,109 @@ if TYPE_CHECKING:
 ALL_PARTS = "all parts"
 """Scope of a test over all parts of a design that is not crossed."""
 
-_UNKNOWN = ("protocol (SHA-256)", "equivalence margin")
-"""Terms that are unknown for a table of answers."""
+
+@dataclass(frozen=True)
+class Registration:
+    """The preregistration checked against an analysis.
+
+    Attributes
+    ----------
+    path : Path or None
+        File of the preregistration, if any.
+    departures : tuple of str
+        Departures of the analysis from the preregistration, in words.
+    """
+
+    path: Path | None = None
+    departures: tuple[str, ...] = ()
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the attributes as plain values for ``--json``."""
+        return {"preregistration": str(self.path) if self.path else None, "departures": list(self.departures)}
+
+
+@dataclass(frozen=True, eq=False)
+class RegisteredAnalysis(ABC):
+    """Base class of analyses that can be checked against a preregistration.
+
+    Attributes
+    ----------
+    responses : Responses
+        The answers.
+    files : dict of str to Path
+        Files written, by name.
+    registration : Registration
+        The preregistration checked against the analysis.
+    """
+
+    responses: Responses
+    files: dict[str, Path] = field(default_factory=dict, kw_only=True)
+    registration: Registration = field(default=Registration(), kw_only=True)
+
+    @property
+    @abstractmethod
+    def confirmatory(self) -> list[tuple[str, AnswerCounts, Finding]]:
+        """Tests corrected in families: part of the design (or empty), counts, and test."""
+
+    @abstractmethod
+    def terms(self, tests: Mapping[str, int]) -> dict[str, Any]:
+        """Return the terms fixed by a preregistration, by name; `tests` is the number of tests in each family."""
+
+    def design_in_words(self) -> list[tuple[str, str]]:
+        """Describe a design without counts of the whole, as terms in words by name."""
+        return []
+
+    def describe_families(self) -> list[dict[str, Any]]:
+        """Describe the families of confirmatory tests.
+
+        Returns
+        -------
+        list of dict
+            ``name``, ``asks``, ``test``, ``scopes``, and ``significant`` (whether any test is, after correction).
+        """
+        families: dict[str, list[tuple[str, AnswerCounts, Finding]]] = {}
+        for each in self.confirmatory:
+            families.setdefault(each[2].family, []).append(each)
+        described = []
+        for name, rows in families.items():
+            _, counts, first = rows[0]
+            scopes = []
+            for part, own, row in rows:
+                said = scope_in_words(row.scope, own.finger_conditions, own.pairs)
+                # The most frequent answer depends on the data.
+                quantity = "P(most frequent answer)" if name == "a1" else row.quantity
+                scopes.append((part, row.scope.replace("_", " ") if part == ALL_PARTS else said, quantity))
+            described.append(
+                {
+                    "name": name,
+                    "asks": STATISTICS[name].asks
+                    if name in STATISTICS
+                    else claim_of(name, headings(counts)[first.question][1]),
+                    "test": "; ".join(dict.fromkeys(row.name for *_, row in rows)),
+                    "scopes": [": ".join(filter(None, scope)) for scope in scopes],
+                    "significant": any(row.p_holm <= ALPHA for *_, row in rows),
+                }
+            )
+        return described
+
+    def departures_from(self, terms: Mapping[str, Any]) -> tuple[str, ...]:
+        """Describe the departures from a preregistration with these terms, in words."""
+        start, known = self.responses.start, {}
+        if start.get("sources"):  # a table of answers has none
+            margin = (start.get("design", {}).get("analysis") or {}).get("equivalence_margin")
+            known = {"protocol (SHA-256)": start["sources"]["protocol"]["sha256"], "equivalence margin": margin}
+        counted = {*STATISTICS, *terms.get("tests by family", ())}
+        analysed = self.terms(Counter(row.family for *_, row in self.confirmatory if row.family in counted)) | known
+        said = [
+            f"{name}: {term_in_words(terms.get(name))} preregistered, {term_in_words(analysed[name])} analysed"
+            for name in analysed
+            if analysed[name] != terms.get(name)
+        ]
+        early = [each.name for each in self.responses.sessions if each.day < str(terms.get("date", ""))]
+        if early:
+            n = len(self.responses.sessions)
+            said.append(f"{len(early)} of {n} sessions began before the day of the preregistration, {terms['date']}")
+        return tuple(said)
 
 
 def terms_of(answers: AnswerCounts, tests: Mapping[str, int]) -> dict[str, Any]:
@@ -51,35 +155,6 @@ def terms_of_tests(tests: Mapping[str, int]) -> dict[str, Any]:
     return {"tests by family": dict(tests), "level of significance": ALPHA, "shortest reaction time [s]": ANTICIPATION}
 
 
-def describe_families(confirmatory: Iterable[tuple[str, AnswerCounts, Finding]]) -> list[dict[str, Any]]:
-    """Describe the families of confirmatory tests, as in `RegisteredAnalysis.describe_families`."""
-    from modaltouch.analysis.words import claim_of, headings, scope_in_words
-
-    families: dict[str, list[tuple[str, AnswerCounts, Finding]]] = {}
-    for each in confirmatory:
-        families.setdefault(each[2].family, []).append(each)
-    asks = {name: statistic.asks for name, statistic in STATISTICS.items()}
-    described = []
-    for name, rows in families.items():
-        _, counts, first = rows[0]
-        scopes = []
-        for part, own, row in rows:
-            said = scope_in_words(row.scope, own.finger_conditions, own.pairs)
-            # The most frequent answer depends on the data.
-            quantity = "P(most frequent answer)" if name == "a1" else row.quantity
-            scopes.append((part, row.scope.replace("_", " ") if part == ALL_PARTS else said, quantity))
-        described.append(
-            {
-                "name": name,
-                "asks": asks.get(name) or claim_of(name, headings(counts)[first.question][1]),
-                "test": "; ".join(dict.fromkeys(row.name for *_, row in rows)),
-                "scopes": [": ".join(filter(None, scope)) for scope in scopes],
-                "significant": any(row.p_holm <= ALPHA for *_, row in rows),
-            }
-        )
-    return described
-
-
 def read_preregistration(path: Path) -> dict[str, Any]:
     """Read the terms from the JSON block of a preregistration.
 
@@ -101,40 +176,6 @@ def read_preregistration(path: Path) -> dict[str, Any]:
     except ValueError:
         raise InputError.of(path, "no block of JSON with the terms", "a preregistration", remedy) from None
     return terms
-
-
-def find_departures(
-    terms: Mapping[str, Any],
-    found: Callable[[Mapping[str, int]], dict[str, Any]],
-    confirmatory: Iterable[tuple[str, AnswerCounts, Finding]],
-    responses: Responses,
-) -> tuple[str, ...]:
-    """Describe the departures of an analysis from a preregistration, in words.
-
-    Parameters
-    ----------
-    terms : mapping
-        Terms returned by `read_preregistration`.
-    found, confirmatory, responses
-        The terms of the analysis, its tests and its answers, as in `RegisteredAnalysis`.
-    """
-    start = responses.start
-    known = {}
-    if start.get("sources"):
-        margin = (start.get("design", {}).get("analysis") or {}).get("equivalence_margin")
-        known = dict(zip(_UNKNOWN, (start["sources"]["protocol"]["sha256"], margin), strict=True))
-    counted = {*STATISTICS, *terms.get("tests by family", ())}
-    analysed = found(Counter(row.family for *_, row in confirmatory if row.family in counted)) | known
-    said = [
-        f"{name}: {term_in_words(terms.get(name))} preregistered, {term_in_words(analysed[name])} analysed"
-        for name in analysed
-        if analysed[name] != terms.get(name)
-    ]
-    early = [each.name for each in responses.sessions if each.day < str(terms.get("date", ""))]
-    if early:
-        n = len(responses.sessions)
-        said.append(f"{len(early)} of {n} sessions began before the day of the preregistration, {terms['date']}")
-    return tuple(said)
 
 
 def term_in_words(value: Any) -> str:

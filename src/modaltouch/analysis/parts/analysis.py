@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pandas as pd
@@ -13,9 +12,8 @@ import pandas as pd
 from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.findings import ALPHA, Finding, correct, plain_row, to_frame
 from modaltouch.analysis.models import model_table, tidy_files, zone_files
-from modaltouch.analysis.preregistration import ALL_PARTS, terms_of_tests
+from modaltouch.analysis.preregistration import ALL_PARTS, RegisteredAnalysis, terms_of_tests
 from modaltouch.analysis.ratings import questions_of
-from modaltouch.analysis.registration import RegisteredAnalysis, Registration
 from modaltouch.analysis.responses import Responses, cell_of
 from modaltouch.analysis.statistics import uncorrected
 from modaltouch.analysis.tables import tabulate, zone_table
@@ -66,26 +64,17 @@ class PartsAnalysis(RegisteredAnalysis):
 
     Attributes
     ----------
-    responses : Responses
-        The answers.
     parts : tuple of CrossedPart
         The crossed parts of the design.
     findings : tuple of (CrossedPart, Finding)
         The statistics of each part, with Holm's correction over all parts.
-    files : dict of str to Path
-        Files written, by name.
     design : DesignAnalysis, optional
         Results of individual participants and groups.
-    registration : Registration
-        The preregistration checked against the analysis.
     """
 
-    responses: Responses
     parts: tuple[CrossedPart, ...]
     findings: tuple[tuple[CrossedPart, Finding], ...]
-    files: dict[str, Path]
     design: DesignAnalysis | None = None
-    registration: Registration = Registration()
 
     @property
     def confirmatory(self) -> list[tuple[str, AnswerCounts, Finding]]:
@@ -184,7 +173,7 @@ def analyse_parts(responses: Responses) -> PartsAnalysis:
 
         design = analyse_design(given)
     of_parts = tuple(zip((part for part, _ in found), corrected, strict=True))
-    return PartsAnalysis(responses, parts, of_parts, {}, design)
+    return PartsAnalysis(responses, parts, of_parts, design)
 
 
 def _find_parts(responses: Responses) -> Iterator[CrossedPart]:

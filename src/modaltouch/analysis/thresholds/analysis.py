@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 from modaltouch.analysis.columns import scale_of
 from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.findings import Finding, plain_row, to_frame
-from modaltouch.analysis.registration import RegisteredAnalysis, Registration
+from modaltouch.analysis.preregistration import RegisteredAnalysis, term_in_words
 from modaltouch.analysis.responses import Responses
 from modaltouch.analysis.thresholds.runs import Run, compare_runs, find_runs, in_words, is_forced, over_participants
 from modaltouch.analysis.words import certificates_in_words, format_interval
@@ -27,20 +26,11 @@ class ThresholdAnalysis(RegisteredAnalysis):
 
     Attributes
     ----------
-    responses : Responses
-        The answers.
     runs : tuple of Run
         All runs with their fits.
-    files : dict of str to Path
-        Files written, by name.
-    registration : Registration
-        The preregistration checked against the analysis.
     """
 
-    responses: Responses
     runs: tuple[Run, ...]
-    files: dict[str, Path]
-    registration: Registration = Registration()
 
     @property
     def confirmatory(self) -> list[tuple[str, AnswerCounts, Finding]]:
@@ -61,8 +51,6 @@ class ThresholdAnalysis(RegisteredAnalysis):
 
     def design_in_words(self) -> list[tuple[str, str]]:
         """Describe the runs, levels and method in words, by name."""
-        from modaltouch.analysis.preregistration import term_in_words
-
         terms = self.terms({})
         return [(name, term_in_words(terms[name])) for name in ("runs", "levels [mm/s]", "method", "trials a run")]
 
@@ -117,7 +105,7 @@ def analyse_runs(responses: Responses) -> ThresholdAnalysis:
     responses : Responses
         Answers of adaptive sessions.
     """
-    return ThresholdAnalysis(responses, find_runs(responses), {})
+    return ThresholdAnalysis(responses, find_runs(responses))
 
 
 def render_runs(analysis: ThresholdAnalysis) -> dict[str, Any]:
