@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 from modaltouch.analysis.counts import count_answers
+from modaltouch.analysis.crossed import tabulate, zone_table
 from modaltouch.analysis.designs import analyse_design
 from modaltouch.analysis.detection import catch_findings, catch_rows
 from modaltouch.analysis.exact import multinomial_test
 from modaltouch.analysis.pipeline import analyse
 from modaltouch.analysis.reading import read_responses
 from modaltouch.analysis.statistics import family_findings
-from modaltouch.analysis.tables import tabulate, zone_table
 from modaltouch.protocol.source import InputError
 
 HEADER = "participant,finger_condition,zone_left,zone_right,velocity_mm_s,response,catch"

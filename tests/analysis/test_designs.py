@@ -15,12 +15,12 @@ import pytest
 from scipy import stats
 from scipy.special import ndtr, ndtri
 
+from modaltouch.analysis.crossed import Analysis
 from modaltouch.analysis.designs import analyse_design
 from modaltouch.analysis.detection import CRITERION, D_PRIME
 from modaltouch.analysis.findings import Finding, correct
 from modaltouch.analysis.intervals import BoundedMean, Interval
 from modaltouch.analysis.measures import IndividualValue, Measure, contrast_findings, over_participants
-from modaltouch.analysis.outcome import Analysis
 from modaltouch.analysis.permutation import by_flips, by_ranks, friedman, group_test
 from modaltouch.analysis.pipeline import analyse
 from modaltouch.analysis.ratings import level_findings, power_law

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from modaltouch.analysis.counts import count_answers, find_focus
-from modaltouch.analysis.tables import figure_names, tabulate, zone_table
+from modaltouch.analysis.crossed import figure_names, tabulate, zone_table
 from modaltouch.protocol.checks import TAKEN_NAMES
 
 

@@ -8,11 +8,11 @@ import pandas as pd
 import pytest
 
 from modaltouch.analysis.counts import count_answers
+from modaltouch.analysis.crossed import zone_table
 from modaltouch.analysis.exact import multinomial_test, sign_flip_test
 from modaltouch.analysis.findings import to_frame
 from modaltouch.analysis.intervals import BoundedMean, clopper_pearson, wilson
 from modaltouch.analysis.statistics import find
-from modaltouch.analysis.tables import zone_table
 
 
 def run_tests(frame):

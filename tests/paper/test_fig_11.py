@@ -6,9 +6,9 @@ import pandas as pd
 import pytest
 
 from modaltouch.analysis.counts import AnswerCounts, count_answers
+from modaltouch.analysis.crossed import figure_names, zone_table
 from modaltouch.analysis.figures import draw_counts
 from modaltouch.analysis.intervals import BoundedMean
-from modaltouch.analysis.tables import figure_names, zone_table
 from modaltouch.report.page import PAIR_COLOURS
 
 

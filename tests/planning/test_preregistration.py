@@ -12,7 +12,7 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from modaltouch.analysis import analyse
-from modaltouch.analysis.outcome import Analysis
+from modaltouch.analysis.crossed import Analysis
 from modaltouch.analysis.preregistration import read_preregistration
 from modaltouch.cli.commands import app
 from modaltouch.protocol import InputError

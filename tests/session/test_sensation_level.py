@@ -12,7 +12,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from modaltouch.analysis.outcome import Analysis
+from modaltouch.analysis.crossed import Analysis
 from modaltouch.analysis.pipeline import analyse
 from modaltouch.analysis.reading import read_responses
 from modaltouch.planning.design import designs_for

@@ -69,8 +69,8 @@ def _draw(name: str, answers: AnswerCounts, responses: Responses) -> Figure | No
 
 
 def _bars(answers: AnswerCounts) -> list[ReportFigure]:
+    from modaltouch.analysis.crossed import figure_names, zone_table
     from modaltouch.analysis.figures import draw_counts
-    from modaltouch.analysis.tables import figure_names, zone_table
 
     pictures = []
     chosen = len(answers.answers) > 1

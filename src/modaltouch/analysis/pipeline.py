@@ -18,7 +18,7 @@ from modaltouch.system import version
 if TYPE_CHECKING:
     import pandas as pd
 
-    from modaltouch.analysis.outcome import Analysis
+    from modaltouch.analysis.crossed import Analysis
     from modaltouch.analysis.parts import PartsAnalysis
     from modaltouch.analysis.responses import AnswerSource, Responses, TableFormat
     from modaltouch.analysis.thresholds import ThresholdAnalysis
@@ -117,7 +117,7 @@ def _results(
             raise InputError.of(path, given, "tables, tests of each crossed part, models.R", remedy)
         parts = _hold_against(prereg, analyse_parts(responses))
         return parts, render_parts(parts)
-    from modaltouch.analysis.outcome import Analysis
+    from modaltouch.analysis.crossed import Analysis
 
     analysis = _hold_against(prereg, Analysis.of(responses, model=asked["--model"]))
     return analysis, render_files(analysis, asked["--figures"])
@@ -125,7 +125,7 @@ def _results(
 
 def analyse_responses(responses: Responses) -> Analysis | ThresholdAnalysis | PartsAnalysis:
     """Analyse answers like `analyse`, but without writing files."""
-    from modaltouch.analysis.outcome import Analysis
+    from modaltouch.analysis.crossed import Analysis
     from modaltouch.analysis.parts import analyse_parts
     from modaltouch.analysis.thresholds import analyse_runs
 
@@ -171,10 +171,10 @@ def _figures(asked: Collection[str]) -> Collection[str]:
 
 def render_files(analysis: Analysis, figures: Collection[str] = ()) -> dict[str, Any]:
     """Render all files of an analysis, by name, for `write_files`."""
+    from modaltouch.analysis.crossed import figure_names, zone_table
     from modaltouch.analysis.findings import plain_row
     from modaltouch.analysis.models import model_files, tidy_files
     from modaltouch.analysis.report import report_files
-    from modaltouch.analysis.tables import figure_names, zone_table
 
     tests = _rows(analysis.tests)
     files: dict[str, Any] = {"counts.csv": _rows(analysis.counts)}

@@ -14,10 +14,9 @@ import pandas as pd
 from modaltouch.analysis.columns import OWN_THRESHOLD, zones_in_words, zones_of
 from modaltouch.analysis.counts import AnswerCounts, Pair
 from modaltouch.analysis.covariates import has_values
+from modaltouch.analysis.crossed import PAPER_TEXT, Analysis, zone_table
 from modaltouch.analysis.findings import ALPHA, Finding
-from modaltouch.analysis.outcome import Analysis
 from modaltouch.analysis.responses import cell_of
-from modaltouch.analysis.tables import PAPER_TEXT, zone_table
 from modaltouch.analysis.words import (
     answer_question,
     certificates_in_words,

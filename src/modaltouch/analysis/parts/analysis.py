@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any
 import pandas as pd
 
 from modaltouch.analysis.counts import AnswerCounts
+from modaltouch.analysis.crossed import tabulate, zone_table
 from modaltouch.analysis.findings import ALPHA, Finding, correct, plain_row, to_frame
 from modaltouch.analysis.models import model_table, tidy_files, zone_files
 from modaltouch.analysis.preregistration import ALL_PARTS, RegisteredAnalysis, terms_of_tests
 from modaltouch.analysis.ratings import questions_of
 from modaltouch.analysis.responses import Responses, cell_of
 from modaltouch.analysis.statistics import uncorrected
-from modaltouch.analysis.tables import tabulate, zone_table
 from modaltouch.analysis.words import condition_in_words, state_families
 from modaltouch.protocol import InputError
 from modaltouch.report import ReportFigure, page_files
