@@ -170,8 +170,8 @@ def test_results_land_beside_the_data_unless_told_otherwise(tmp_path) -> None:
 def test_the_analysis_loads_neither_instrument_nor_screen() -> None:
     """A fresh interpreter loads it without PyVISA, PsychoPy, pyglet or pyplot, and without statsmodels."""
     code = (
-        "import sys, modaltouch.analysis.pipeline, modaltouch.analysis.gallery, modaltouch.analysis.report\n"
-        "import modaltouch.analysis.fields, modaltouch.analysis.statistics, modaltouch.analysis.covariate_figures\n"
+        "import sys, modaltouch.analysis.pipeline, modaltouch.analysis.figures, modaltouch.analysis.report\n"
+        "import modaltouch.analysis.statistics, modaltouch.analysis.optional_figures\n"
         "print([m for m in ('pyvisa', 'psychopy', 'pyglet', 'matplotlib.pyplot', 'statsmodels') if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

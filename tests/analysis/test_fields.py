@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 import modaltouch
-from modaltouch.analysis import fields
+from modaltouch.analysis.optional_figures import draw_fields
 from modaltouch.preflight import examine
 from modaltouch.record import Session
 
@@ -25,10 +25,12 @@ def curves(figure):
 
 def test_a_session_keeps_its_field_and_the_report_draws_that(monkeypatch, start):
     """201 points from end to end of the beam; nothing is designed for them."""
-    monkeypatch.setattr(fields, "_predict_again", lambda start: pytest.fail("was designed again"))
+    monkeypatch.setattr(
+        "modaltouch.analysis.optional_figures._predict_again", lambda start: pytest.fail("was designed again")
+    )
     (kept,) = start["stimulus"]["fields"]
     assert kept == examine("demo").fields[0]
-    drawn = curves(fields.draw_fields(start))
+    drawn = curves(draw_fields(start))
     assert drawn == {"target": kept["target_mm_s"], "predicted": kept["predicted_mm_s"]}
     assert len(drawn["predicted"]) == 201
     assert max(drawn["predicted"]) == pytest.approx(kept["velocity_mm_s"], rel=0.01)
@@ -37,23 +39,23 @@ def test_a_session_keeps_its_field_and_the_report_draws_that(monkeypatch, start)
 def test_a_record_without_a_field_shows_the_same(start):
     """Those of former versions: everything that the field follows from is in their texts."""
     former = start | {"stimulus": {name: start["stimulus"][name] for name in start["stimulus"].keys() - {"fields"}}}
-    assert curves(fields.draw_fields(former)) == curves(fields.draw_fields(start))
+    assert curves(draw_fields(former)) == curves(draw_fields(start))
 
 
 @pytest.mark.parametrize(("stimulus", "is_drawn"), [("sharp", True), ("blunt", True), ("", False), ("other", False)])
 def test_each_of_several_stimuli_has_its_field(stimulus, is_drawn):
     """And nothing is drawn of one that the record does not know."""
     start = Session.find(FORMAT_1 / "two_fields").start
-    assert (fields.draw_fields(start, stimulus) is not None) is is_drawn
+    assert (draw_fields(start, stimulus) is not None) is is_drawn
 
 
 def test_a_table_without_a_record_has_no_field():
     """A CSV says nothing of a stimulus."""
-    assert fields.draw_fields({}) is None
+    assert draw_fields({}) is None
 
 
 def test_a_protocol_that_this_version_cannot_read_leaves_the_field_out(start):
     """Only where the record keeps none."""
     unread = start["sources"] | {"protocol": start["sources"]["protocol"] | {"text": "protocol: 3"}}
-    assert fields.draw_fields(start | {"sources": unread}) is not None
-    assert fields.draw_fields(start | {"sources": unread, "stimulus": {}}) is None
+    assert draw_fields(start | {"sources": unread}) is not None
+    assert draw_fields(start | {"sources": unread, "stimulus": {}}) is None

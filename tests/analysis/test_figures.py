@@ -9,9 +9,9 @@ from matplotlib.colors import to_hex, to_rgb
 from matplotlib.transforms import Bbox
 
 from modaltouch.analysis.counts import count_answers
-from modaltouch.analysis.covariate_figures import draw_order, draw_speeds, draw_times
 from modaltouch.analysis.crossed import zone_table
 from modaltouch.analysis.figures import draw_counts
+from modaltouch.analysis.optional_figures import draw_order, draw_speeds, draw_times
 from modaltouch.analysis.report import NOTHING, OTHER_COLOURS, TIED, ZONE_COLOURS, participant_strips
 from modaltouch.protocol import AnswerList
 from modaltouch.report.page import FAINT, INK, PAIR_COLOURS, render

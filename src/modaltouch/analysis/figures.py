@@ -16,8 +16,10 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from modaltouch.analysis.columns import scale_of
+from modaltouch.analysis.counts import AnswerCounts
+from modaltouch.analysis.crossed import figure_names, zone_table
 from modaltouch.analysis.intervals import clopper_pearson
-from modaltouch.report import FAINT, INK, PAIR_COLOURS, house_style, quiet_grid
+from modaltouch.report import FAINT, INK, PAIR_COLOURS, ReportFigure, house_style, quiet_grid
 
 ANSWER_COLOURS = {"dominant": "#0b3c8c", "other": "#d1603d"}
 
@@ -39,6 +41,23 @@ ROW_WIDTH = 6.9
 """Width of a row of bars [inch]."""
 LETTER = 0.6 / 72
 """Mean width of a letter relative to its font size [inch/point]."""
+
+
+INTERVALS = "Error bars: exact 95 % intervals (Clopper-Pearson) over participants."
+OF_SEVERAL = "Error bars: Clopper and Pearson's 95 % intervals, as if each participant had given one answer."
+
+
+def draw_bars(answers: AnswerCounts) -> list[ReportFigure]:
+    """Draw Fig. 10 and Fig. 11, or the like for other finger conditions."""
+    pictures, n = [], answers.n_participants
+    for condition, name in figure_names(answers.finger_conditions if len(answers.answers) > 1 else ()).items():
+        figure = draw_counts(zone_table(answers, condition), condition, n if answers.n_repetitions > 1 else None)
+        number = {"fig_10": "Fig. 10. ", "fig_11": "Fig. 11. "}.get(name, "")
+        several = f", {answers.n_repetitions} answers each" if answers.n_repetitions > 1 else ""
+        whose = f"{condition.replace('_', ' ')}, {n} participant{'s' * (n != 1)}"
+        caption = f"{number}Answers with {whose}{several}. {OF_SEVERAL if several else INTERVALS}"
+        pictures.append(ReportFigure(name, figure, caption, "answers", condition))
+    return pictures
 
 
 def draw_counts(

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from modaltouch.analysis.columns import Speed
-from modaltouch.analysis.gallery import FIGURES, draw_all
 from modaltouch.analysis.provenance import form_files
 from modaltouch.analysis.reading import read_responses
 from modaltouch.protocol import InputError
@@ -164,6 +163,10 @@ def default_folder(path: Path, stimulus: str = "") -> Path:
 
 def _figures(asked: Collection[str]) -> Collection[str]:
     """Return the names of the requested figures; refuse unknown ones."""
+    if not asked:
+        return ()
+    from modaltouch.analysis.optional_figures import FIGURES
+
     if unknown := [name for name in asked if name not in (*FIGURES, "all")]:
         raise InputError.of("--figures", repr(unknown[0]), f"{', '.join(FIGURES)}, or all", "separate them by commas")
     return FIGURES if "all" in asked else asked
@@ -172,6 +175,7 @@ def _figures(asked: Collection[str]) -> Collection[str]:
 def render_files(analysis: Analysis, figures: Collection[str] = ()) -> dict[str, Any]:
     """Render all files of an analysis, by name, for `write_files`."""
     from modaltouch.analysis.crossed import figure_names, zone_table
+    from modaltouch.analysis.figures import draw_bars
     from modaltouch.analysis.findings import plain_row
     from modaltouch.analysis.models import model_files, tidy_files
     from modaltouch.analysis.report import report_files
@@ -188,11 +192,15 @@ def render_files(analysis: Analysis, figures: Collection[str] = ()) -> dict[str,
     files |= {"tests.csv": tests, "tests.json": [plain_row(row) for row in tests]}
     by_zone = analysis.answers.compares
     files |= model_files(analysis.answers, analysis.responses) if by_zone else tidy_files(analysis.responses)
-    pictures = draw_all(analysis.answers, analysis.responses, figures)
+    pictures = draw_bars(analysis.answers)
+    if figures:
+        from modaltouch.analysis.optional_figures import draw_optional
+
+        pictures += draw_optional(analysis.answers, analysis.responses, figures)
     if analysis.design:
         from modaltouch.analysis.measure_figures import draw_design
 
-        pictures += tuple(draw_design(analysis.design))
+        pictures += draw_design(analysis.design)
     return files | report_files(analysis, pictures)
 
 
