@@ -69,7 +69,7 @@ def test_an_analysis_of_sessions_loads_what_reads_and_audits_them(results, tmp_p
     """The drive is computed again by the audit, as `verify` does it; nothing that plays, asks or plans is loaded."""
     loaded, lines = load("analyse", results, "--out", tmp_path / "out", "--json")
     assert not rooms(loaded) & {"lab", "planning", "session", "window"}
-    assert not loaded & {"rig.generator", "rig.simulator", "analysis.tidy", "analysis.thresholds", "record.recovery"}
+    assert not loaded & {"rig.generator", "rig.simulator", "analysis.tidy", "analysis.runs", "record.recovery"}
     assert lines <= 22_100
 
 

@@ -20,11 +20,19 @@ from scipy.stats import binom
 
 from modaltouch.analysis.intervals import Interval
 from modaltouch.analysis.pipeline import analyse
+from modaltouch.analysis.psychometric import DROP, REGION, Psychometric, fit_psychometric
 from modaltouch.analysis.reading import read_responses
 from modaltouch.analysis.responses import AnswerSource, Responses
-from modaltouch.analysis.thresholds import ThresholdAnalysis, analyse_runs, render_runs
-from modaltouch.analysis.thresholds.psychometric import DROP, REGION, Psychometric, fit_psychometric
-from modaltouch.analysis.thresholds.runs import Run, compare_runs, find_runs, is_forced, over_participants
+from modaltouch.analysis.run_report import render_runs
+from modaltouch.analysis.runs import (
+    Run,
+    ThresholdAnalysis,
+    analyse_runs,
+    compare_runs,
+    find_runs,
+    is_forced,
+    over_participants,
+)
 from modaltouch.cli.analyse import tell
 from modaltouch.planning.design import designs_for
 from modaltouch.planning.fitting import fit_answers
@@ -381,8 +389,8 @@ def test_what_needs_fixed_levels_refuses_adaptive_sessions(preflight: Preflight,
 
 def test_runs_that_tell_no_threshold_are_in_the_legend() -> None:
     """Every finger condition and pair, whatever its runs tell; a warning of matplotlib fails the suite."""
-    from modaltouch.analysis.thresholds.figures import draw_thresholds
-    from modaltouch.analysis.thresholds.runs import Run
+    from modaltouch.analysis.run_report import draw_thresholds
+    from modaltouch.analysis.runs import Run
 
     levels, successes = np.full(8, 60.0), np.ones(8, dtype=bool)
     fitted = fit_psychometric([to_dB(60)] * 8, [True] * 8, guess_rate=0.02, most_lapse=0.06, catches=[])
@@ -393,8 +401,8 @@ def test_runs_that_tell_no_threshold_are_in_the_legend() -> None:
 
 def test_trials_of_a_run_are_marked_by_whole_numbers() -> None:
     """Twenty trials had a mark at 2.5, few trials one at every half."""
-    from modaltouch.analysis.thresholds.figures import draw_runs
-    from modaltouch.analysis.thresholds.runs import Run
+    from modaltouch.analysis.run_report import draw_runs
+    from modaltouch.analysis.runs import Run
 
     fitted = fit_psychometric([to_dB(60)] * 20, [True] * 20, guess_rate=0.5, most_lapse=0.0)
     run = Run("p01", 1, "one_hand", "A-C", "", np.full(4, 60.0), np.ones(4, dtype=bool), fitted)
@@ -404,8 +412,8 @@ def test_trials_of_a_run_are_marked_by_whole_numbers() -> None:
 
 def test_kinds_of_runs_are_told_apart_by_colour_and_mark() -> None:
     """Two finger conditions, two pairs and two stimuli are eight kinds; no two share both."""
-    from modaltouch.analysis.thresholds.figures import draw_thresholds
-    from modaltouch.analysis.thresholds.runs import Run
+    from modaltouch.analysis.run_report import draw_thresholds
+    from modaltouch.analysis.runs import Run
 
     fitted = fit_psychometric([to_dB(60)] * 8, [True] * 8, guess_rate=0.5, most_lapse=0.0)
     levels, successes = np.full(8, 60.0), np.ones(8, dtype=bool)

@@ -10,8 +10,7 @@ from typer.testing import CliRunner
 
 from modaltouch.analysis.pipeline import analyse
 from modaltouch.analysis.reading import read_responses
-from modaltouch.analysis.thresholds import ThresholdAnalysis
-from modaltouch.analysis.thresholds.runs import over_participants
+from modaltouch.analysis.runs import ThresholdAnalysis, over_participants
 from modaltouch.cli.commands import app
 from modaltouch.planning.design import designs_for
 from modaltouch.planning.experiments import Study

@@ -22,10 +22,10 @@ from modaltouch.analysis.measures import (
     group_findings,
     mean_findings,
 )
+from modaltouch.analysis.psychometric import FittedCell, fit_cells, measures_of_fits
 from modaltouch.analysis.ratings import level_findings, questions_of, ratings
 from modaltouch.analysis.responses import Responses
 from modaltouch.analysis.task import TrialTask
-from modaltouch.analysis.thresholds.constant import FittedCell, fit_cells, measures_of_fits
 from modaltouch.analysis.words import certificates_in_words
 
 _CERTIFICATES = {

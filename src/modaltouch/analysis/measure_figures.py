@@ -17,7 +17,7 @@ from modaltouch.analysis.columns import LevelScale
 from modaltouch.analysis.designs import DesignAnalysis
 from modaltouch.analysis.detection import CRITERION, DIFFERENCE
 from modaltouch.analysis.measures import IndividualValue, Measure, by_measure, of_participants, over_participants
-from modaltouch.analysis.thresholds.constant import FittedCell
+from modaltouch.analysis.psychometric import FittedCell
 from modaltouch.analysis.words import condition_in_words
 from modaltouch.report import CONDITION_COLOURS, FAINT, ReportFigure, house_style, quiet_grid
 

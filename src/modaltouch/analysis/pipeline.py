@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
     from modaltouch.analysis.crossed import Analysis
     from modaltouch.analysis.parts import PartsAnalysis
-    from modaltouch.analysis.responses import AnswerSource, Responses, TableFormat
-    from modaltouch.analysis.thresholds import ThresholdAnalysis
+    from modaltouch.analysis.responses import Responses, TableFormat
+    from modaltouch.analysis.runs import ThresholdAnalysis
 
 Held = TypeVar("Held", "Analysis", "ThresholdAnalysis", "PartsAnalysis")
 
@@ -83,11 +83,9 @@ def analyse(
     folder = Path(out) if out is not None else default_folder(Path(path), responses.stimulus)
     asked |= {"--speed": speed != "nominal"} if responses.scheduled is not None else {}
     found, files = _results(responses, path, asked)
-    return replace(found, files=write_files(folder, files | form_files(responses.sessions), _about(responses.source)))
-
-
-def _about(source: AnswerSource) -> dict[str, str]:
-    return {"version": version(), "source": source.path, "sha256": source.sha256, "mode": source.mode}
+    source = responses.source
+    about = {"version": version(), "source": source.path, "sha256": source.sha256, "mode": source.mode}
+    return replace(found, files=write_files(folder, files | form_files(responses.sessions), about))
 
 
 def _results(
@@ -97,7 +95,8 @@ def _results(
     prereg = asked.pop("--prereg")
     options = [option for option, value in asked.items() if value]
     if responses.is_adaptive:
-        from modaltouch.analysis.thresholds import analyse_runs, render_runs
+        from modaltouch.analysis.run_report import render_runs
+        from modaltouch.analysis.runs import analyse_runs
 
         for option in options:
             raise InputError.of(option, "adaptive sessions", "sessions at fixed levels", f"leave {option} out")
@@ -126,7 +125,7 @@ def analyse_responses(responses: Responses) -> Analysis | ThresholdAnalysis | Pa
     """Analyse answers like `analyse`, but without writing files."""
     from modaltouch.analysis.crossed import Analysis
     from modaltouch.analysis.parts import analyse_parts
-    from modaltouch.analysis.thresholds import analyse_runs
+    from modaltouch.analysis.runs import analyse_runs
 
     if responses.is_adaptive:
         return analyse_runs(responses)

@@ -1,10 +1,11 @@
-"""Runs of adaptive sessions with their psychometric functions, and thresholds over participants."""
+"""Analysis of adaptive sessions: runs with their psychometric functions, and thresholds over participants."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import combinations
 from typing import Any
 
@@ -13,11 +14,13 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from modaltouch.analysis.columns import label_zones, scale_of, zones_of
-from modaltouch.analysis.findings import Finding
+from modaltouch.analysis.counts import AnswerCounts
+from modaltouch.analysis.findings import Finding, plain_row, to_frame
 from modaltouch.analysis.intervals import Interval, student_interval
 from modaltouch.analysis.measures import IndividualValue, Measure, contrast_findings, group_findings
+from modaltouch.analysis.preregistration import RegisteredAnalysis, term_in_words
+from modaltouch.analysis.psychometric import Psychometric, fit_psychometric
 from modaltouch.analysis.responses import Responses
-from modaltouch.analysis.thresholds.psychometric import Psychometric, fit_psychometric
 from modaltouch.report import format_number
 
 KEYS = ("participant", "session", "finger_condition")
@@ -242,3 +245,91 @@ def _velocity(level: float) -> float | None:
 
 def _known(value: float) -> float | None:
     return value if math.isfinite(value) else None
+
+
+@dataclass(frozen=True, eq=False)
+class ThresholdAnalysis(RegisteredAnalysis):
+    """Results of adaptive sessions, and the files written.
+
+    Attributes
+    ----------
+    runs : tuple of Run
+        All runs with their fits.
+    """
+
+    runs: tuple[Run, ...]
+
+    @property
+    def confirmatory(self) -> list[tuple[str, AnswerCounts, Finding]]:
+        """Empty, since comparisons of thresholds are exploratory."""
+        return []
+
+    def terms(self, tests: Mapping[str, int]) -> dict[str, Any]:
+        """Return the terms fixed by a preregistration, by name."""
+        adaptive = self.responses.start["design"]["adaptive"]
+        return {
+            "participants": len({run.participant for run in self.runs}),
+            "runs": sorted({run.kind for run in self.runs}),
+            "levels [mm/s]": list(self.bounds),
+            "method": adaptive["method"],
+            "trials a run": adaptive["trials"],
+            "answers": list(self.responses.answers.names),
+        }
+
+    def design_in_words(self) -> list[tuple[str, str]]:
+        """Describe the runs, levels and method in words, by name."""
+        terms = self.terms({})
+        return [(name, term_in_words(terms[name])) for name in ("runs", "levels [mm/s]", "method", "trials a run")]
+
+    @property
+    def thresholds(self) -> list[dict[str, Any]]:
+        """Mean thresholds over participants, one row per kind of run."""
+        return over_participants(self.runs)
+
+    @cached_property
+    def comparisons(self) -> list[Finding]:
+        """Comparisons of thresholds between kinds of run."""
+        return compare_runs(self.runs)
+
+    @property
+    def tests(self) -> list[dict[str, Any]]:
+        """The comparisons, one row each."""
+        return [
+            {str(key): value for key, value in row.items()} for row in to_frame(self.comparisons).to_dict("records")
+        ]
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Lowest and highest possible level of a run [mm/s]."""
+        levels = self.responses.start["design"]["conditions"]["peak_velocities_mm_s"]
+        return min(levels), max(levels)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return all results as plain values for ``--json``; undetermined values are null."""
+        return {
+            "thresholds": [run.as_dict() for run in self.runs],
+            "over_participants": self.thresholds,
+            "tests": [plain_row(row) for row in self.tests],
+            "files": {name: str(path) for name, path in self.files.items()},
+            "n_participants": len({run.participant for run in self.runs}),
+            "n_responses": int(self.responses.frame["response"].count()),
+            "n_missing": sum(run.n_missing for run in self.runs),
+            "missing": [
+                {"participant": run.participant, "cell": f"session {run.session}, {run.kind}", "n": run.n_missing}
+                for run in self.runs
+                if run.n_missing
+            ],
+            **self.responses.as_dict(),
+            **self.registration.as_dict(),
+        }
+
+
+def analyse_runs(responses: Responses) -> ThresholdAnalysis:
+    """Analyse adaptive sessions.
+
+    Parameters
+    ----------
+    responses : Responses
+        Answers of adaptive sessions.
+    """
+    return ThresholdAnalysis(responses, find_runs(responses))

@@ -1,4 +1,4 @@
-"""Figures of adaptive runs: track of levels with the fitted function, and thresholds of all runs."""
+"""Report of adaptive sessions: figures of the track and the fitted function of each run, and of all thresholds."""
 
 from __future__ import annotations
 
@@ -11,13 +11,19 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
+from modaltouch.analysis.columns import scale_of
 from modaltouch.analysis.intervals import Interval
-from modaltouch.analysis.thresholds.runs import Run, in_words
-from modaltouch.report import CONDITION_COLOURS, FAINT, INK, house_style, quiet_grid
+from modaltouch.analysis.provenance import describe_record
+from modaltouch.analysis.runs import Run, ThresholdAnalysis, in_words, is_forced
+from modaltouch.analysis.words import certificates_in_words, format_interval
+from modaltouch.report import CONDITION_COLOURS, FAINT, INK, ReportFigure, house_style, page_files, quiet_grid
 
 BLUE = CONDITION_COLOURS[0]
 _ROW = 2.5
 """Height of the panels of a run [inch]."""
+
+MOST_FIGURES = 60
+"""Maximum number of sessions with figures of runs; with more, the report is too large for a browser."""
 
 
 def draw_runs(runs: Sequence[Run], bounds: tuple[float, float]) -> Figure:
@@ -149,3 +155,71 @@ def _draw_kind(axes: Axes, runs: Sequence[Run], heights: np.ndarray, k: int, bou
         low, value, high = _in_mm_s(threshold, bounds)
         axes.plot([low, high], [height, height], color=colour, linewidth=1.2, alpha=0.8)
         axes.plot(value, height, marker=marker, color=colour, ms=5, linestyle="")
+
+
+def render_runs(analysis: ThresholdAnalysis) -> dict[str, Any]:
+    """Render all files of the analysis, by name, for `write_files`.
+
+    Parameters
+    ----------
+    analysis : ThresholdAnalysis
+        The analysis.
+    """
+    rows = [run.as_dict() for run in analysis.runs]
+    together = analysis.thresholds
+    pictures = [ReportFigure("thresholds", draw_thresholds(analysis.runs, analysis.bounds))]
+    sessions = list(dict.fromkeys((run.participant, run.session) for run in analysis.runs))
+    for participant, session in sessions[:MOST_FIGURES]:
+        own = [run for run in analysis.runs if (run.participant, run.session) == (participant, session)]
+        who = participant.replace("/", "-")
+        pictures.append(ReportFigure(f"runs_sub-{who}_ses-{session}", draw_runs(own, analysis.bounds)))
+    page = _page_files(analysis, together, pictures, len(sessions))
+    page["report.html"] = page.pop("runs.html")
+    return {
+        "thresholds.csv": rows,
+        "over_participants.csv": together,
+        **({"tests.csv": analysis.tests} if analysis.tests else {}),
+        "thresholds.json": {"thresholds": rows, "over_participants": together},
+        **page,
+    }
+
+
+def _page_files(
+    analysis: ThresholdAnalysis, together: list[dict[str, Any]], pictures: Sequence[ReportFigure], n_sessions: int
+) -> dict[str, Any]:
+    responses = analysis.responses
+    design = responses.start["design"]
+    both, nothing = responses.answers.naming("left", "right"), responses.answers.naming()
+    task = "forced choice" if is_forced(responses) else "felt"
+    return page_files(
+        "modaltouch.analysis",
+        "runs",
+        pictures,
+        title=f"Thresholds: {design.get('title') or responses.start.get('protocol', '')}",
+        source=responses.source,
+        runs=[{"run": run, "words": in_words(run.fitted.threshold) if run.fitted.threshold else None}
+              for run in analysis.runs],
+        together=together,
+        tests=[(row.scope.replace("_", " "), format_interval(row), row.p, row.n, row.note)
+               for row in analysis.comparisons],
+        registration=analysis.registration,
+        bounds=analysis.bounds,
+        adaptive=design["adaptive"],
+        both="" if both is None else both.name,
+        nothing="" if nothing is None else nothing.name,
+        named=() if nothing and design["adaptive"]["success"] == "felt" else responses.answers.names,
+        task=responses.task,
+        is_forced=is_forced(responses),
+        certified=[certificates_in_words([f"{of}, {task}{kind}" for kind in kinds])
+                   for of, kinds in (("mean of runs", (", as estimated", "")), ("run of one", ("",)))],
+        rule=responses.start.get("adaptive", {}),
+        scale=scale_of(responses.frame.columns),
+        focus=" or ".join(sorted(set(responses.foci.values()) or {responses.focus})),
+        n_participants=len({run.participant for run in analysis.runs}),
+        n_sessions=n_sessions,
+        n_missing=sum(run.n_missing for run in analysis.runs),
+        left_out=responses.left_out,
+        notes=responses.notes,
+        command=responses.command,
+        record=describe_record(responses.sessions),
+    )  # fmt: skip

@@ -257,8 +257,8 @@ def render_parts(analysis: PartsAnalysis) -> dict[str, Any]:
         shown += draw_design(analysis.design)
     responses = analysis.responses
     page = page_files(
-        "modaltouch.analysis.parts",
-        "report",
+        "modaltouch.analysis",
+        "parts",
         shown,
         title=f"Analysis: {responses.design.get('title') or responses.start.get('protocol') or 'answers'}",
         n_participants=responses.frame["participant"].nunique(),
@@ -280,6 +280,7 @@ def render_parts(analysis: PartsAnalysis) -> dict[str, Any]:
         alpha=ALPHA,
         record=describe_record(responses.sessions),
     )
+    page["report.html"] = page.pop("parts.html")
     tests = [{str(key): value for key, value in row.items()} for row in analysis.tests.to_dict("records")]
     return {
         "counts.csv": analysis.counts.to_dict("records"),
