@@ -22,12 +22,12 @@ import scipy
 import certified_measures
 import modaltouch
 from modaltouch.analysis.consistency import ac1_interval, shows_dominance
+from modaltouch.analysis.contrasts import Shares
 from modaltouch.analysis.counts import AnswerCounts, Pair
 from modaltouch.analysis.exact import sign_flip_test, sign_test
 from modaltouch.analysis.findings import holm
 from modaltouch.analysis.intervals import BoundedMean, clopper_pearson, matched_odds_ratio
 from modaltouch.analysis.permutation import association_test
-from modaltouch.analysis.shares import Shares
 from modaltouch.analysis.statistics import STATISTICS, conditions_compared, dominance, pairs_compared, slopes
 from modaltouch.system import version
 

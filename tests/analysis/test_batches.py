@@ -10,9 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from modaltouch.analysis.exact import multinomial_test, sign_flip_test, sign_test
+from modaltouch.analysis.exact import multinomial_test, sign_flip_test, sign_test, trend_test
 from modaltouch.analysis.intervals import BoundedMean, Interval, clopper_pearson
-from modaltouch.analysis.trend import trend_test
 
 
 @settings(max_examples=60, deadline=None)

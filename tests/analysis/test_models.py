@@ -10,8 +10,7 @@ import pandas as pd
 import pytest
 
 from modaltouch.analysis.counts import count_answers
-from modaltouch.analysis.mixed_logistic import model_findings
-from modaltouch.analysis.models import model_files, tidy_files
+from modaltouch.analysis.models import model_files, model_findings, tidy_files
 from modaltouch.analysis.pipeline import analyse
 from modaltouch.analysis.responses import AnswerSource, Responses
 from modaltouch.protocol import AnswerList

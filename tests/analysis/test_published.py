@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from scipy.stats import page_trend_test
 
-from modaltouch.analysis.exact import sign_flip_test
+from modaltouch.analysis.exact import sign_flip_test, trend_test
 from modaltouch.analysis.intervals import clopper_pearson
 from modaltouch.analysis.sums import tail_probability
-from modaltouch.analysis.trend import trend_test
 
 
 @pytest.mark.parametrize(

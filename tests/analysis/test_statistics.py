@@ -7,11 +7,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from modaltouch.analysis.contrasts import Contrast, signs_of
+from modaltouch.analysis.contrasts import Contrast, Shares, mean_of_known, signs_of
 from modaltouch.analysis.counts import count_answers
 from modaltouch.analysis.exact import sign_flip_test
 from modaltouch.analysis.findings import holm, to_frame
-from modaltouch.analysis.shares import Shares, mean_of_known
 from modaltouch.analysis.statistics import STATISTICS, chance_tests, find, level_tests, slopes
 from modaltouch.protocol import AnswerList
 

@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from modaltouch.analysis import trend
-from modaltouch.analysis.trend import level_scores, smallest_trend_p, trend_test
+from modaltouch.analysis.exact import level_scores, smallest_trend_p, trend_test
 
 
 class TestTrend:
@@ -101,7 +100,7 @@ class TestTrend:
         rates = 0.5 + slope * np.arange(-1.5, 2)
         rows = np.random.default_rng(3).binomial(60, rates, (n_participants, 4))
         exact = trend_test(rows, [80, 100, 150, 200], 60)
-        monkeypatch.setattr(trend, "MOST_EXACT", 239)
+        monkeypatch.setattr("modaltouch.analysis.exact.MOST_EXACT", 239)
         normal = trend_test(rows, [80, 100, 150, 200], 60)
         assert normal.statistic == pytest.approx(exact.statistic, abs=1e-9)
         assert normal.p == pytest.approx(exact.p, rel=0.04)
@@ -126,7 +125,7 @@ class TestTrend:
 
     def test_the_smallest_p_is_exact_up_to_the_most_answers_that_are_counted(self, monkeypatch) -> None:
         """Closed form: of eight answers four are chosen in 70 ways, by each of two, and either end is as extreme."""
-        monkeypatch.setattr(trend, "MOST_EXACT", 8)
+        monkeypatch.setattr("modaltouch.analysis.exact.MOST_EXACT", 8)
         levels = [80, 100, 150, 200]
         assert smallest_trend_p(levels, 2, 2) == pytest.approx(2 / 70**2, rel=1e-12)
         assert smallest_trend_p(levels, 2, 3) < 1e-300

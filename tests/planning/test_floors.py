@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from modaltouch.analysis.counts import Pair
-from modaltouch.analysis.trend import smallest_trend_p, trend_test
+from modaltouch.analysis.exact import smallest_trend_p, trend_test
 from modaltouch.planning.design import Design
 from modaltouch.planning.experiments import Job, Study, run_job
 from modaltouch.planning.observer import Observer

@@ -19,11 +19,11 @@ from itertools import combinations, product
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from modaltouch.analysis.contrasts import Shares, mean_of_known
 from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.exact import sign_flip_test
 from modaltouch.analysis.findings import ALPHA, Finding, finding_of
 from modaltouch.analysis.intervals import CONFIDENCE, BoundedMean, Interval, clopper_pearson, matched_odds_ratio
-from modaltouch.analysis.shares import Shares, mean_of_known
 
 IntArray = NDArray[np.int64]
 FloatArray = NDArray[np.float64]

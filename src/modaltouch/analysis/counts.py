@@ -15,7 +15,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from modaltouch.analysis.columns import VELOCITY, LevelScale, scale_of, zones_in_words, zones_of
-from modaltouch.analysis.shares import Shares
+from modaltouch.analysis.contrasts import Shares
 from modaltouch.protocol import AnswerList
 
 PAPER_CONDITIONS = ("one_hand", "two_hands")

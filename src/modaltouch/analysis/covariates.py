@@ -11,11 +11,11 @@ import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
 from modaltouch.analysis.columns import label_zones
+from modaltouch.analysis.contrasts import Shares, mean_of_known
 from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.exact import sign_flip_test
 from modaltouch.analysis.findings import Finding, finding_of
 from modaltouch.analysis.intervals import BoundedMean, Interval, centre_interval
-from modaltouch.analysis.shares import Shares, mean_of_known
 
 IntArray = NDArray[np.int64]
 FloatArray = NDArray[np.float64]

@@ -63,7 +63,7 @@ class Analysis(RegisteredAnalysis):
             design = analyse_design(responses)
         findings = tuple(find(counts, chosen.frame, design.findings if design else ()))
         if model:
-            from modaltouch.analysis.mixed_logistic import model_findings
+            from modaltouch.analysis.models import model_findings
 
             if not counts.compares:
                 given, allowed = "answers that do not name each of two fingers alone", "answers that do"

@@ -1,12 +1,13 @@
-"""Exact tests for small samples: multinomial, sign-flip and sign tests, singly or in batches.
+"""Exact tests for small samples: multinomial, sign-flip, sign and trend tests, singly or in batches.
 
 The cost grows with the range of the scores, not with 2^N. Scores are integers, so ties are exact. Every test also
 reports the smallest attainable p.
 
 References
 ----------
-Fisher, "The Design of Experiments" (1935), section 21 (sign flips); Pitman, J. R. Stat. Soc. Suppl. 4 (1937)
-(randomisation); Engels, "XNomial" (exact multinomial test).
+Fisher, "The Design of Experiments" (1935), section 21 (sign flips); Pitman, J. R. Stat. Soc. Suppl. 4 (1937) 119-130
+and 225-232 (randomisation); Engels, "XNomial" (exact multinomial test); Armitage, Biometrics 11 (1955) 375-386 (linear
+trend in proportions).
 """
 
 from __future__ import annotations
@@ -14,17 +15,14 @@ from __future__ import annotations
 import math
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from modaltouch.analysis.sums import LEAST_P, Sums
-
-IntArray = NDArray[np.int64]
-FloatArray = NDArray[np.float64]
+from modaltouch.analysis.sums import LEAST_P, FloatArray, IntArray, Law, Sums
 
 _EXACT_UP_TO = 40
 """Maximum number of participants for which p is rounded to its exact steps."""
@@ -77,16 +75,8 @@ def _bounded(value: Any) -> Any:
     return np.clip(value() if callable(value) else value, sys.float_info.min, 1.0)
 
 
-def sum_test(sums: Sums, observed: ArrayLike) -> ExactTest:
-    """Return tests whose statistic is a sum over participants minus its expectation under the null hypothesis.
-
-    Parameters
-    ----------
-    sums : Sums
-        Null distributions, test by test.
-    observed : (...) array of int
-        Observed sums.
-    """
+def _sum_test(sums: Sums, observed: ArrayLike) -> ExactTest:
+    """Return tests whose statistic is an observed sum minus its expectation under the null hypothesis."""
     values = np.asarray(observed)
     centred = values.reshape(-1) * sums.scale - sums.mean
     distance, shape = np.abs(centred), values.shape
@@ -99,20 +89,8 @@ def sum_test(sums: Sums, observed: ArrayLike) -> ExactTest:
     )
 
 
-def count_each(values: IntArray, kinds: ArrayLike) -> IntArray:
-    """Count the participants with each of some values, test by test.
-
-    Parameters
-    ----------
-    values : (..., n_participants) array of int
-        One value per participant.
-    kinds : (n_kinds,) array of int
-        The values to count.
-
-    Returns
-    -------
-    (n_tests, n_kinds) array of int
-    """
+def _count_each(values: IntArray, kinds: ArrayLike) -> IntArray:
+    """Count the participants with each of some values, test by test: an array of shape (n_tests, n_kinds)."""
     rows = values.reshape(math.prod(values.shape[:-1]), values.shape[-1])
     counts = [(rows == kind).sum(axis=1) for kind in np.asarray(kinds).tolist()]
     return np.stack(counts, axis=1) if counts else np.zeros((len(rows), 0), dtype=np.int64)
@@ -133,14 +111,14 @@ def sign_flip_test(scores: ArrayLike) -> ExactTest:
     >>> bool(sign_flip_test([4] * 10).p == 2 / 2**10)
     True
     """
-    values = whole_numbers(scores, "scores")
+    values = _whole_numbers(scores, "scores")
     sizes = np.abs(values)
     kinds = np.unique(sizes)
     kinds = kinds[kinds > 0]
     coin = np.array([0.5, 0.5])
     laws = [(np.array([-size, size]), coin) for size in kinds]
-    sums = Sums(laws, np.zeros(len(laws), dtype=np.int64), 1, count_each(sizes, kinds))
-    test = sum_test(sums, values.sum(axis=-1))
+    sums = Sums(laws, np.zeros(len(laws), dtype=np.int64), 1, _count_each(sizes, kinds))
+    test = _sum_test(sums, values.sum(axis=-1))
     return ExactTest(test.statistic, lambda: test.p, lambda: test.p_min, test.n_informative, lambda: _stepped(test))
 
 
@@ -160,7 +138,7 @@ def sign_test(scores: ArrayLike) -> ExactTest:
     scores : (..., n_participants) array of int
         One net score per participant.
     """
-    values = whole_numbers(scores, "scores")
+    values = _whole_numbers(scores, "scores")
     test = sign_flip_test(np.sign(values))
     n_positive = (values > 0).sum(axis=-1)
     return ExactTest(n_positive, lambda: test.p, lambda: test.p_min, test.n_informative, lambda: test.quick_p)
@@ -187,7 +165,7 @@ def multinomial_test(counts: ArrayLike) -> ExactTest:
     >>> float(multinomial_test([10, 0, 0]).p.round(8))  # three such outcomes, each with probability (1/3)^10
     5.081e-05
     """
-    observed = whole_numbers(counts, "counts")
+    observed = _whole_numbers(counts, "counts")
     if observed.ndim < 1 or observed.shape[-1] < 2 or observed.size == 0:
         raise ValueError(f"counts have shape {observed.shape}: give (..., n_categories), two categories or more")
     if observed.min() < 0:
@@ -255,22 +233,173 @@ def _heads(n: int, length: int, most: int) -> Iterator[tuple[int, ...]]:
             yield first, *rest
 
 
-def whole_numbers(values: ArrayLike, name: str) -> IntArray:
-    """Convert whole numbers to an integer array.
-
-    Parameters
-    ----------
-    values : array
-        Whole numbers of any dtype.
-    name : str
-        Name of the values for the error message.
-
-    Raises
-    ------
-    ValueError
-        If any value is not a whole number.
-    """
+def _whole_numbers(values: ArrayLike, name: str) -> IntArray:
+    """Convert whole numbers of any dtype to integers; `name` is theirs in the error message."""
     array = np.asarray(values)
     if array.dtype.kind not in "iub" and not np.array_equal(array, np.rint(array)):
         raise ValueError(f"{name} must be whole numbers, so that ties are exact; got {array.ravel()[:5].tolist()}")
     return array.astype(np.int64, copy=False)
+
+
+GRID_STEPS = 1000
+"""Maximum number of steps of the common grid of levels; levels without such a grid are rounded to this many steps."""
+
+MOST_EXACT = 400
+"""Maximum number of answers per participant for the exact test; for more, p is from a normal approximation, accurate to
+4 % above 1e-6."""
+
+_RAREST = 4
+
+
+def trend_test(chosen: ArrayLike, levels: Sequence[float], n_repetitions: ArrayLike = 1) -> ExactTest:
+    """Exact test of a trend over levels by permutation of the answers within each participant.
+
+    Under the null hypothesis, a participant's answers do not depend on the level, so all assignments of the answers to
+    the presentations are equally likely. Participants with identical answers do not contribute.
+
+    Parameters
+    ----------
+    chosen : (..., n_participants, n_levels) array of int
+        Counts of the answer at each level.
+    levels : sequence of float
+        Levels, the scores of the trend; only their relative distances matter.
+    n_repetitions : int, or array of int like `chosen`
+        Number of all answers at each level.
+
+    Returns
+    -------
+    ExactTest
+        The statistic is the sum over participants of score times count, minus its expectation, in units of the grid of
+        `level_scores`.
+
+    Raises
+    ------
+    ValueError
+        If the counts do not match the levels and repetitions.
+    """
+    counts = _whole_numbers(chosen, "chosen")
+    scores = level_scores(levels)
+    if counts.ndim < 2 or counts.shape[-1] != len(scores):
+        raise ValueError(
+            f"chosen has shape {counts.shape}, but there are {len(scores)} levels: give participants by levels"
+        )
+    answered = np.broadcast_to(np.asarray(n_repetitions, dtype=np.int64), counts.shape)
+    if counts.size and (counts.min() < 0 or (counts > answered).any()):
+        raise ValueError(f"chosen runs from {counts.min()} to {counts.max()}, allowed: 0 to {answered.max()}")
+    if counts.size and answered.sum(axis=-1).max() > MOST_EXACT:
+        return _normal_trend(counts, answered, scores)
+    patterns, which = np.unique(answered.reshape(-1, len(scores)), axis=0, return_inverse=True)
+    which, totals = which.reshape(counts.shape[:-1]), counts.sum(axis=-1)
+    scale = int(np.lcm.reduce(np.maximum(patterns.sum(axis=1), 1)))
+    laws: list[Law] = []
+    means: list[int] = []
+    columns, observed = [], np.zeros(counts.shape[:-2], dtype=np.int64)
+    for place, pattern in enumerate(patterns):
+        own = _draws_without_replacement(scores, pattern)[1:-1] if (scores * (pattern > 0)).any() else []
+        drawn = np.arange(1, len(own) + 1)
+        here = np.where(which == place, totals, 0)
+        moving = (here > 0) & (here <= len(own))
+        observed = observed + np.where(moving, counts @ scores, 0).sum(axis=-1)
+        laws += own
+        means += [scale // (len(own) + 1) * k * int(pattern @ scores) for k in drawn.tolist()]
+        columns.append(_count_each(here, drawn))
+    return _sum_test(Sums(laws, np.array(means, dtype=np.int64), scale, np.concatenate(columns, axis=1)), observed)
+
+
+def _normal_trend(counts: IntArray, answered: IntArray, scores: IntArray) -> ExactTest:
+    """Return the test by normal approximation, with a continuity correction of half a step."""
+    from scipy.special import ndtr
+
+    n, chosen = answered.sum(axis=-1), counts.sum(axis=-1)
+    mean, square = ((answered @ each) / np.maximum(n, 1) for each in (scores, scores**2))
+    scatter = square - mean**2
+    variance = chosen * (n - chosen) / np.maximum(n - 1, 1) * scatter
+    deviation = (counts @ scores - chosen * mean).sum(axis=-1)
+    spread = np.sqrt(variance.sum(axis=-1))
+    half = 0.5 * int(np.gcd.reduce(scores))
+
+    def p(distance: FloatArray) -> FloatArray:
+        return np.asarray(2 * ndtr(-np.maximum(distance - half, 0.0) / np.where(spread > 0, spread, np.inf)))
+
+    ends = []
+    for order in (np.argsort(scores), np.argsort(-scores)):
+        left, end = chosen.copy(), -chosen * mean
+        for level in order:
+            taken = np.minimum(left, answered[..., level])
+            left, end = left - taken, end + taken * scores[level]
+        ends.append(np.abs(end.sum(axis=-1)))
+    return ExactTest(
+        deviation, lambda: p(np.abs(deviation)), lambda: p(np.maximum(*ends)), np.count_nonzero(variance > 0, axis=-1)
+    )
+
+
+def smallest_trend_p(levels: Sequence[float], n_participants: int, n_repetitions: int) -> float:
+    """Return the smallest attainable p of a trend test [1].
+
+    Parameters
+    ----------
+    levels : sequence of float
+        Levels.
+    n_participants, n_repetitions : int
+        Number of participants, and of presentations at each level.
+    """
+    if len(levels) * n_repetitions > MOST_EXACT:
+        return sys.float_info.min if len(set(levels)) > 1 else 1.0
+    extremes = _extreme_choices(levels, n_repetitions)
+    # If all participants choose alike, both tails are equally probable; if one differs, the other tail may be smaller.
+    chosen = [[most] * (n_participants - 1) + [one] for side in extremes for most in side for one in side]
+    return float(trend_test(np.array(chosen), levels, n_repetitions).quick_p.min()) if chosen else 1.0
+
+
+def _extreme_choices(levels: Sequence[float], n_repetitions: int) -> list[list[IntArray]]:
+    """Return the least likely choices of only the highest or only the lowest levels, (n_levels,) arrays of counts."""
+    laws = _draws_without_replacement(level_scores(levels), n_repetitions)[1:-1]
+    places = np.arange(len(levels) * n_repetitions).reshape(len(levels), n_repetitions)
+    sides = []
+    for order, end in ((places[::-1], -1), (places, 0)):
+        rarest = np.argsort([weights[end] for _, weights in laws], kind="stable")[:_RAREST]
+        sides.append([(order <= k).sum(axis=1) for k in rarest.tolist()])
+    return sides if laws else []
+
+
+def level_scores(levels: Sequence[float]) -> IntArray:
+    """Convert levels to small integers from zero, in steps of their common grid.
+
+    Parameters
+    ----------
+    levels : sequence of float
+        Levels with at most three decimals.
+
+    Returns
+    -------
+    (n_levels,) array of int
+        Scores; without a common grid of at most `GRID_STEPS` steps, levels are rounded to a grid of this many.
+
+    Examples
+    --------
+    >>> level_scores([80, 100, 150, 200]).tolist()
+    [0, 2, 7, 12]
+    """
+    fine = np.rint(np.asarray(levels, dtype=float) * 1000).astype(np.int64)
+    fine = fine - fine.min()
+    unit = int(np.gcd.reduce(fine)) or 1
+    scores = fine // unit
+    if scores.max() > GRID_STEPS:
+        scores = np.rint(scores * (GRID_STEPS / scores.max())).astype(np.int64)
+    return np.asarray(scores, dtype=np.int64)
+
+
+def _draws_without_replacement(scores: IntArray, n_repetitions: ArrayLike) -> list[Law]:
+    """Return the distribution of the sum of scores of k of the answers drawn without replacement, for each k from 0."""
+    answered = np.broadcast_to(np.asarray(n_repetitions, dtype=np.int64), scores.shape)
+    n_answers = int(answered.sum())
+    ways = np.zeros((n_answers + 1, int(answered @ scores) + 1))
+    ways[0, 0] = 1.0
+    for score, own in zip(scores.tolist(), answered.tolist(), strict=True):
+        grown = ways.copy()
+        for taken in range(1, own + 1):
+            shift = taken * score
+            grown[taken:, shift:] += math.comb(own, taken) * ways[: n_answers + 1 - taken, : ways.shape[1] - shift]
+        ways = grown
+    sums = (np.flatnonzero(row) for row in ways)
+    return [(own.astype(np.int64), ways[k, own] / math.comb(n_answers, k)) for k, own in enumerate(sums)]

@@ -21,14 +21,12 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from modaltouch.analysis.consistency import consistency_findings, effect_findings
-from modaltouch.analysis.contrasts import Contrast, FamilyResult, MeanScores, equivalence_of, means_of, signs_of
+from modaltouch.analysis.contrasts import Contrast, FamilyResult, MeanScores, Shares, equivalence_of, means_of, signs_of
 from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.covariates import secondary_findings
-from modaltouch.analysis.exact import multinomial_test, sign_test
+from modaltouch.analysis.exact import MOST_EXACT, multinomial_test, sign_test, smallest_trend_p, trend_test
 from modaltouch.analysis.findings import Finding, correct, finding_of
 from modaltouch.analysis.intervals import BoundedMean, Interval, clopper_pearson
-from modaltouch.analysis.shares import Shares
-from modaltouch.analysis.trend import MOST_EXACT, smallest_trend_p, trend_test
 
 IntArray = NDArray[np.int64]
 
