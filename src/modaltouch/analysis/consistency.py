@@ -24,9 +24,7 @@ from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.exact import sign_flip_test
 from modaltouch.analysis.findings import ALPHA, Finding, finding_of
 from modaltouch.analysis.intervals import CONFIDENCE, BoundedMean, Interval, clopper_pearson, matched_odds_ratio
-
-IntArray = NDArray[np.int64]
-FloatArray = NDArray[np.float64]
+from modaltouch.analysis.sums import FloatArray, IntArray
 
 AGREEMENT = "agreement between participants"
 SHARE = "share of answers over levels, interval of a bounded mean over participants"

@@ -7,14 +7,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from modaltouch.analysis.exact import ExactTest, sign_flip_test
 from modaltouch.analysis.findings import ALPHA, holm
 from modaltouch.analysis.intervals import BoundedMean, Interval
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from modaltouch.analysis.sums import FloatArray, IntArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +107,7 @@ class FamilyResult:
     quantities: Sequence[str]
     test: ExactTest
     interval: Interval
-    n: NDArray[np.int64] | None = None
+    n: IntArray | None = None
     notes: Callable[[int], Sequence[str]] = lambda place: ()
 
     @property

@@ -8,7 +8,7 @@ from itertools import combinations
 
 import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from modaltouch.analysis.columns import label_zones
 from modaltouch.analysis.contrasts import Shares, mean_of_known
@@ -16,9 +16,6 @@ from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.exact import sign_flip_test
 from modaltouch.analysis.findings import Finding, finding_of
 from modaltouch.analysis.intervals import BoundedMean, Interval, centre_interval
-
-IntArray = NDArray[np.int64]
-FloatArray = NDArray[np.float64]
 
 ANTICIPATION = 0.15
 """Shortest plausible reaction time [s]; faster (anticipatory) answers are excluded from reaction times."""

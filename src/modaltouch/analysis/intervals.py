@@ -28,8 +28,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from modaltouch.analysis.exact import ExactTest, sign_flip_test
-
-FloatArray = NDArray[np.float64]
+from modaltouch.analysis.sums import FloatArray, IntArray
 
 CONFIDENCE = 0.95
 """Default confidence level [1]."""
@@ -153,7 +152,7 @@ def centre_interval(seconds: FloatArray) -> Interval:
     if 2.0 ** (1 - values.size) > 1 - CONFIDENCE:
         return Interval(float(seconds.mean()) if values.size else math.nan, -math.inf, math.inf, values.size)
 
-    def lowest(values: NDArray[np.int64]) -> int:
+    def lowest(values: IntArray) -> int:
         centres = range(int(values.min()), int(np.rint(values.mean())))
         kept = bisect_right(centres, 1 - CONFIDENCE, key=lambda centre: sign_flip_test(values - centre).p)
         return centres.start + kept
@@ -223,7 +222,7 @@ class BoundedMean:
         self._n = np.isfinite(self._rows).sum(axis=-1)
 
     @property
-    def n(self) -> NDArray[np.int64]:
+    def n(self) -> IntArray:
         """Number of participants with a score, for each test."""
         return np.asarray(self._n.reshape(self.shape)[()])
 

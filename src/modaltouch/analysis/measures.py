@@ -14,15 +14,14 @@ from typing import Any, cast
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from modaltouch.analysis.columns import LevelScale, label_zones
 from modaltouch.analysis.findings import ALPHA, Finding, finding_of
 from modaltouch.analysis.intervals import BoundedMean, Interval
 from modaltouch.analysis.permutation import Located, by_flips, by_ranks, flip_test, group_test
+from modaltouch.analysis.sums import FloatArray
 from modaltouch.analysis.words import certificates
 
-FloatArray = NDArray[np.float64]
 Cell = tuple[str, str, str, float]
 """Participant, finger condition, pair of zones, level."""
 

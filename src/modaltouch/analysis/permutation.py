@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 
 from modaltouch.analysis.exact import ExactTest, sign_flip_test
 from modaltouch.analysis.intervals import CONFIDENCE, Interval, centre_interval
+from modaltouch.analysis.sums import FloatArray, IntArray
 
-FloatArray = NDArray[np.float64]
 Located = tuple[ExactTest, Interval]
 
 
@@ -169,7 +169,7 @@ def _last_kept(p: Callable[[float], float], kept: float, rejected: float) -> flo
 _SHUFFLES = 9_999
 
 
-def association_test(counts: NDArray[np.int64]) -> ExactTest:
+def association_test(counts: IntArray) -> ExactTest:
     """Test the null hypothesis that no participant's answers depend on the condition.
 
     As in Pearson's statistic, the deviations of the counts from those expected from each participant's totals are

@@ -31,9 +31,8 @@ from modaltouch.analysis.columns import LevelScale, scale_of
 from modaltouch.analysis.intervals import DROP, REGION, Interval
 from modaltouch.analysis.measures import Cell, IndividualValue, Measure, cells, kind_of
 from modaltouch.analysis.responses import Responses
+from modaltouch.analysis.sums import FloatArray
 from modaltouch.analysis.task import TrialTask
-
-FloatArray = NDArray[np.float64]
 
 STEP = 0.25
 """Step of the grid of thresholds [dB]."""
@@ -364,9 +363,9 @@ class FittedCell:
     """
 
     cell: Cell
-    levels: NDArray[np.float64]
-    shares: NDArray[np.float64]
-    tries: NDArray[np.float64]
+    levels: FloatArray
+    shares: FloatArray
+    tries: FloatArray
     fitted: Psychometric
     is_choice: bool
 
@@ -401,7 +400,7 @@ def _fit_cell(
     cell: Cell, part: pd.DataFrame, responses: Responses, task: TrialTask, scale: LevelScale, is_choice: bool
 ) -> FittedCell:
     answers, catches = part.loc[part.index.repeat(part["n"])], []
-    guess_rate: float | NDArray[np.float64] = 1 / task.n_intervals
+    guess_rate: float | FloatArray = 1 / task.n_intervals
     if task.named:
         success = answers["response"].map(task.named).astype(int) == answers["interval"].astype(int)
     else:

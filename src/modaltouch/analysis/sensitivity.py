@@ -19,12 +19,12 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import ncfdtr, ndtr, ndtri
 
 from modaltouch.analysis.intervals import DROP, Interval, clopper_pearson
+from modaltouch.analysis.sums import FloatArray
 
-FloatArray = NDArray[np.float64]
 Statistic = Callable[[FloatArray, FloatArray], FloatArray]
 Count = tuple[int, int]
 """Count of an answer, and number of trials."""

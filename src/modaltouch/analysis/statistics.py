@@ -18,7 +18,6 @@ from itertools import combinations, product
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from modaltouch.analysis.consistency import consistency_findings, effect_findings
 from modaltouch.analysis.contrasts import Contrast, FamilyResult, MeanScores, Shares, equivalence_of, means_of, signs_of
@@ -27,8 +26,7 @@ from modaltouch.analysis.covariates import secondary_findings
 from modaltouch.analysis.exact import MOST_EXACT, multinomial_test, sign_test, smallest_trend_p, trend_test
 from modaltouch.analysis.findings import Finding, correct, finding_of
 from modaltouch.analysis.intervals import BoundedMean, Interval, clopper_pearson
-
-IntArray = NDArray[np.int64]
+from modaltouch.analysis.sums import IntArray
 
 
 @dataclass(frozen=True)
