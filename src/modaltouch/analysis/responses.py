@@ -13,7 +13,11 @@ import shlex
 from collections import Counter
 from collections.abc import Callable, Collection, Container, Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
 
 from modaltouch.analysis.columns import (
     DELIVERED,
@@ -25,15 +29,11 @@ from modaltouch.analysis.columns import (
     scale_of,
     zones_of,
 )
+from modaltouch.analysis.counts import AnswerCounts, count_answers
+from modaltouch.analysis.provenance import SessionFacts, summarise_form
 from modaltouch.protocol import AnswerList, InputError
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
-    import pandas as pd
-
-    from modaltouch.analysis.counts import AnswerCounts
-    from modaltouch.analysis.provenance import SessionFacts
     from modaltouch.analysis.task import TrialTask
 
 REQUIRED = ("participant", "finger_condition", "zone_left", "zone_right", "velocity_mm_s", "response")
@@ -62,8 +62,6 @@ def answers_per_cell(frame: pd.DataFrame) -> pd.DataFrame:
     frame : DataFrame
         Tidy answers with a count ``n``.
     """
-    import pandas as pd
-
     cell = cell_of(frame.columns)
     sums = frame.groupby(["participant", *cell], observed=True)["n"].sum()
     wide = sums.unstack(list(cell), fill_value=0)
@@ -257,8 +255,6 @@ class Responses:
 
     def as_dict(self, *notes: str) -> dict[str, Any]:
         """Return the source of the answers and the form at the end, as plain values for ``--json``."""
-        from modaltouch.analysis.provenance import summarise_form
-
         return {
             "notes": [*self.notes, *notes],
             "mode": self.source.mode or None,
@@ -333,8 +329,6 @@ class Responses:
         ValueError
             If a response is not one of the answers.
         """
-        from modaltouch.analysis.counts import count_answers
-
         counts = count_answers(self.frame, self.focus or focus, self.answers, self.margin, self.asked)
         return replace(counts, guesses_evenly=self.n_intervals < 3)
 
@@ -432,8 +426,6 @@ def unmirror(frame: pd.DataFrame, answers: AnswerList) -> pd.DataFrame:
     """
     if "placement" not in frame.columns:
         return frame
-    import numpy as np
-
     # A single finger has no opposite side.
     turned = (frame["placement"].astype(str).str.startswith("mirrored") & (frame["zone_right"] != "")).to_numpy()
     if not turned.any():
