@@ -92,9 +92,8 @@ def draw_counts(
     with house_style(7.6, 0.5 + 2.9 * len(rows), len(rows)) as (figure, panels):
         for axes, row in zip(panels[:, 0], rows, strict=True):
             _draw_row(axes, table, row, colours, totals, n_participants, names)
-            axes.set_ylim(0, most * 1.02)
+            axes.set(ylim=(0, most * 1.02), ylabel=f"answers out of {most}")
             axes.yaxis.set_major_locator(MaxNLocator(nbins=6, integer=True, steps=[1, 2, 5, 10]))
-            axes.set_ylabel(f"answers out of {most}")
             quiet_grid(axes)
         panels[-1, 0].set_xlabel(f"answer, and below each bar the {scale_of([str(table.columns.name)]).quantity}")
         named = finger_condition.replace("_", " ")
@@ -138,8 +137,7 @@ def _draw_row(
     given = [pair for pair, _ in own.index]
     of_bars = np.repeat([colours[pair] for pair in given], len(levels)).tolist()
     _draw_bars(axes, along, counts, np.concatenate([totals[pair].to_numpy() for pair in given]), of_bars, n)
-    axes.set_xlim(-BAR_WIDTH, left - PAIR_GAP)
-    axes.set_xticks([])
+    axes.set(xlim=(-BAR_WIDTH, left - PAIR_GAP), xticks=[])
     axes.xaxis.labelpad = 34 + 1.2 * names.size * (names.n_lines - 1)
 
 

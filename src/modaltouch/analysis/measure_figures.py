@@ -209,5 +209,4 @@ def _mark_levels(axes: Axes, levels: Sequence[float], scale: LevelScale) -> None
     axes.xaxis.set_major_formatter("{x:g}")
     axes.xaxis.set_minor_locator(NullLocator())
     axes.tick_params(axis="x", labelrotation=90 if len(levels) > 5 else 0)
-    axes.set_xlim(levels[0] / 1.1, levels[-1] * 1.1)
-    axes.set_xlabel(scale.quantity)
+    axes.set(xlim=(levels[0] / 1.1, levels[-1] * 1.1), xlabel=scale.quantity)

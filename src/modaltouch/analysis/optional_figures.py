@@ -97,11 +97,12 @@ def draw_order(answers: AnswerCounts, frame: pd.DataFrame) -> Figure | None:
                 shares.index, shares[label], linestyle="none", marker=marker, markersize=4.5, color=colour,
                 markeredgecolor=INK, markeredgewidth=0.4, label=label,
             )  # fmt: skip
-        axes.set_ylim(-0.04, 1.04)
-        axes.set_xlabel(
-            "answer of the session, in the order of trials" + (f", in groups of {step}" if step > 1 else "")
+        grouped = f", in groups of {step}" if step > 1 else ""
+        axes.set(
+            ylim=(-0.04, 1.04),
+            xlabel=f"answer of the session, in the order of trials{grouped}",
+            ylabel="share of the\ndominant zone",
         )
-        axes.set_ylabel("share of the\ndominant zone")
         figure.legend(loc="outside right upper", frameon=False)
         quiet_grid(axes)
         figure.suptitle(f"Order and fatigue (N = {answers.n_participants})", fontsize=9)
@@ -126,8 +127,7 @@ def draw_times(answers: AnswerCounts, frame: pd.DataFrame) -> Figure | None:
         axes.boxplot(groups, whis=(5, 95), widths=0.55, medianprops={"color": INK, "linewidth": 1.4},
                      flierprops={"marker": ".", "markersize": 2, "markeredgecolor": FAINT})  # fmt: skip
         axes.set_xticks(range(1, len(ticks) + 1), ticks)
-        axes.set_ylim(0, None)
-        axes.set_ylabel("reaction time [s]")
+        axes.set(ylim=(0, None), ylabel="reaction time [s]")
         quiet_grid(axes)
         figure.suptitle(
             f"Reaction times: median, quartiles, 5th to 95th percentile (n = {len(kept)} answers)", fontsize=9,
@@ -150,8 +150,7 @@ def draw_speeds(answers: AnswerCounts, frame: pd.DataFrame) -> Figure | None:
         for axes, condition in zip(panels, answers.finger_conditions, strict=True):
             own = (frame["finger_condition"].astype(str) == condition).to_numpy()
             _draw_ratios(axes, frame[own].assign(ratio=ratio[own]), answers.answers)
-            axes.set_title(condition_in_words(condition))
-            axes.set_xlabel("predicted peak speed, right / left finger")
+            axes.set(title=condition_in_words(condition), xlabel="predicted peak speed, right / left finger")
         panels[0].set_ylabel("share of answers")
         figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
         figure.suptitle(f"Answers by predicted speed ratio (95 % intervals, N = {answers.n_participants})", fontsize=9)
@@ -238,16 +237,20 @@ def _draw_field(axes: Axes, fields: list[dict[str, Any]]) -> None:
         axes.text(centre, 0.97, name, ha="center", va="top", color=FAINT, transform=axes.get_xaxis_transform())
     axes.plot(place, target, color=INK, linestyle="--", linewidth=1, label="target")
     for i, (each, predicted) in enumerate(zip(fields, reached, strict=True)):
-        label = f"predicted, {each['placement']}" if "placement" in each else "predicted"
-        style: dict[str, Any] = {
-            "color": CONDITION_COLOURS[i % len(CONDITION_COLOURS)],
-            "linestyle": ("-", "--", ":")[i % 3],
-        }
-        axes.plot(place, predicted, linewidth=1.6, label=label, **style)
-    axes.set_ylim(min(0, 1.1 * np.min(reached)), 1.16 * max(np.max(target), np.max(reached)))
-    axes.set_xlim(-half, half)
-    axes.set_xlabel("place along the beam [mm]")
-    axes.set_ylabel(f"velocity at the focusing\ninstant [mm/s], level {field['velocity_mm_s']:g}")
+        axes.plot(
+            place,
+            predicted,
+            color=CONDITION_COLOURS[i % len(CONDITION_COLOURS)],
+            linestyle=("-", "--", ":")[i % 3],
+            linewidth=1.6,
+            label=f"predicted, {each['placement']}" if "placement" in each else "predicted",
+        )
+    axes.set(
+        ylim=(min(0, 1.1 * np.min(reached)), 1.16 * max(np.max(target), np.max(reached))),
+        xlim=(-half, half),
+        xlabel="place along the beam [mm]",
+        ylabel=f"velocity at the focusing\ninstant [mm/s], level {field['velocity_mm_s']:g}",
+    )
     axes.legend(frameon=False, loc="center left", fontsize=7)
 
 
@@ -256,12 +259,16 @@ def _draw_zones(axes: Axes, stimuli: list[dict[str, Any]]) -> None:
     placed = [each for each in stimuli if "placement" in each and each["velocity_mm_s"] == highest]
     for i, stimulus in enumerate(placed or stimuli):
         zones = stimulus["zone_peak_mm_s"]
-        style: dict[str, Any] = {"marker": "os^Dvp"[i % 6], "color": CONDITION_COLOURS[i % len(CONDITION_COLOURS)]}
-        label = stimulus["placement"] if placed else format(float(stimulus["velocity_mm_s"]), "g")
-        axes.plot(list(zones), list(zones.values()), linewidth=0.8, markersize=4, label=label, **style)
-    axes.set_ylim(0, None)
-    axes.set_xlabel("zone")
-    axes.set_ylabel("peak speed [mm/s]")
+        axes.plot(
+            list(zones),
+            list(zones.values()),
+            color=CONDITION_COLOURS[i % len(CONDITION_COLOURS)],
+            linewidth=0.8,
+            marker="os^Dvp"[i % 6],
+            markersize=4,
+            label=stimulus["placement"] if placed else format(float(stimulus["velocity_mm_s"]), "g"),
+        )
+    axes.set(ylim=(0, None), xlabel="zone", ylabel="peak speed [mm/s]")
     axes.legend(
         title="fingers at" if placed else "level [mm/s]",
         frameon=False,

@@ -57,10 +57,8 @@ def _draw_track(axes: Axes, run: Run, bounds: tuple[float, float]) -> None:
             trials[chosen], run.levels[chosen], s=20, marker=marker, color=face, edgecolor=BLUE, linewidth=0.9,
             zorder=2, label=label,
         )  # fmt: skip
-    axes.set_yscale("log")
-    axes.set_ylim(bounds[0] / 1.25, bounds[1] * 1.9)
+    axes.set(yscale="log", ylim=(bounds[0] / 1.25, bounds[1] * 1.9), ylabel="level [mm/s]")
     _mark_levels(axes.yaxis)
-    axes.set_ylabel("level [mm/s]")
     axes.set_title(run.kind, loc="left", fontsize=9)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     quiet_grid(axes)
@@ -76,11 +74,8 @@ def _draw_function(axes: Axes, run: Run, bounds: tuple[float, float]) -> None:
     curve = run.fitted.probability(20 * np.log10(fine))
     if curve is not None:
         axes.plot(fine, curve, color=INK, linewidth=1.3, zorder=2)
-    axes.set_xscale("log")
-    axes.set_xlim(bounds[0] / 1.15, bounds[1] * 1.15)
+    axes.set(xscale="log", xlim=(bounds[0] / 1.15, bounds[1] * 1.15), ylim=(-0.06, 1.06), ylabel="share of successes")
     _mark_levels(axes.xaxis)
-    axes.set_ylim(-0.06, 1.06)
-    axes.set_ylabel("share of successes")
     threshold = run.fitted.threshold
     title = "no threshold" if threshold is None else f"threshold {in_words(threshold, ' mm/s')}"
     axes.set_title(title, loc="left", fontsize=9)
@@ -127,15 +122,17 @@ def draw_thresholds(runs: Sequence[Run], bounds: tuple[float, float]) -> Figure:
             heights = np.array([people.index((run.participant, run.session)) for run in own], dtype=float)
             heights += 0.62 * (k + 0.5) / len(kinds) - 0.31
             _draw_kind(axes, own, heights, k, bounds)
-        axes.set_xscale("log")
-        axes.set_xlim(bounds[0] / 1.3, bounds[1] * 1.3)
-        _mark_levels(axes.xaxis)
         axes.set_yticks(range(len(people)), [f"{name} ({number})" for name, number in people])
-        axes.set_ylim(len(people) - 0.4, -0.6)
-        axes.set_xlabel("threshold [mm/s]")
-        axes.set_ylabel("participant (session)")
+        axes.set(
+            xscale="log",
+            xlim=(bounds[0] / 1.3, bounds[1] * 1.3),
+            ylim=(len(people) - 0.4, -0.6),
+            xlabel="threshold [mm/s]",
+            ylabel="participant (session)",
+            axisbelow=True,
+        )
+        _mark_levels(axes.xaxis)
         axes.grid(axis="x", color="#e3e7ec", linewidth=0.7)
-        axes.set_axisbelow(True)
         figure.legend(loc="outside upper center", frameon=False, ncols=min(len(kinds), 3))
     return figure
 
