@@ -57,6 +57,20 @@ def test_pairs_that_share_levels_and_numbers_are_one_part(analysis: PartsAnalysi
     assert [part.counts.n_repetitions for part in analysis.parts] == [1, 2]
 
 
+def test_parts_come_in_the_order_of_their_pairs_in_every_run() -> None:
+    """One hand meets five pairs, two hands one of them: a part for each pair, not in the order of their hashes."""
+    pairs = [("A", "C"), ("A", "D"), ("B", "D"), ("B", "E"), ("C", "E")]
+    met = [("one_hand", *pair) for pair in pairs] + [("two_hands", "A", "C")]
+    found = analyse_parts(
+        responses([
+            {"participant": who, "finger_condition": hand, "zone_left": left, "zone_right": right,
+             "velocity_mm_s": 80.0, "response": "right"}
+            for who, (hand, left, right) in product(PEOPLE, met)
+        ])
+    )  # fmt: skip
+    assert [part.counts.pairs[0].zones for part in found.parts] == pairs
+
+
 def test_each_part_has_the_tests_that_it_would_have_alone(analysis: PartsAnalysis) -> None:
     """The same p and estimates as of a crossed table with these answers alone."""
     for part in analysis.parts:

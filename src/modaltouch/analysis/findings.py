@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import pandas as pd
@@ -13,6 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from modaltouch.analysis.exact import ExactTest
 from modaltouch.analysis.intervals import Interval
+
+Key = TypeVar("Key")
+Value = TypeVar("Value")
 
 ALPHA = 0.05
 """Significance level of all tests [1]."""
@@ -162,6 +165,14 @@ def to_frame(findings: Iterable[Finding]) -> pd.DataFrame:
     """Convert findings to a tidy table with one row each and the columns `COLUMNS`."""
     rows = [{column: getattr(finding, column) for column in COLUMNS} for finding in findings]
     return pd.DataFrame(rows, columns=list(COLUMNS))
+
+
+def grouped(pairs: Iterable[tuple[Key, Value]]) -> dict[Key, list[Value]]:
+    """Return the values of each key, in the order of the keys' first occurrence."""
+    groups: dict[Key, list[Value]] = {}
+    for key, value in pairs:
+        groups.setdefault(key, []).append(value)
+    return groups
 
 
 def plain_row(row: dict[Any, Any]) -> dict[str, Any]:

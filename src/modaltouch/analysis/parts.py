@@ -11,7 +11,7 @@ import pandas as pd
 
 from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.crossed import tabulate, zone_table
-from modaltouch.analysis.findings import ALPHA, Finding, correct, plain_row, to_frame
+from modaltouch.analysis.findings import ALPHA, Finding, correct, grouped, plain_row, to_frame
 from modaltouch.analysis.models import model_table, tidy_files, zone_files
 from modaltouch.analysis.preregistration import ALL_PARTS, RegisteredAnalysis, terms_of_tests
 from modaltouch.analysis.ratings import questions_of
@@ -185,14 +185,10 @@ def _find_parts(responses: Responses) -> Iterator[CrossedPart]:
     named = [name for name in FACTORS if scheduled[name].nunique() > 1]
     for values, own in scheduled.groupby(named, observed=True) if named else [((), scheduled)]:
         factors = dict(zip(named, map(str, values), strict=True))
-        levels_of: dict[tuple[tuple[str, ...], int], list[float]] = {}
-        for (*place, level), n in _asked(responses, own, cell):
-            levels_of.setdefault((tuple(place), n), []).append(level)
-        alike: dict[tuple[tuple[float, ...], int], list[tuple[str, ...]]] = {}
-        for (where, n), own_levels in levels_of.items():
-            alike.setdefault((tuple(own_levels), n), []).append(where)
+        levels_of = grouped(((each[:-1], n), each[-1]) for each, n in _asked(responses, own, cell))
+        alike = grouped(((tuple(levels), n), place) for (place, n), levels in levels_of.items())
         for (levels, n), places in alike.items():
-            conditions, pairs = {place[0] for place in places}, {place[1:] for place in places}
+            conditions, pairs = ([*dict.fromkeys(place[of] for place in places)] for of in (0, slice(1, None)))
             is_whole = len(places) == len(conditions) * len(pairs)
             for chosen in [places] if is_whole else [[each for each in places if each[1:] == pair] for pair in pairs]:
                 cells = {(*place, level) for place in chosen for level in levels}
