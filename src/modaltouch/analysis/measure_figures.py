@@ -16,6 +16,7 @@ from matplotlib.ticker import FixedLocator, NullLocator
 from modaltouch.analysis.columns import LevelScale
 from modaltouch.analysis.designs import DesignAnalysis
 from modaltouch.analysis.detection import CRITERION, DIFFERENCE
+from modaltouch.analysis.findings import grouped
 from modaltouch.analysis.measures import IndividualValue, Measure, by_measure, of_participants, over_participants
 from modaltouch.analysis.psychometric import FittedCell
 from modaltouch.analysis.words import condition_in_words
@@ -41,7 +42,7 @@ def draw_design(design: DesignAnalysis) -> Iterator[ReportFigure]:
     if design.fits:
         caption = "Psychometric functions. Dots: the share of each participant, the larger the more answers."
         yield ReportFigure("functions", draw_functions(design.fits, scale), caption, "each")
-    for measure, own in by_measure(design.values):
+    for measure, own in by_measure(design.values).items():
         if measure not in (CRITERION, DIFFERENCE) and any(math.isfinite(each.interval.estimate) for each in own):
             name = "".join(letter if letter.isalnum() else "_" for letter in measure.name.replace("'", "_prime"))
             means = _THIN.replace("mean", "geometric mean") if measure.is_ratio else _THIN
@@ -100,7 +101,7 @@ def draw_groups(values: Sequence[IndividualValue], groups: Mapping[str, str]) ->
         Group of each participant.
     """
     panels: dict[str, dict[str, list[IndividualValue]]] = {}
-    for measure, own in by_measure(values):
+    for measure, own in by_measure(values).items():
         for each in sorted(of_participants(own), key=lambda each: [*groups].index(each.participant)):
             panels.setdefault(measure.quantity, {}).setdefault(groups.get(each.participant, ""), []).append(each)
     return _draw(panels)
@@ -138,9 +139,7 @@ def _draw(
 def _draw_people(axes: Axes, label: str, own: Sequence[IndividualValue], k: int) -> None:
     """Plot each participant as a thin line and the mean with its interval, against the level or side by side."""
     colour, has_levels = CONDITION_COLOURS[k % 4], not math.isnan(own[0].level)
-    places: dict[float, list[IndividualValue]] = {}
-    for each in own:
-        places.setdefault(each.level if has_levels else float(k), []).append(each)
+    places = grouped((each.level if has_levels else float(k), each) for each in own)
     for i, who in enumerate(dict.fromkeys(each.participant for each in own)):
         line = [
             (place, each.interval.estimate)

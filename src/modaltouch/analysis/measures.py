@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 
 from modaltouch.analysis.columns import LevelScale, label_zones
-from modaltouch.analysis.findings import ALPHA, Finding, finding_of
+from modaltouch.analysis.findings import ALPHA, Finding, finding_of, grouped
 from modaltouch.analysis.intervals import BoundedMean, Interval
 from modaltouch.analysis.permutation import Located, by_flips, by_ranks, flip_test, group_test
 from modaltouch.analysis.sums import FloatArray
@@ -150,7 +150,9 @@ def over_participants(measure: Measure, own: Sequence[IndividualValue]) -> Locat
 def mean_findings(values: Sequence[IndividualValue], scale: LevelScale, groups: Mapping[str, str]) -> Iterator[Finding]:
     """Yield the mean of each measure over participants, with a test if the measure has a null value."""
     names = dict.fromkeys(groups.values())
-    for measure, scope, own in _by_scope(values, scale):
+    in_order = (each for own in by_measure(values).values() for each in own)
+    by_scope = grouped(((each.measure, _scope_of(each, scale)), each) for each in in_order)
+    for (measure, scope), own in by_scope.items():
         test, interval = over_participants(measure, own)
         n = int(interval.n_effective)
         left_out = len({each.participant for each in own}) - n
@@ -184,7 +186,7 @@ def contrast_findings(values: Sequence[IndividualValue]) -> Iterator[Finding]:
 
     A participant's difference is the mean over the levels with values in both.
     """
-    for measure, own in by_measure(values):
+    for measure, own in by_measure(values).items():
         tables: dict[tuple[str, str], dict[tuple[str, str], float]] = {}
         for each in own:
             tables.setdefault((each.finger_condition, each.pair), {})[each.participant, str(each.level)] = linear(each)
@@ -194,14 +196,11 @@ def contrast_findings(values: Sequence[IndividualValue]) -> Iterator[Finding]:
                 continue
             if first.keys().isdisjoint(second):
                 continue  # different participants, e.g. in groups
-            gaps: dict[str, list[float]] = {}
-            for who, level in sorted(first.keys() & second.keys()):  # fixed order, for reproducible sums
-                gap = first[who, level] - second[who, level]
-                if math.isfinite(gap):
-                    gaps.setdefault(who, []).append(gap)
+            both = sorted(first.keys() & second.keys())  # fixed order, for reproducible sums
+            gaps = grouped((key[0], gap) for key in both if math.isfinite(gap := first[key] - second[key]))
             scope = f"{a[0]} - {b[0]} {a[1]}".strip() if a[1] == b[1] else f"{a[0]} {a[1]} - {b[1]}"
             name = f"{measure.name} compared, {_RANKS if measure.is_ranked else _FLIPS}"
-            yield _compared(measure, name, scope, np.array([np.mean(gaps[who]) for who in sorted(gaps)]))
+            yield _compared(measure, name, scope, np.array([np.mean(own) for own in gaps.values()]))
 
 
 def _compared(measure: Measure, name: str, scope: str, numbers: FloatArray) -> Finding:
@@ -241,8 +240,8 @@ def group_findings(
     names : (str, str)
         The two groups.
     """
-    compared, (a, b) = dict(by_measure(shared)), names
-    for measure, _ in by_measure(each for each in values if groups.get(each.participant) in names):
+    compared, (a, b) = by_measure(shared), names
+    for measure in by_measure(each for each in values if groups.get(each.participant) in names):
         numbers = _known(compared.get(measure, ()))
         first, second = (np.array([n for who, n in numbers.items() if groups.get(who) == name]) for name in names)
         scope, quantity = f"{a} - {b}", f"{_difference(measure)} of {measure.quantity}"
@@ -302,33 +301,19 @@ def cells(frame: pd.DataFrame, scale: LevelScale, *, by_level: bool) -> Iterator
         yield (str(who), str(finger_condition), str(label), float(level[0]) if level else math.nan), part
 
 
-def by_measure(values: Iterable[IndividualValue]) -> Iterator[tuple[Measure, list[IndividualValue]]]:
+def by_measure(values: Iterable[IndividualValue]) -> dict[Measure, list[IndividualValue]]:
     """Group values by measure."""
-    kinds: dict[Measure, list[IndividualValue]] = {}
-    for each in values:
-        kinds.setdefault(each.measure, []).append(each)
-    yield from kinds.items()
+    return grouped((each.measure, each) for each in values)
 
 
-def _by_scope(
-    values: Iterable[IndividualValue], scale: LevelScale
-) -> Iterator[tuple[Measure, str, list[IndividualValue]]]:
-    for measure, own in by_measure(values):
-        scopes: dict[str, list[IndividualValue]] = {}
-        for each in own:
-            level = "" if math.isnan(each.level) else f" {scale.say(each.level)}"
-            scopes.setdefault(f"{each.finger_condition} {each.pair}".strip() + level, []).append(each)
-        for scope, those in scopes.items():
-            yield measure, scope, those
+def _scope_of(each: IndividualValue, scale: LevelScale) -> str:
+    level = "" if math.isnan(each.level) else f" {scale.say(each.level)}"
+    return f"{each.finger_condition} {each.pair}".strip() + level
 
 
 def _known(own: Iterable[IndividualValue]) -> dict[str, float]:
     """Return the mean of each participant's values on the scale of `linear`, excluding participants without values."""
-    known: dict[str, list[float]] = {}
-    for each in own:
-        value = linear(each)
-        if math.isfinite(value):
-            known.setdefault(each.participant, []).append(value)
+    known = grouped((each.participant, value) for each in own if math.isfinite(value := linear(each)))
     return {who: float(np.mean(values)) for who, values in known.items()}
 
 

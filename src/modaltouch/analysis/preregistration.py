@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from modaltouch.analysis.covariates import ANTICIPATION
-from modaltouch.analysis.findings import ALPHA, Finding
+from modaltouch.analysis.findings import ALPHA, Finding, grouped
 from modaltouch.analysis.statistics import STATISTICS
 from modaltouch.analysis.words import claim_of, headings, scope_in_words
 from modaltouch.protocol import InputError
@@ -84,11 +84,8 @@ class RegisteredAnalysis(ABC):
         list of dict
             ``name``, ``asks``, ``test``, ``scopes``, and ``significant`` (whether any test is, after correction).
         """
-        families: dict[str, list[tuple[str, AnswerCounts, Finding]]] = {}
-        for each in self.confirmatory:
-            families.setdefault(each[2].family, []).append(each)
         described = []
-        for name, rows in families.items():
+        for name, rows in grouped((each[2].family, each) for each in self.confirmatory).items():
             _, counts, first = rows[0]
             scopes = []
             for part, own, row in rows:

@@ -15,7 +15,7 @@ from modaltouch.analysis.columns import OWN_THRESHOLD, zones_in_words, zones_of
 from modaltouch.analysis.counts import AnswerCounts, Pair
 from modaltouch.analysis.covariates import has_values
 from modaltouch.analysis.crossed import PAPER_TEXT, Analysis, zone_table
-from modaltouch.analysis.findings import ALPHA, Finding
+from modaltouch.analysis.findings import ALPHA, Finding, grouped
 from modaltouch.analysis.responses import cell_of
 from modaltouch.analysis.words import (
     answer_question,
@@ -247,17 +247,14 @@ def list_questions(findings: Sequence[Finding], answers: AnswerCounts) -> list[d
     for question, (heading, claim) in headings(answers).items():
         own = [finding for finding in findings if finding.question == question]
         is_shown = question in ("b", "c") and all(row.p_holm <= ALPHA for row in own)
-        groups: dict[str, list[Finding]] = {}
-        for finding in own:
-            groups.setdefault(finding.name, []).append(finding)
-        if groups:
+        if own:
             tables.append({
                 "question": question,
                 "heading": heading,
                 "answer": answer_question(own, claim, answers),
                 # Omit cautions on non-significant results if all are significant.
                 "caution": "" if is_shown else cautions.get(question, ""),
-                "parts": [_part(name, rows, answers) for name, rows in groups.items()],
+                "parts": [_part(name, rows, answers) for name, rows in grouped((row.name, row) for row in own).items()],
             })  # fmt: skip
     return tables
 

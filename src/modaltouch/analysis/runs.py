@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from modaltouch.analysis.columns import label_zones, scale_of, zones_of
 from modaltouch.analysis.counts import AnswerCounts
-from modaltouch.analysis.findings import Finding, plain_row, to_frame
+from modaltouch.analysis.findings import Finding, grouped, plain_row, to_frame
 from modaltouch.analysis.intervals import Interval, student_interval
 from modaltouch.analysis.measures import IndividualValue, Measure, contrast_findings, group_findings
 from modaltouch.analysis.preregistration import RegisteredAnalysis, term_in_words
@@ -182,13 +182,9 @@ def over_participants(runs: Sequence[Run]) -> list[dict[str, Any]]:
     counted; the mean is over participants with at least one threshold.
     """
     rows = []
-    for kind in dict.fromkeys(run.kind for run in runs):
-        own = [run for run in runs if run.kind == kind]
-        told: dict[str, list[float]] = {}
-        for run in own:
-            if run.fitted.threshold is not None:
-                told.setdefault(run.participant, []).append(run.fitted.threshold.estimate)
-        means = np.array([np.mean(values) for values in told.values()])
+    for own in grouped((run.kind, run) for run in runs).values():
+        found = grouped((run.participant, each.estimate) for run in own if (each := run.fitted.threshold))
+        means = np.array([np.mean(values) for values in found.values()])
         interval = student_interval(means)
         rows.append(
             {
@@ -213,19 +209,22 @@ def compare_runs(runs: Sequence[Run]) -> list[Finding]:
     without a threshold in one of two kinds are excluded from the comparison. The tests are exploratory and not
     corrected.
     """
-    told: dict[tuple[str, str, str], list[float]] = {}
-    for run in runs:
-        if run.fitted.threshold is not None:
-            place = " ".join(part for part in (run.pair, run.stimulus, run.session_kind) if part)
-            told.setdefault((run.participant, run.finger_condition, place), []).append(run.fitted.threshold.estimate)
+    thresholds = grouped(
+        (
+            (run.participant, run.finger_condition, " ".join(filter(None, (run.pair, run.stimulus, run.session_kind)))),
+            each.estimate,
+        )
+        for run in runs
+        if (each := run.fitted.threshold)
+    )
     own = [
         IndividualValue(THRESHOLD, *key, math.nan, Interval.point(10 ** (float(np.mean(values)) / 20), 1), len(values))
-        for key, values in told.items()
+        for key, values in thresholds.items()
     ]
     groups = {run.participant: run.group for run in runs if run.group}
     found = list(contrast_findings(own))
     for names in combinations(dict.fromkeys(groups.values()), 2):
-        met = [{each[1:] for each in told if groups.get(each[0]) == name} for name in names]
+        met = [{each[1:] for each in thresholds if groups.get(each[0]) == name} for name in names]
         shared = [each for each in own if (each.finger_condition, each.pair) in met[0] & met[1]]
         found += group_findings(own, shared, groups, names)
     return [replace(each, family="") for each in found]

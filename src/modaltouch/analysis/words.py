@@ -12,7 +12,7 @@ from importlib.resources import files
 from typing import Any
 
 from modaltouch.analysis.counts import AnswerCounts, Pair
-from modaltouch.analysis.findings import ALPHA, OUT_OF_REACH, Finding
+from modaltouch.analysis.findings import ALPHA, OUT_OF_REACH, Finding, grouped
 from modaltouch.analysis.statistics import STATISTICS, questions
 from modaltouch.report import format_number
 
@@ -171,10 +171,7 @@ def _answer_family(tested: Sequence[Finding], claim: str, answers: AnswerCounts)
 
 def _estimate(own: Sequence[Finding], answers: AnswerCounts) -> str:
     """Summarise the range of estimates of each quantity, and the number of significant uncorrected tests."""
-    alike: dict[str, list[Finding]] = {}
-    for row in own:
-        if row.name == own[0].name and math.isfinite(row.estimate):
-            alike.setdefault(row.quantity, []).append(row)
+    alike = grouped((row.quantity, row) for row in own if row.name == own[0].name and math.isfinite(row.estimate))
     # Shares of different answers are not comparable; of two zones, the dominant one defines the effect.
     dominant = {f"P({pair.dominant})" for pair in answers.pairs} & alike.keys() if answers.compares else set()
     ranges = "; ".join(_range(alike[each], answers) for each in alike if each in (dominant or alike))
