@@ -14,11 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtr
 
+from modaltouch.analysis.detection import same_different, yes_no
 from modaltouch.analysis.intervals import Interval, student_interval
 from modaltouch.analysis.permutation import by_ranks, flip_test, friedman, rank_test, shuffle_test
 from modaltouch.analysis.psychometric import JND_OF_SPREAD, MOST_LAPSE, Fits, fit_counts
 from modaltouch.analysis.ratings import power_law
-from modaltouch.analysis.sensitivity import same_different, yes_no
 from modaltouch.protocol.adaptive import StaircaseSection
 
 ALPHA = 0.05

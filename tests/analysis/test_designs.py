@@ -17,7 +17,7 @@ from scipy.special import ndtr, ndtri
 
 from modaltouch.analysis.crossed import Analysis
 from modaltouch.analysis.designs import analyse_design
-from modaltouch.analysis.detection import CRITERION, D_PRIME
+from modaltouch.analysis.detection import CRITERION, D_PRIME, same_different
 from modaltouch.analysis.findings import Finding, correct
 from modaltouch.analysis.intervals import BoundedMean, Interval
 from modaltouch.analysis.measures import IndividualValue, Measure, contrast_findings, over_participants
@@ -27,7 +27,6 @@ from modaltouch.analysis.ratings import level_findings, power_law
 from modaltouch.analysis.reading import read_responses
 from modaltouch.analysis.report import design_limits
 from modaltouch.analysis.responses import AnswerSource, Responses, TableFormat
-from modaltouch.analysis.sensitivity import same_different
 from modaltouch.protocol import AnswerList, InputError
 from modaltouch.session import simulate_session
 

@@ -11,7 +11,7 @@ import pytest
 from scipy.special import ndtr, ndtri
 from scipy.stats import binom, binomtest
 
-from modaltouch.analysis.sensitivity import (
+from modaltouch.analysis.detection import (
     m_intervals,
     odd_of_three,
     same_different,
