@@ -32,11 +32,6 @@ class Shares:
     answered: IntArray
     asked: int
 
-    @property
-    def is_short(self) -> bool:
-        """Whether any answer is missing."""
-        return bool((self.answered < self.asked).any())
-
     def at(self, place: int | list[int], axis: int) -> Shares:
         """Select along an axis."""
         return Shares(self.given.take(place, axis), self.answered.take(place, axis), self.asked)

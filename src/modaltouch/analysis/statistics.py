@@ -200,7 +200,7 @@ def level_tests(answers: AnswerCounts) -> FamilyResult | None:
     if len(answers.levels) < 2:
         return None
     scopes, labels, shares = _levels_of(answers)
-    test = trend_test(shares.given, answers.levels, shares.answered if shares.is_short else shares.asked)
+    test = trend_test(shares.given, answers.levels, shares.answered)
     n_most = shares.answered.sum(axis=-1).max()
     many = f"p by the normal approximation, since there are more than {MOST_EXACT} answers per participant"
     return FamilyResult(
