@@ -34,7 +34,7 @@ def test_a_table_has_no_record_to_tell_of() -> None:
 
 def test_planned_and_confirmed_stand_side_by_side() -> None:
     """Two sessions at one level: sent 1.5 and 2 Vpp, read back 1.5 and 2.01."""
-    (row,) = facts(session("p01"), session("p02")).presented
+    (row,) = facts(session("p01"), session("p02"))["presented"]
     assert (row["level"], row["n_trials"], row["n_confirmed"]) == ("80", 2, 2)
     assert (row["commanded"], row["confirmed"]) == ("1.5, 2", "1.5, 2.01")
 
@@ -42,13 +42,13 @@ def test_planned_and_confirmed_stand_side_by_side() -> None:
 def test_what_went_wrong_is_counted_with_its_sessions() -> None:
     """A cut trial and a resumed sitting of the second participant."""
     found = facts(session("p01"), session("p02", {"event": "trial_cut", "n": 3}, {"event": "resume", "n": 4}))
-    assert ("trials interrupted and presented again", 1, "p02 (session 1)") in found.faults
-    assert [row.n_events for row in found.sessions] == [0, 2]
+    assert ("trials interrupted and presented again", 1, "p02 (session 1)") in found["faults"]
+    assert [row.n_events for row in found["sessions"]] == [0, 2]
 
 
 def test_settings_that_differ_are_listed() -> None:
     """Two generators, one protocol."""
-    settings = facts(session("p01"), session("p02")).settings
+    settings = facts(session("p01"), session("p02"))["settings"]
     assert settings["protocol"] == "touch"
     assert settings["rig"] == "AFG of p01 (sessions: 1); AFG of p02 (sessions: 1)"
 
@@ -58,7 +58,7 @@ def test_settings_of_some_sessions_are_not_said_of_all() -> None:
     sessions = [session(f"p0{number}") for number in range(6)]
     sessions[0].start["masking"] = {"state": "masked", "noise": "pink", "level_dB_FS": -30, "level_dB_SPL": None,
                                     "device": "phones"}  # fmt: skip
-    settings = facts(*sessions).settings
+    settings = facts(*sessions)["settings"]
     assert settings["masking noise"] == "pink, -30 dB FS, on phones (sessions: 1)"
     assert settings["rig"].count("AFG of") == 4 and settings["rig"].endswith("; 2 others")
 
@@ -66,14 +66,14 @@ def test_settings_of_some_sessions_are_not_said_of_all() -> None:
 def test_the_end_of_a_complete_sitting_is_no_deviation() -> None:
     """Every sitting writes a stop; one that came too early counts."""
     ends = [session(f"p{i}", {"event": "stop", "n": 3, "complete": whole}) for i, whole in enumerate((True, False))]
-    assert facts(*ends).faults == (("sittings ended early", 1, "p1 (session 1)"),)
+    assert facts(*ends)["faults"] == [("sittings ended early", 1, "p1 (session 1)")]
 
 
 def test_troubles_of_the_rig_are_found_among_its_exchanges() -> None:
     """Ordinary commands are no deviation, a lost connection is."""
     lost = {"event": "rig", "n": 3, "exchanges": [{"what": "scpi"}, {"what": "connection_lost"}]}
     calm = {"event": "rig", "n": 3, "exchanges": [{"what": "scpi"}]}
-    assert [row.n_events for row in facts(session("p1", lost), session("p2", calm)).sessions] == [1, 0]
+    assert [row.n_events for row in facts(session("p1", lost), session("p2", calm))["sessions"]] == [1, 0]
 
 
 def with_form(participant: str, **said: float | str):

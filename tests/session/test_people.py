@@ -227,9 +227,9 @@ def test_simulated_participants_answer_what_is_allowed_and_the_report_tells_it(
     record = describe_record([take_facts(session) for session in sessions])
     assert record is not None
     told = f"age [year]: mean {sum(ages) / 3:.1f}, range {min(ages)} to {max(ages)} (n = 3)"
-    assert record.people[0] == told
-    assert record.people[1].startswith("sex: ")
-    assert len(record.people) == 2  # neither free words nor consents
+    assert record["people"][0] == told
+    assert record["people"][1].startswith("sex: ")
+    assert len(record["people"]) == 2  # neither free words nor consents
     files = analyse(tmp_path, tmp_path / "out").files
     assert told in files["report.html"].read_text(encoding="utf-8")
     rows = (tmp_path / "simulated" / "demo" / "participants.tsv").read_text().splitlines()

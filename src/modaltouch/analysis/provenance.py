@@ -34,35 +34,6 @@ RIG_TROUBLES = frozenset(
 """Names of the rig events that are reported as faults."""
 
 
-@dataclass(frozen=True)
-class RecordFacts:
-    """Facts about all sessions, for the report.
-
-    Attributes
-    ----------
-    sessions : tuple of SessionFacts
-        Facts about each session.
-    presented : tuple of dict
-        Planned and confirmed stimuli by level: finger condition, level, numbers of trials and of confirmed trials,
-        amplitudes sent and read back in words.
-    faults : tuple of (str, int, str)
-        Kind, number, and affected sessions.
-    settings : dict of str to str
-        Instrument, seed, hashes and versions; listed if they differ between sessions.
-    people : tuple of str
-        Information on participants, one line for each number or choice that the protocol asks for.
-    form : tuple of dict
-        Answers in the form at the end, as returned by `summarise_form`.
-    """
-
-    sessions: tuple[SessionFacts, ...]
-    presented: tuple[dict[str, Any], ...]
-    faults: tuple[tuple[str, int, str], ...]
-    settings: dict[str, str]
-    people: tuple[str, ...] = ()
-    form: tuple[dict[str, Any], ...] = ()
-
-
 @dataclass(frozen=True, eq=False)
 class SessionFacts:
     """Facts about one session besides its answers; small, so that a thousand fit in memory.
@@ -146,18 +117,26 @@ def _people(start: dict[str, Any]) -> Iterator[tuple[str, float | str]]:
             yield f"{name} [{asked['unit']}]" if asked["unit"] else name, answers[name]
 
 
-def describe_record(sessions: Sequence[SessionFacts]) -> RecordFacts | None:
-    """Summarise the facts about the analysed sessions; None for a CSV, which has no sessions."""
+def describe_record(sessions: Sequence[SessionFacts]) -> dict[str, Any] | None:
+    """Summarise the facts about the analysed sessions for the report; None for a CSV, which has no sessions.
+
+    Returns
+    -------
+    dict
+        ``sessions``; ``presented``, the planned and confirmed stimuli by level, with numbers of trials and amplitudes
+        in words; ``faults``, each with its number and sessions; ``settings``, listed if they differ between sessions;
+        ``people``, a line for each number or choice that the protocol asks for; ``form``, as by `summarise_form`.
+    """
     if not sessions:
         return None
-    return RecordFacts(
-        tuple(sessions),
-        tuple(_presented(sessions)),
-        tuple(_faults(sessions)),
-        _settings(sessions),
-        tuple(_describe_people(sessions)),
-        tuple(summarise_form(sessions)),
-    )
+    return {
+        "sessions": sessions,
+        "presented": list(_presented(sessions)),
+        "faults": list(_faults(sessions)),
+        "settings": _settings(sessions),
+        "people": list(_describe_people(sessions)),
+        "form": list(summarise_form(sessions)),
+    }
 
 
 def _describe_people(sessions: Sequence[SessionFacts]) -> Iterator[str]:
