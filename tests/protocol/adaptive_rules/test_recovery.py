@@ -19,7 +19,7 @@ import pytest
 from scipy.special import ndtr
 
 from modaltouch.analysis.psychometric import fit_psychometric
-from modaltouch.planning.observer import Observer, Participant
+from modaltouch.planning.observer import Observer
 from modaltouch.planning.participant import Participant
 from modaltouch.preflight import examine
 from modaltouch.protocol.adaptive import AdaptiveSection
