@@ -32,7 +32,7 @@ PAIRED = "paired difference in a cell, interval of a bounded mean over participa
 
 _SEED, _DRAWS, _TAIL = 20080501, 1999, (1 - CONFIDENCE) / 2
 
-_AT_ONCE = 1_000_000
+_AT_ONCE = 200_000
 """Maximum number of random weights held in memory at a time [1]."""
 
 

@@ -5,15 +5,17 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from itertools import groupby
 from statistics import fmean, quantiles
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from modaltouch.protocol import TIME_OUT
 
 if TYPE_CHECKING:
     from modaltouch.record import Session
 
+Shared = TypeVar("Shared")
 Presented = tuple[str, float, tuple[float, ...], tuple[float, ...], bool]
 
 FAULTS = {
@@ -90,6 +92,12 @@ class SessionFacts:
         return self.faults.total()
 
 
+@lru_cache(maxsize=4096)
+def share(kind: str, value: Shared) -> Shared:
+    """Return the first value of a kind that equals this, so that what many sessions have in common is held once."""
+    return value
+
+
 def take_facts(session: Session) -> SessionFacts:
     """Extract the facts besides the answers from a session."""
     start, trials = session.start, session.trials
@@ -100,9 +108,9 @@ def take_facts(session: Session) -> SessionFacts:
         day=str(start.get("time", ""))[:10],
         n_answers=len(counted),
         n_practice=len(trials) - len(counted),
-        presented=Counter(_presentation(event, session.multiples) for event in counted),
+        presented=Counter(share("presented", _presentation(event, session.multiples)) for event in counted),
         faults=Counter(kind for event in session.events for kind in _kinds_of_fault(event)),
-        settings=_settings_of(start),
+        settings={name: share(name, value) for name, value in _settings_of(start).items()},
         threshold_mm_s=(start.get("sensation_levels") or {}).get("threshold_mm_s"),
         people=dict(_people(start)),
         form={name: each.get("value", each["answer"]) for name, each in session.form.items()},

@@ -12,14 +12,16 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from modaltouch.analysis.columns import OWN_THRESHOLD, VELOCITY
-from modaltouch.analysis.provenance import SessionFacts, take_facts
+from modaltouch.analysis.provenance import SessionFacts, share, take_facts
 from modaltouch.analysis.responses import (
     MODES,
     AnswerSource,
@@ -34,6 +36,8 @@ from modaltouch.analysis.responses import (
 )
 from modaltouch.protocol import TIME_OUT, AnswerList, InputError
 from modaltouch.record import RecordError, Session, SessionFolder, audit_session, read_session
+
+Column = NDArray[np.float64] | tuple[Any, ...]
 
 
 @dataclass(frozen=True)
@@ -50,8 +54,8 @@ class SessionAnswers:
         Reason to exclude the session, apart from its mode; empty if it can be analysed.
     digest : str
         SHA-256 of the log.
-    rows : tuple of tuple
-        Answers in the order of `COLUMNS` and `columns`; empty if excluded.
+    columns : dict of str to sequence
+        Answers by column: `COLUMNS`, then those of further questions; empty if excluded.
     facts : SessionFacts or None
         Facts from the log besides the answers; None if excluded.
     focus : str
@@ -69,8 +73,6 @@ class SessionAnswers:
         Group of the participant and kind of session; empty if there are none.
     is_crossed : bool
         Whether the protocol has every pair at every level, equally often.
-    columns : tuple of str
-        Columns of numbers on a scale, and of further questions.
     names : tuple of str
         Stimuli, groups and kinds of session in the order of the protocol.
     lab : str
@@ -83,7 +85,7 @@ class SessionAnswers:
     protocol: str = ""
     reason: str = ""
     digest: str = ""
-    rows: tuple[tuple[Any, ...], ...] = ()
+    columns: dict[str, Column] = field(default_factory=dict)
     facts: SessionFacts | None = None
     focus: str = ""
     answers: AnswerList = field(default_factory=lambda: AnswerList.of({}))
@@ -92,32 +94,37 @@ class SessionAnswers:
     foci: dict[str, str] = field(default_factory=dict)
     kind: tuple[str, str] = ("", "")
     is_crossed: bool = True
-    columns: tuple[str, ...] = ()
     names: tuple[str, ...] = ()
     lab: str = ""
 
     def of_lab(self, name: str) -> SessionAnswers:
         """Return the session with the lab in the participant id, to keep participants of different labs distinct."""
         who = f"{name}/{self.participant}"
-        rows = tuple((who, *row[1:]) for row in self.rows)
+        columns = self.columns | {"participant": (who,) * self.n_answers}
         facts = None if self.facts is None else replace(self.facts, participant=who, occasion=(name, self.kind[1]))
-        return replace(self, participant=who, rows=rows, facts=facts, lab=name)
+        return replace(self, participant=who, columns=columns, facts=facts, lab=name)
+
+    @property
+    def n_answers(self) -> int:
+        """Number of answers."""
+        return len(self.columns.get("n", ()))
 
 
-def _rows(session: Session) -> tuple[tuple[Any, ...], ...]:
-    """Return the valid answers of a session, in the order of `COLUMNS` and its further questions.
-
-    Catch trials are included only in adaptive sessions.
-    """
-    rows, with_catches = [], _levels(session) == "adaptive"
-    for row in session.table():
-        if row["practice"] or (row["catch"] and not with_catches):
-            continue
+def _columns(session: Session) -> dict[str, Column]:
+    """Return the valid answers of a session by column, packed; catch trials are included only in adaptive sessions."""
+    with_catches = _levels(session) == "adaptive"
+    rows = [row for row in session.table() if not row["practice"] and (with_catches or not row["catch"])]
+    for row in rows:
         row |= {"velocity_mm_s": row["multiple_of_threshold"] or row["velocity_mm_s"], "n": 1}
-        values = (row[name] for name in (*COLUMNS, *session.question_columns))
-        # Intern recurring words, to save memory.
-        rows.append(tuple(sys.intern(value) if isinstance(value, str) else value for value in values))
-    return tuple(rows)
+    return {name: _pack(name, tuple(row[name] for row in rows)) for name in (*COLUMNS, *session.question_columns)}
+
+
+def _pack(name: str, values: tuple[Any, ...]) -> Column:
+    """Return a column as an array of numbers, or as a tuple shared between the sessions with the same values."""
+    if name in _NUMBERS:
+        return np.array(values, dtype=float)
+    packed: Column = share(name, tuple(sys.intern(each) if isinstance(each, str) else each for each in values))
+    return packed
 
 
 def _levels(session: Session) -> str:
@@ -157,14 +164,13 @@ COLUMNS = (
 )
 """Columns of the tidy table of recorded answers; calibrated levels are multiples of the participant's threshold."""
 
-_STIMULUS = COLUMNS.index("stimulus")
 _ONE = "give the folder of one of them"
 _ONE_NAMED = f"{_ONE}; give the other protocol another name"
 _OF_INTERVALS = ("interval", "standard_mm_s", "correct")
 """Columns specific to trials with several intervals."""
 
 _SPEEDS = ("speed_left_mm_s", "speed_between_mm_s", "speed_right_mm_s", "delivered_mm_s")
-_NUMBERS = ("trial", "block", "response_uncertainty", *_SPEEDS)
+_NUMBERS = frozenset({VELOCITY.column, "trial", "block", "response_time", "response_uncertainty", *_SPEEDS})
 
 
 def open_log(path: Path) -> SessionAnswers:
@@ -187,10 +193,10 @@ def open_log(path: Path) -> SessionAnswers:
         session.participant,
         session.protocol,
         digest=hashlib.sha256(path.read_bytes()).hexdigest(),
-        rows=_rows(session),
+        columns=_columns(session),
         facts=take_facts(session),
         focus=str(design.get("stimulus", {}).get("focus", "")),
-        answers=AnswerList.of(design.get("answers", {})),
+        answers=share("answers", AnswerList.of(design.get("answers", {}))),
         levels=_levels(session),
         foci={
             name: str(own.get("focus") or design.get("stimulus", {}).get("focus", ""))
@@ -199,7 +205,6 @@ def open_log(path: Path) -> SessionAnswers:
         catches=Counter((row["finger_condition"], row["response"]) for row in caught),
         kind=session.occasion,
         is_crossed=not any(design.get("conditions", {}).get(key) for key in ("cells", "exclude")),
-        columns=session.question_columns,
         names=tuple(_names(design)),
     )
 
@@ -327,16 +332,16 @@ def _join(
     is_crossed: bool,
 ) -> pd.DataFrame:
     """Join the answers of the sessions into a tidy table, for one stimulus if selected."""
-    frame = pd.DataFrame([row for item in taken for row in item.rows], columns=[*COLUMNS, *taken[0].columns])
-    numbers = [len(item.rows) for item in taken]
+    columns = {name: _joined([item.columns[name] for item in taken]) for name in taken[0].columns}
+    frame = pd.DataFrame(columns, copy=False)
+    numbers = [item.n_answers for item in taken]
     for place_of, column in enumerate(("group", "session_kind")):
         frame[column] = np.repeat([(item.lab or item.kind[0], item.kind[1])[place_of] for item in taken], numbers)
     for column in ("group", "session_kind", "stimulus"):
         names = sorted(frame[column].unique(), key=lambda name: (*taken[0].names, name).index(name))
         frame[column] = pd.Categorical(frame[column], names)
-    foci = [item.foci.get(row[_STIMULUS], item.focus) for item in taken for row in item.rows]
-    frame["focus"] = foci
-    frame = unmirror(frame.astype(dict.fromkeys(_NUMBERS, float)), answers)
+    frame["focus"] = [item.foci.get(name, item.focus) for item in taken for name in item.columns["stimulus"]]
+    frame = unmirror(frame, answers)
     if not frame["zone_between"].any():
         frame = frame.drop(columns=["zone_between", "speed_between_mm_s"])
     if frame["delivered_mm_s"].isna().all():
@@ -353,6 +358,10 @@ def _join(
         given, remedy = f"stimulus {stimulus!r} with adaptive sessions", "leave it out: each run has one stimulus"
         raise InputError.of(place, given, "all stimuli together", remedy)
     return frame
+
+
+def _joined(parts: Sequence[Column]) -> pd.Series:
+    return pd.Series(np.concatenate(parts) if isinstance(parts[0], np.ndarray) else list(chain.from_iterable(parts)))
 
 
 def _sort(
@@ -377,13 +386,18 @@ def _one_list(place: Path, taken: Sequence[SessionAnswers]) -> AnswerList:
     """Return the longest list of answers offered; refuse sessions with other answers or different questions."""
     longest = max((item.answers for item in taken), key=len)
     for item in taken:
-        if item.columns != taken[0].columns:
-            given = f"sessions that ask {', '.join(taken[0].columns) or 'nothing more'}, and {', '.join(item.columns)}"
+        if (asked := _further(item)) != (first := _further(taken[0])):
+            given = f"sessions that ask {', '.join(first) or 'nothing more'}, and {', '.join(asked)}"
             raise InputError.of(place, given, "the same questions under the name of one protocol", _ONE_NAMED)
         if not set(item.answers) <= set(longest):
             given = f"sessions with the answers {', '.join(longest.names)}, and with {', '.join(item.answers.names)}"
             raise InputError.of(place, given, "the same answers under the name of one protocol", _ONE_NAMED)
     return longest
+
+
+def _further(item: SessionAnswers) -> list[str]:
+    """Return the columns of numbers on a scale, and of further questions."""
+    return [*item.columns][len(COLUMNS) :]
 
 
 @contextmanager
@@ -404,7 +418,7 @@ def _other_mode(item: SessionAnswers, chosen: str) -> str:
 
 def _is_crossed(taken: Sequence[SessionAnswers], stimulus: str | None) -> bool:
     """Return whether all sessions have one stimulus and kind, with every pair at every level equally often."""
-    is_one = stimulus is not None or len({row[_STIMULUS] for item in taken for row in item.rows}) < 2
+    is_one = stimulus is not None or len({name for item in taken for name in item.columns["stimulus"]}) < 2
     return is_one and all(item.is_crossed for item in taken) and len({item.kind for item in taken}) == 1
 
 
