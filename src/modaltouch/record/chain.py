@@ -9,6 +9,7 @@ length and hash under ``torn``, so that even the remains are checked.
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import re
 from dataclasses import dataclass
@@ -148,7 +149,8 @@ def parse_chain(data: bytes, name: str) -> Chain:
     pending = b""
     pending_line = 0
     previous = GENESIS
-    for number, line in enumerate(_lines(data), start=1):
+    # bytes.splitlines would also split at a single carriage return in a damaged line.
+    for number, line in enumerate(io.BytesIO(data), start=1):
         try:
             event, check = _decode(line.removesuffix(b"\n"), previous)
         except UnreadableLineError as error:
@@ -198,12 +200,6 @@ def conversion(data: bytes) -> str:
 def describe_torn(torn: bytes) -> dict[str, Any]:
     """Return the declaration of an incomplete line for the next line."""
     return {"bytes": len(torn), "sha256": hashlib.sha256(torn).hexdigest()}
-
-
-def _lines(data: bytes) -> list[bytes]:
-    # bytes.splitlines would also split at a single carriage return in a damaged line.
-    *whole, rest = data.split(b"\n")
-    return [line + b"\n" for line in whole] + ([rest] if rest else [])
 
 
 def line_check(previous: str, body: bytes) -> str:

@@ -45,6 +45,8 @@ def examine_interruption(session: Session, *, now: datetime, clock: float, boot:
     """
     events = session.events
     last = events[-1]
+    marks = ("fired", "answered", "trial", "trial_cut")
+    mark: dict[str, Any] = next((event for event in reversed(events) if event["event"] in marks), {})
     latest = max(datetime.fromisoformat(event["time"]) for event in events)
     passed = (now.astimezone(UTC) - latest).total_seconds()
     boots = [event["boot"] for event in events if event.get("boot")]
@@ -56,7 +58,7 @@ def examine_interruption(session: Session, *, now: datetime, clock: float, boot:
         "last_time": latest.isoformat(timespec="milliseconds"),
         "age_s": round(max(passed, counted, 0.0), 1),
         "clock_set_back_s": round(behind, 1) if behind > CLOCK_TOLERANCE else 0.0,
-        "cut_trial": _cut_trial(session),
+        "cut_trial": mark["trial"] if mark.get("event") == "fired" else None,
     }
 
 
@@ -145,16 +147,6 @@ def start_over(
         **facts,
         begins_anew={"session": old.session, "interruption": cut},
     )
-
-
-def _cut_trial(session: Session) -> dict[str, Any] | None:
-    """Return the trial of the last stimulus if no answer or cut follows it."""
-    for event in reversed(session.events):
-        if event["event"] in ("answered", "trial", "trial_cut"):
-            return None
-        if event["event"] == "fired":
-            return dict(event["trial"])
-    return None
 
 
 def wire_resume(

@@ -160,7 +160,11 @@ class DisplayLoop:
         if asked is not None:
             # Only the keys of answers are time-stamped where they are read.
             events.append(asked if asked.kind == "answer" else replace(asked, time=self.clock.now()))
-        self._refresh()
+        # Redraw after the window was covered, at most every 0.25 s: one that is moved is exposed all the time.
+        if self._is_stale and self.clock.now() - self._drawn > 0.25 and self._picture is not None:
+            self._display.draw(self._picture)
+            self._drawn = self._display.flip()
+            self._is_stale, self._ahead = False, None
         if not events:
             self.clock.sleep(POLL_INTERVAL)
         return events
@@ -188,14 +192,6 @@ class DisplayLoop:
         notes, self._unwritten = self._unwritten, []
         for event, facts in notes:
             self.note(event, **facts)
-
-    def _refresh(self) -> None:
-        """Redraw the picture after the window was covered."""
-        # At most every 0.25 s, since a window that is moved is exposed all the time.
-        if self._is_stale and self.clock.now() - self._drawn > 0.25 and self._picture is not None:
-            self._display.draw(self._picture)
-            self._drawn = self._display.flip()
-            self._is_stale, self._ahead = False, None
 
     def _screenshot(self, picture: Picture) -> Path | None:
         """Return the file for the first screenshot of a kind of picture; None for further ones."""
