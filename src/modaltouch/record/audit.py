@@ -82,9 +82,9 @@ def audit_session(session: Session) -> Audit:
         own = start.get("sensation_levels")
         protocol = restored.protocol.with_levels(tuple(own["levels_mm_s"])) if own else restored.protocol
         schedule = draw_again(session, protocol)
-        for holds, said in check_beginning(session, restored, protocol, schedule):
-            if said:
-                (lines if holds else problems).append(said)
+        for holds, sentence in check_beginning(session, restored, protocol, schedule):
+            if sentence:
+                (lines if holds else problems).append(sentence)
         sequence = EventSequence(session, TrialExpectation(restored, protocol, start.get("schema", 1)), schedule)
         sequence.walk()
         problems += sequence.problems
@@ -95,8 +95,8 @@ def audit_session(session: Session) -> Audit:
     except RecordError as error:
         return Audit(path, (), (*problems, str(error)))
     except MALFORMED as error:
-        said = f"does not say what its order and drive are based on ({type(error).__name__}: {error})"
-        return Audit(path, (), (*problems, f"{place} {said}"))
+        sentence = f"does not say what its order and drive are based on ({type(error).__name__}: {error})"
+        return Audit(path, (), (*problems, f"{place} {sentence}"))
     cut = () if chain.damage else chain.problems
     mendable = (seen.problem,) if seen.is_mendable else ()
     lines += [seen.line] if seen.line else []
@@ -179,9 +179,9 @@ def _check_mode(start: dict[str, Any], restored: RestoredExperiment, place: str)
 
 def _check_drive(start: dict[str, Any], restored: RestoredExperiment, place: str) -> tuple[bool, str]:
     burst, recorded = restored.preflight.stimulus.burst, start["stimulus"]
-    found, said, hashes = burst.content_hash, recorded["content_hash"], recorded.get("content_hashes")
-    if found != said or (hashes is not None and hashes != restored.preflight.content_hashes):
-        return False, f"{place} the recomputed drive has the hash {found[:12]}, but the record says {said[:12]}"
+    found, stated, hashes = burst.content_hash, recorded["content_hash"], recorded.get("content_hashes")
+    if found != stated or (hashes is not None and hashes != restored.preflight.content_hashes):
+        return False, f"{place} the recomputed drive has the hash {found[:12]}, but the record says {stated[:12]}"
     if recorded.get("amplitude_Vpp", list(burst.amplitude)) != list(burst.amplitude):
         return (
             False,
@@ -207,15 +207,19 @@ def _check_shown(start: dict[str, Any], restored: RestoredExperiment, place: str
     return True, ""
 
 
-def _agree(said: Any, found: Any) -> bool:
+def _agree(recorded: Any, found: Any) -> bool:
     """Return whether recorded and computed values agree, speeds to 0.002 mm/s."""
     if isinstance(found, dict):
-        return isinstance(said, dict) and said.keys() >= found.keys() and all(_agree(said[k], found[k]) for k in found)
+        return (
+            isinstance(recorded, dict)
+            and recorded.keys() >= found.keys()
+            and all(_agree(recorded[k], found[k]) for k in found)
+        )
     if isinstance(found, list):
-        return isinstance(said, list) and len(said) == len(found) and all(map(_agree, said, found))
+        return isinstance(recorded, list) and len(recorded) == len(found) and all(map(_agree, recorded, found))
     if isinstance(found, float):
-        return isinstance(said, (int, float)) and abs(said - found) <= SPEED
-    return bool(said == found)
+        return isinstance(recorded, (int, float)) and abs(recorded - found) <= SPEED
+    return bool(recorded == found)
 
 
 def _check_gap(session: Session, protocol: Protocol, place: str) -> tuple[bool, str]:
@@ -228,11 +232,13 @@ def _check_gap(session: Session, protocol: Protocol, place: str) -> tuple[bool, 
     if kind is None or not kind.min_gap_days or not times or "begins_anew" in session.start:
         return True, ""
     days = (datetime.fromisoformat(begun) - datetime.fromisoformat(times[-1])) / timedelta(days=1)
-    said = f"begun {days:.2f} days after the previous session"
+    sentence = f"begun {days:.2f} days after the previous session"
     if days >= kind.min_gap_days:
-        return True, said
-    said += f", where '{kind.name}' has min_gap_days: {kind.min_gap_days:g}"
-    return (True, f"{said}, waived by --any-gap") if session.start.get("any_gap") else (False, f"{place} {said}")
+        return True, sentence
+    sentence += f", where '{kind.name}' has min_gap_days: {kind.min_gap_days:g}"
+    return (
+        (True, f"{sentence}, waived by --any-gap") if session.start.get("any_gap") else (False, f"{place} {sentence}")
+    )
 
 
 def _check_own_levels(session: Session, restored: RestoredExperiment, place: str) -> tuple[bool, str]:

@@ -162,12 +162,12 @@ def check_amplitudes(event: Event, trial: Trial, given: TrialExpectation) -> Ite
     level = min(given.protocol.conditions.peak_velocities_mm_s) if silent else trial.condition.velocity_mm_s
     level = given.restored.preflight.played(trial.condition, level)
     sent, back = tuple(confirmed["commanded_amplitude"]), tuple(confirmed["confirmed_amplitude"])
-    said = (sent, tuple(event["commanded"]["amplitude_Vpp"])) if "commanded" in event else (sent,)
+    stated = (sent, tuple(event["commanded"]["amplitude_Vpp"])) if "commanded" in event else (sent,)
     found = given.restored.preflight.design_of(trial.condition), level, sent, back
-    if found in given.restored.agreed and said[-1] == sent:
+    if found in given.restored.agreed and stated[-1] == sent:
         return
     needed = given.restored.amplitudes(trial, level)
-    for amplitude in said:
+    for amplitude in stated:
         if amplitude != needed:
             yield f"{level:g} mm/s needs {listed(needed)} Vpp, but {listed(amplitude)} Vpp were commanded"
             return
@@ -191,31 +191,34 @@ def check_answered(event: Event, trial: Trial, given: TrialExpectation) -> Itera
     yield from check_answers(event, given.protocol.answers)
     if event.get("correct") is not (correct := given.protocol.is_correct(trial, response["answer"])):
         words = {True: "right", False: "wrong", None: "neither"}
-        said, found = words[event.get("correct")], words[correct]
-        yield f"was answered {response['answer']!r}, which is {found}; the record says {said}"
+        stated, found = words[event.get("correct")], words[correct]
+        yield f"was answered {response['answer']!r}, which is {found}; the record says {stated}"
 
 
 def _check_planned(planned: dict[str, Any], trial: Trial, given: TrialExpectation) -> Iterator[str]:
     """Yield faults in the level and predicted speeds of a stimulus, given its condition."""
     condition = trial.condition
-    level, said = condition.velocity_mm_s, tuple(planned[f"speed_{side}_mm_s"] for side in condition.sides)
+    level, recorded = condition.velocity_mm_s, tuple(planned[f"speed_{side}_mm_s"] for side in condition.sides)
     if planned["velocity_mm_s"] != level:
         yield f"was planned at {planned['velocity_mm_s']:g} mm/s and presented at {level:g} mm/s"
     found = tuple(speed * 1e3 for speed in given.restored.preflight.speeds(trial))
-    if not all(abs(a - b) <= SPEED for a, b in zip(said, found, strict=True)):
-        yield f"{level:g} mm/s gives {listed(found)} mm/s at the fingers, not {listed(said)}"
+    if not all(abs(a - b) <= SPEED for a, b in zip(recorded, found, strict=True)):
+        yield f"{level:g} mm/s gives {listed(found)} mm/s at the fingers, not {listed(recorded)}"
 
 
 def check_delivered(event: Event, trial: Trial, given: TrialExpectation) -> Iterator[str]:
     """Yield faults in the delivered speeds, given the fingers measured in the trial."""
-    said = event.get("delivered", {"refused": ""})
-    if "refused" in said:
+    recorded = event.get("delivered", {"refused": ""})
+    if "refused" in recorded:
         return
     fitted = given.restored.preflight
-    found = {**preflight.delivered_figures(fitted, trial, said), "drifted": preflight.has_drifted(fitted, trial, said)}
+    found = {
+        **preflight.delivered_figures(fitted, trial, recorded),
+        "drifted": preflight.has_drifted(fitted, trial, recorded),
+    }
     for name, value in found.items():
-        if abs(said[name] - value) > SPEED:
-            yield f"the fingers found in its burst give a delivered {name} of {value}, not {said[name]}"
+        if abs(recorded[name] - value) > SPEED:
+            yield f"the fingers found in its burst give a delivered {name} of {value}, not {recorded[name]}"
 
 
 def check_intervals(event: Event, trial: Trial, begun: list[Event], given: TrialExpectation) -> Iterator[str]:
@@ -227,16 +230,16 @@ def check_intervals(event: Event, trial: Trial, begun: list[Event], given: Trial
         yield f"has {len(parts)} intervals; {len(begun)} began, but its line lists {len(recorded)}"
         return
     over, sound = -math.inf, True
-    for number, (part, said, first) in enumerate(zip(parts, recorded, begun, strict=True), 1):
-        confirmed = said["confirmed"]
-        line = {**event, **said, "instants": {**event["instants"], "first_burst": said["first_burst"]}}
-        faults = [*check_amplitudes(line, part, given), *_check_planned(said["planned"], part, given)]
+    for number, (part, interval, first) in enumerate(zip(parts, recorded, begun, strict=True), 1):
+        confirmed = interval["confirmed"]
+        line = {**event, **interval, "instants": {**event["instants"], "first_burst": interval["first_burst"]}}
+        faults = [*check_amplitudes(line, part, given), *_check_planned(interval["planned"], part, given)]
         if event["event"] == "trial" or number < len(parts):
             sound = sound and confirmed["confirmed"]
             faults += check_bursts(line, part, given)
         if any(confirmed[name] != first["confirmed"][name] for name in ("onset", "commanded_amplitude")):
             faults += ["is not the one that began"]
-        own = (event, said) if number == trial.interval else (said, said)
+        own = (event, interval) if number == trial.interval else (interval, interval)
         if any(own[0][name] != own[1][name] for name in ("commanded", "bursts")):
             faults += ["is not that of its trial"]
         gap, unsure = confirmed["onset"] - over, (each["onset_uncertainty"] for each in (confirmed, first["confirmed"]))
@@ -301,8 +304,8 @@ def check_bursts(event: Event, trial: Trial, given: TrialExpectation) -> Iterato
         yield f"has {asked} bursts due, {played} played, {whole} whole and {dropped} dropped"
     if first is None:
         return
-    said = event["instants"]["first_burst"]
-    ends = None if said is None else (said["earliest_s"], said["latest_s"])
+    span = event["instants"]["first_burst"]
+    ends = None if span is None else (span["earliest_s"], span["latest_s"])
     if ends is None or max(abs(ends[0] - first + around), abs(ends[1] - first - around)) > INSTANT:
         yield f"its first burst came at {first} s +- {around} s, but its instants say {listed(ends or ('never',))}"
     if abs(confirmed["onset"] - first) > around + INSTANT:

@@ -97,14 +97,14 @@ class Recovery:
     def lines(self) -> list[str]:
         """Sentences on what can and cannot be recovered."""
         answers = sum(event.get("event") == "trial" for event in self.events)
-        said = [f"{len(self.events)} lines are intact, including {answers} answers"]
+        sentences = [f"{len(self.events)} lines are intact, including {answers} answers"]
         if self.numbers != tuple(sorted(self.numbers)):
-            said.append("lines were moved; their original order is known")
-        said += [self.converted] if self.converted else []
-        said += [f"line {line.number} is left out: {line.reason}" for line in self.left_out]
+            sentences.append("lines were moved; their original order is known")
+        sentences += [self.converted] if self.converted else []
+        sentences += [f"line {line.number} is left out: {line.reason}" for line in self.left_out]
         if self.missing:
-            said.append(f"missing: line{'s' * (len(self.missing) > 1)} {_ranges(self.missing)}")
-        return said
+            sentences.append(f"missing: line{'s' * (len(self.missing) > 1)} {_ranges(self.missing)}")
+        return sentences
 
     def as_dict(self) -> dict[str, Any]:
         """Return the recovery as plain values."""

@@ -166,17 +166,17 @@ class EventSequence:
         levels = self._given.protocol.conditions.peak_velocities_mm_s
         restored = self._expected.measured(Trial.from_dict(event["trial"]), event, levels)
         self._given, self._n_probed = replace(self._given, restored=restored), self._n_probed + 1
-        for said in event["levels"]:
-            inputs, stimulus = restored.preflight.designs[said["design"]].sound
+        for recorded in event["levels"]:
+            inputs, stimulus = restored.preflight.designs[recorded["design"]].sound
             level = 1e3 * float(stimulus.velocity_at_focus([inputs.centre_mm * 1e-3], inputs.reference * 1e-3)[0])
-            highest = restored.preflight.designs[said["design"]].attainable
-            if said["content_hash"] != stimulus.burst.content_hash:
-                yield f"the drive for the fingers that were measured ({said['design']}) is not the one recorded"
-            if abs(said["level_mm_s"] - level) > SPEED or abs(said["attainable_mm_s"] - highest) > SPEED:
+            highest = restored.preflight.designs[recorded["design"]].attainable
+            if recorded["content_hash"] != stimulus.burst.content_hash:
+                yield f"the drive for the fingers that were measured ({recorded['design']}) is not the one recorded"
+            if abs(recorded["level_mm_s"] - level) > SPEED or abs(recorded["attainable_mm_s"] - highest) > SPEED:
                 yield (
-                    f"under the fingers that were measured ({said['design']}) the level is {level:.6g} mm/s, at most "
-                    f"{highest:.6g} mm/s, but the record says {said['level_mm_s']:.6g} and "
-                    f"{said['attainable_mm_s']:.6g} mm/s"
+                    f"under the fingers that were measured ({recorded['design']}) the level is {level:.6g} mm/s, at "
+                    f"most {highest:.6g} mm/s, but the record says {recorded['level_mm_s']:.6g} and "
+                    f"{recorded['attainable_mm_s']:.6g} mm/s"
                 )
 
     def _due(self) -> Key | None:

@@ -159,13 +159,13 @@ def write_view(
     RecordError
         If a file cannot be written; existing files remain valid.
     """
-    told = {
+    about = {
         "TaskDescription": session.start.get("design", {}).get("title", ""),
         "Instructions": session.start.get("instructions", "").replace("\n", " "),
     }
     side = {
         "TaskName": place.protocol,
-        **{key: words for key, words in told.items() if words},
+        **{key: words for key, words in about.items() if words},
         **_columns(session),
         "Mode": session.mode,
         "SessionLog": {"File": LOG_NAME, **head},
@@ -291,8 +291,8 @@ def check_view(session: Session) -> ViewFound:
     forms = {name: found[name] for name in found if name.replace("form_beh.tsv", "_beh.tsv") in found.keys() - {name}}
     tables = [found[name] for name in found.keys() - forms.keys()]
     if len(tables) != 1:
-        said = f"{session.path.parent}: holds {len(tables)} BIDS tables (*_beh.tsv), but exactly one is needed"
-        return ViewFound(problem=said, is_mendable=not tables)
+        problem = f"{session.path.parent}: holds {len(tables)} BIDS tables (*_beh.tsv), but exactly one is needed"
+        return ViewFound(problem=problem, is_mendable=not tables)
     table, side = tables[0], tables[0].with_suffix(".json")
     # The table is written before its sidecar: a session killed between the two the first time has no sidecar.
     is_described = side.exists()

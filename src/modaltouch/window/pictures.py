@@ -271,13 +271,13 @@ class Illustrator:
     def feedback(self, trial: Trial, progress: Progress, answer: str, expected: str) -> Picture:
         """Return the feedback after a practice trial: where the vibration was stronger, or the right answer."""
         texts, offered = self.texts, self.answers.offered
-        said = {
+        by_fingers = {
             ("left",): texts.practice_was_left,
             ("left", "right"): texts.practice_was_both,
             ("right",): texts.practice_was_right,
         }
         felt = () if offered.names_between else offered.named(expected).fingers or ()
-        was, agreed = said.get(felt, texts.practice_was.format(answer=texts.label(expected))), answer == expected
+        was, agreed = by_fingers.get(felt, texts.practice_was.format(answer=texts.label(expected))), answer == expected
         words, name = (texts.practice_agreed, "agreed") if agreed else (was, expected)
         return Picture(
             f"feedback_{name}", (self._headline(words, 0.05), *self._beam(trial), *self._progress(trial, progress))

@@ -112,10 +112,10 @@ def describe_progress(facts: SessionState, since_s: float = 0.0, width: int = 80
     done, total = facts["n_answered"], max(facts["n_trials"], 1)
     ticking = since_s if facts["state"] != "ended" else 0.0
     left = max(facts["time_left_s"] - (ticking if facts["state"] == "trial" else 0.0), 0.0)
-    said = f"{done} of {facts['n_trials']}, {describe_time(left)} left"
-    length = min(40, width - len(said) - 3)
+    text = f"{done} of {facts['n_trials']}, {describe_time(left)} left"
+    length = min(40, width - len(text) - 3)
     full = round(length * min(done / total, 1))
-    return f"{'#' * full}{'.' * (length - full)} {said}" if length > 5 else said
+    return f"{'#' * full}{'.' * (length - full)} {text}" if length > 5 else text
 
 
 def describe_trial(trial: dict[str, Any] | None) -> list[tuple[str, str]]:
@@ -225,15 +225,15 @@ def _show(news: News, file: TextIO, dialogue: Dialogue) -> None:
     known, came = None, 0.0
     with Live(console=console, screen=True, auto_refresh=False, redirect_stdout=False, redirect_stderr=False) as live:
         while True:
-            said = []
+            received = []
             with suppress(queue.Empty):
                 # Redraw every second, which updates times and covers other output to the terminal.
-                said.append(news.get(timeout=1.0))
+                received.append(news.get(timeout=1.0))
             while not news.empty():
-                said.append(news.get())
-            if None in said:
+                received.append(news.get())
+            if None in received:
                 return
-            if facts := [each for each in said if each]:
+            if facts := [each for each in received if each]:
                 known, came = facts[-1], time.monotonic()
             if known is not None:
                 size = os.get_terminal_size(file.fileno()) if sys.platform != "win32" else console.size
@@ -256,8 +256,8 @@ def _read(keyboard: Keyboard, dialogue: Dialogue, news: News) -> None:
             for key in keyboard.read(0.1):
                 at = SYSTEM_CLOCK.now()
                 if (request := dialogue.press(key)) is not None:
-                    said = {"command": request.command, "text": request.text, "at": at}
-                    sys.stdout.write(json.dumps(said) + "\n")
+                    message = {"command": request.command, "text": request.text, "at": at}
+                    sys.stdout.write(json.dumps(message) + "\n")
                     sys.stdout.flush()
                 news.put({})
     except (EOFError, OSError):

@@ -167,10 +167,10 @@ class EventLines(Console):
 
     def _line(self, facts: SessionState) -> bytes:
         time = datetime.now(UTC).isoformat(timespec="milliseconds")
-        said = {"time": time, **facts, **({"n_dropped": self._n_dropped} if self._n_dropped else {})}
-        line = json.dumps(said, ensure_ascii=False).encode() + b"\n"
+        values = {"time": time, **facts, **({"n_dropped": self._n_dropped} if self._n_dropped else {})}
+        line = json.dumps(values, ensure_ascii=False).encode() + b"\n"
         if len(line) > LONGEST_LINE:
-            shortened = {**said, "warnings": [warning[:80] for warning in facts["warnings"][:4]]}
+            shortened = {**values, "warnings": [warning[:80] for warning in facts["warnings"][:4]]}
             shortened["generator"] = {**facts["generator"], "last_error": facts["generator"]["last_error"][:200]}
             line = json.dumps(shortened, ensure_ascii=False).encode() + b"\n"
         return line

@@ -22,12 +22,12 @@ def read_signs(trials: Sequence[dict[str, Any]], nothing: str | None = None) -> 
     caught = [event for event in trials if nothing is not None and event["trial"]["condition"]["velocity_mm_s"] == 0]
     missed = [event["trial"]["index"] for event in caught if event["response"]["answer"] != nothing]
     doubles = [event["trial"]["index"] for event in trials if event["response"].get("double")]
-    said = (
+    signs = (
         (hasty, f"{_times(len(hasty))} answered within {HASTY * 1e3:.0f} ms of the question, last in trial"),
         (missed, f"{len(missed)} of {len(caught)} catch trials answered as if something was felt, last trial"),
         (doubles, f"{_times(len(doubles))} two answers at once, last in trial"),
     )
-    return [f"{words} {which[-1]}" for which, words in said if which]
+    return [f"{words} {which[-1]}" for which, words in signs if which]
 
 
 def is_hasty(event: dict[str, Any]) -> bool:
@@ -287,8 +287,8 @@ class Status:
         firing, index = event["confirmed"], event["trial"]["index"]
         self._facts["generator"] |= {"outputs": "off", "confirmed": firing["confirmed"]}
         if firing.get("stalled"):
-            said = f"trial {index}: the computer was held up, and the stimulus comes again"
-            self._facts["generator"]["last_error"] = said
+            trouble = f"trial {index}: the computer was held up, and the stimulus comes again"
+            self._facts["generator"]["last_error"] = trouble
         # Since log format 2, the answer is already known from the line `answered`.
         if event.get("answered") is None:
             self._on_answered(event)
@@ -325,7 +325,7 @@ class Status:
 def _words(name: str, event: dict[str, Any]) -> str:
     """Return the text for a fault of the rig."""
     errors = event.get("errors")
-    said = (
+    details = (
         ", ".join(map(str, errors)) if errors else event.get("reason") or event.get("confirmed", {}).get("reason", "")
     )
-    return f"{name.replace('_', ' ')}: {said}" if said else name.replace("_", " ")
+    return f"{name.replace('_', ' ')}: {details}" if details else name.replace("_", " ")
