@@ -6,7 +6,7 @@ from pathlib import Path
 
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig import Generator, Simulator
-from modaltouch.rig.checklist import judge_latency
+from modaltouch.rig.checklist import assess_latency
 
 APPARATUS = Path(__file__).parents[2] / "protocols" / "apparatus" / "beam_100x6x2.yaml"
 GOOD = {"level_p95_ms": 2.0, "off_p95_ms": 2.0}
@@ -24,11 +24,11 @@ def test_the_twin_is_prompt_and_stays_silent() -> None:
         assert 0 < median <= p95 <= longest
     assert measured["n"] == 10
     assert "SIMULATED" in measured["identity"]
-    assert verdict == judge_latency(measured)
+    assert verdict == assess_latency(measured)
 
 
 def test_what_a_person_should_do_is_said() -> None:
     """A prompt one is good, a slow one delays every trial, a very slow one is not for a session."""
-    assert judge_latency(GOOD).endswith("are off within 2.0 ms (95 %): good.")
-    assert "begins that much later" in judge_latency(GOOD | {"level_p95_ms": 30.0})
-    assert "too slow. Connect the generator directly" in judge_latency(GOOD | {"level_p95_ms": 200.0})
+    assert assess_latency(GOOD).endswith("are off within 2.0 ms (95 %): good.")
+    assert "begins that much later" in assess_latency(GOOD | {"level_p95_ms": 30.0})
+    assert "too slow. Connect the generator directly" in assess_latency(GOOD | {"level_p95_ms": 200.0})

@@ -326,7 +326,7 @@ class Dead(Instrument):
 
 
 STILL, NOBODY = (
-    f"the generator cannot be told to switch its outputs off ({trying}): SWITCH THE AMPLIFIER OFF"
+    f"the generator does not confirm that its outputs are off ({trying}): SWITCH THE AMPLIFIER OFF"
     for trying in ("still trying", "no further attempt")
 )
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from modaltouch.system.clock import judge_clock, measure_clock
+from modaltouch.system.clock import assess_clock, measure_clock
 
 GOOD = {"name": "clock_gettime(CLOCK_MONOTONIC)", "is_monotonic": True, "drift_ppm": 3.0, "step_ms": 1e-4}
 GOOD |= {"wait_median_ms": 1.06, "wait_p95_ms": 1.1, "wait_max_ms": 2.0}
@@ -14,13 +14,13 @@ def test_the_clock_of_this_machine_only_goes_forward() -> None:
     assert measured["is_monotonic"]
     assert 0 < measured["step_ms"] < 1e-2
     assert 1 <= measured["wait_median_ms"] <= measured["wait_p95_ms"] <= measured["wait_max_ms"]
-    assert verdict == judge_clock(measured)
+    assert verdict == assess_clock(measured)
 
 
 def test_what_a_person_should_do_is_said() -> None:
     """Each fault has its remedy; a good clock has none."""
-    assert judge_clock(GOOD) == "A wait of 1 ms takes 1.06 ms, 95 % of them under 1.1 ms: good."
-    assert "switch power saving off" in judge_clock(GOOD | {"wait_p95_ms": 12.0})
-    assert "use another machine" in judge_clock(GOOD | {"is_monotonic": False})
-    assert "steps by 16 ms" in judge_clock(GOOD | {"step_ms": 16.0})
-    assert "wait a few minutes" in judge_clock(GOOD | {"drift_ppm": -900.0})
+    assert assess_clock(GOOD) == "A wait of 1 ms takes 1.06 ms, 95 % of them under 1.1 ms: good."
+    assert "switch power saving off" in assess_clock(GOOD | {"wait_p95_ms": 12.0})
+    assert "use another machine" in assess_clock(GOOD | {"is_monotonic": False})
+    assert "steps by 16 ms" in assess_clock(GOOD | {"step_ms": 16.0})
+    assert "wait a few minutes" in assess_clock(GOOD | {"drift_ppm": -900.0})

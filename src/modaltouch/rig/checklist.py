@@ -311,7 +311,7 @@ _SLOW_MS = 50.0
 def measure_latency(
     rig: Rig, set_levels: Callable[[tuple[float, ...]], object], opened: float, *, n: int
 ) -> tuple[dict[str, Any], str]:
-    """Measure the response times of a generator to commands, and judge them for an experiment.
+    """Measure the response times of a generator to commands, and assess them for an experiment.
 
     Parameters
     ----------
@@ -344,10 +344,10 @@ def measure_latency(
             rig.heartbeat()
         median, p95, longest = np.quantile(taken, (0.5, 0.95, 1.0)).round(3).tolist()
         figures |= {f"{name}_median_ms": median, f"{name}_p95_ms": p95, f"{name}_max_ms": longest}
-    return figures, judge_latency(figures)
+    return figures, assess_latency(figures)
 
 
-def judge_latency(figures: Mapping[str, Any]) -> str:
+def assess_latency(figures: Mapping[str, Any]) -> str:
     """Return the consequences of a generator's latencies for an experiment, and the recommended action."""
     level, off = figures["level_p95_ms"], figures["off_p95_ms"]
     advice = "good"

@@ -107,7 +107,7 @@ class Generator(contextlib.AbstractContextManager["Generator"]):
         self._opened_in = time.perf_counter() - began
 
     def command_latency(self, n: int = 50) -> tuple[dict[str, Any], str]:
-        """Measure and judge the latencies of the instrument, with `n` commands of each kind.
+        """Measure and assess the latencies of the instrument, with `n` commands of each kind.
 
         The values are those of `modaltouch.rig.checklist.measure_latency`. Nothing is played.
 
@@ -303,7 +303,7 @@ class Generator(contextlib.AbstractContextManager["Generator"]):
         except RigError as error:
             self.firing = replace(self.firing, reason=str(error))
             raise
-        self.firing = self._judged(firing, report, (*fault, *found.faults), off)
+        self.firing = self._concluded(firing, report, (*fault, *found.faults), off)
         if not self.firing.confirmed:
             self._log("unconfirmed", reason=self.firing.reason)
         if found.differences and not found.renewed:
@@ -319,7 +319,7 @@ class Generator(contextlib.AbstractContextManager["Generator"]):
             return None, (str(error),)
         return report, (report.reason,) if report.ended == "failed" else ()
 
-    def _judged(self, firing: Firing, report: Report | None, faults: tuple[str, ...], off: float) -> Firing:
+    def _concluded(self, firing: Firing, report: Report | None, faults: tuple[str, ...], off: float) -> Firing:
         """Return the firing with its final counts and confirmation."""
         held_up = self._longest_silence
         stalled = held_up > PATIENCE

@@ -251,21 +251,21 @@ class WatchdogProcess:
     def switch_off(self) -> bool:
         """Switch the outputs off, over new sessions if necessary; return whether the instrument confirmed it."""
         started, pause = self._clock.now(), 0.02
-        next_word, said = started + REPLY_TIMEOUT, False
+        next_word, warned = started + REPLY_TIMEOUT, False
         while True:
             with contextlib.suppress(Exception):
                 reply = self._transport.exchange(self._off, timeout=REPLY_TIMEOUT, reply=True)
                 if reply.strip() == b";".join([b"0"] * self._off.count(b"?")):
-                    if said:
+                    if warned:
                         self._say("the generator's outputs are off now")
                     return True
             passed = self._clock.now() - started
             gives_up = passed > (LONG_PERSISTENCE if self._plays_by_itself else self._persistence)
             if gives_up or self._clock.now() > next_word:
-                next_word, said = self._clock.now() + WORD_PERIOD, True
+                next_word, warned = self._clock.now() + WORD_PERIOD, True
                 trying = "no further attempt" if gives_up else "still trying"
                 self._say(
-                    f"the generator cannot be told to switch its outputs off ({trying}): SWITCH THE AMPLIFIER OFF"
+                    f"the generator does not confirm that its outputs are off ({trying}): SWITCH THE AMPLIFIER OFF"
                 )
             if gives_up:
                 return False

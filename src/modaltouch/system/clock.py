@@ -75,7 +75,7 @@ _LATE_MS = 5.0
 
 
 def measure_clock(n: int = 500) -> tuple[dict[str, Any], str]:
-    """Measure the accuracy of this machine's clock and judge it; takes about `n` milliseconds.
+    """Measure the accuracy of this machine's clock and assess it; takes about `n` milliseconds.
 
     Parameters
     ----------
@@ -110,10 +110,10 @@ def measure_clock(n: int = 500) -> tuple[dict[str, Any], str]:
         "wait_p95_ms": round(statistics.quantiles(waits, n=20)[-1], 6),
         "wait_max_ms": round(max(waits), 6),
     }
-    return figures, judge_clock(figures)
+    return figures, assess_clock(figures)
 
 
-def judge_clock(figures: Mapping[str, Any]) -> str:
+def assess_clock(figures: Mapping[str, Any]) -> str:
     """Return the consequences of the figures of a clock for an experiment, and the recommended action."""
     lines = []
     if not figures["is_monotonic"] or figures["step_ms"] > 0.1:

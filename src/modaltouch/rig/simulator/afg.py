@@ -121,11 +121,11 @@ class Afg(GeneratorState[Channel]):
         channel = replace(self.channels[number], **settings)  # type: ignore[arg-type]
         room = min(channel.limit_high - channel.offset, channel.offset - channel.limit_low)
         if channel.amplitude / 2 > room * (1 + 1e-9):
-            said = f"{channel.amplitude:g} Vpp at {channel.offset:g} V exceeds VOLTage:LIMit"
+            why = f"{channel.amplitude:g} Vpp at {channel.offset:g} V exceeds VOLTage:LIMit"
             if not settings.keys() & {"amplitude", "offset"}:
-                raise ScpiError(-221, said)
+                raise ScpiError(-221, why)
             if self.behaviour.limit_violation == "error":
-                raise ScpiError(-222, said)
+                raise ScpiError(-222, why)
             channel.amplitude = max(2 * room, 0.0)
         channel.amplitude = min(channel.amplitude, self.clip_amplitude)
         self.channels[number] = channel

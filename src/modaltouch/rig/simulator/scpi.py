@@ -62,11 +62,11 @@ class ScpiError(Exception):
 
     def __init__(self, code: int, detail: str = "") -> None:
         self.code = code
-        said = detail[:LONGEST_TEXT].encode("ascii", "backslashreplace").decode().replace('"', "'")
-        said = "".join(letter if letter.isprintable() else " " for letter in said)
+        plain = detail[:LONGEST_TEXT].encode("ascii", "backslashreplace").decode().replace('"', "'")
+        plain = "".join(letter if letter.isprintable() else " " for letter in plain)
         text = TEXTS.get(code, "Device error")
-        self.text = f"{text}; {said}"[:LONGEST_TEXT] if detail else text
-        super().__init__(f'{code},"{self.text}"')
+        text = f"{text}; {plain}"[:LONGEST_TEXT] if detail else text
+        super().__init__(f'{code},"{text}"')
 
 
 @dataclass(frozen=True)
