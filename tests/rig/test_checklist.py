@@ -96,6 +96,17 @@ def test_scope_measures_the_latency_of_a_trigger(apparatus: Apparatus, monkeypat
     assert most <= high + 0.6
 
 
+def test_amplitudes_are_stepped_within_any_limit(apparatus: Apparatus, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Up to the one that the amplifier bears: 0.6 V behind a gain of 25 are 0.04 V peak to peak, in steps of 10 mV."""
+    monkeypatch.setattr(checklist, "QUESTIONS", [entry for entry in checklist.QUESTIONS if entry[0] == 6])
+    facts = apparatus.model_dump(mode="json")
+    facts["amplifier"]["limit_V"] = 0.6
+    low = Apparatus.model_validate(facts)
+    with Simulator(low) as simulator:
+        (row,) = check_rig(simulator.address, low, patience=PATIENCE)
+    assert re.match(r"changes took 0\.04 Vpp [\d.]+ ms$", row["answer"])
+
+
 def test_absent_instrument_is_an_error(apparatus: Apparatus) -> None:
     """Nobody there: said as everywhere else."""
     with pytest.raises(RigError, match="no generator answers"):

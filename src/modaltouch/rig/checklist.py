@@ -95,12 +95,10 @@ def _copy_time(connection: Connection) -> Finding:
 
 
 def _ranges(connection: Connection) -> Finding:
-    took = {}
-    for amplitude in STEPS:
-        if amplitude / 2 > connection.limits.level:
-            break
-        took[amplitude] = min(_time_of_change(connection, amplitude) for _ in range(N_CHANGES))
-    connection.controls.apply([connection.instrument.level(1, connection.limits.quiet_amplitude)])
+    limits = connection.limits
+    allowed = [each for each in STEPS if each / 2 <= limits.level] or [limits.quiet_amplitude]
+    took = {each: min(_time_of_change(connection, each) for _ in range(N_CHANGES)) for each in allowed}
+    connection.controls.apply([connection.instrument.level(1, limits.quiet_amplitude)])
     slowest = max(took, key=lambda amplitude: took[amplitude])
     usual = sorted(took.values())[len(took) // 2]
     where = f"passes {slowest:g} Vpp, which took longest" if took[slowest] > 3 * usual else "steps through all of these"
@@ -115,7 +113,7 @@ def _ranges(connection: Connection) -> Finding:
 
 def _time_of_change(connection: Connection, amplitude: float) -> float:
     """Return the duration of a change from the lowest amplitude to another [s]."""
-    connection.controls.apply([connection.instrument.level(1, STEPS[0])])
+    connection.controls.apply([connection.instrument.level(1, connection.instrument.lowest_amplitude)])
     return timeit(lambda: connection.controls.apply([connection.instrument.level(1, amplitude)]), number=1)
 
 
