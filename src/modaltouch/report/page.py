@@ -98,8 +98,7 @@ def page_files(package: str, name: str, pictures: Sequence[ReportFigure], /, **v
     **values
         Other variables of the template; a missing one is an error.
     """
-    figures = {picture.name: picture.figure for picture in pictures}
-    files = figure_files(figures)
+    files = figure_files({picture.name: picture.figure for picture in pictures})
     shown = [{**vars(picture), "svg": files[f"{picture.name}.svg"]} for picture in pictures]
     libraries = {library: number for library, number in versions().items() if number != "absent"}
     made_by = {"version": version(), "commit": commit(), "versions": libraries}

@@ -134,8 +134,7 @@ class Converter:
 
     def unsigned(self, signed: FloatArray) -> NDArray[np.uint16]:
         """Convert codes relative to mid-scale to the generator's codes, array of the same shape."""
-        codes = np.empty(signed.shape, dtype=np.uint16)
-        return np.add(signed, self.mid_code, out=codes, casting="unsafe")
+        return np.add(signed, self.mid_code, out=np.empty(signed.shape, dtype=np.uint16), casting="unsafe")
 
     def signed(self, codes: NDArray[np.uint16]) -> FloatArray:
         """Convert the generator's codes to codes relative to mid-scale, array of the same shape."""

@@ -289,8 +289,7 @@ class Steering:
             read[np.arange(driven.size) + driven.size, driven] = -1j
         reach = self._reach(read, n_left, RISE)
         left = state * np.exp(self.system.exponent * (timing.duration - start * timing.hold))
-        weight = self._solver(reach).solve(-(read @ left).real)
-        reach.write(weight, voltage[:, start:])
+        reach.write(self._solver(reach).solve(-(read @ left).real), voltage[:, start:])
 
     def _check_enough(self, n_samples: int, where: str) -> None:
         """Reject fewer free samples than conditions; the first and the last sample are fixed at zero."""

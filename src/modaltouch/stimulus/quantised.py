@@ -89,8 +89,7 @@ class QuantisedStimulus:
     @cached_property
     def _left_per_volt(self) -> ComplexArray:
         """States when the end of the burst reaches the beam, for codes of 1 V each, (n_channels, n_states) array."""
-        end = self.timing.duration + self.system.delay
-        return self.system.states_by_channel(self.codes, self.timing, end)
+        return self.system.states_by_channel(self.codes, self.timing, self.timing.duration + self.system.delay)
 
     def states_at_focus(self, unit: FloatArray) -> ComplexArray:
         """Return the states at the focusing instant of the first burst for codes of `unit` volts, (n_states,) array."""

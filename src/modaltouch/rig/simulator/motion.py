@@ -206,11 +206,8 @@ class DriveVoltage:
 
     def at(self, time: FloatArray) -> FloatArray:
         """Return the voltage at instants since the first sample reached the beam [s], (n_times,) array [V]."""
-        since, hold, target = (
-            self.held.within_period(time),
-            self.held.hold,
-            np.append(self.held.voltage[self.channel], 0),
-        )
+        since, hold = self.held.within_period(time), self.held.hold
+        target = np.append(self.held.voltage[self.channel], 0)
         index = np.clip((since / hold).astype(np.intp), 0, target.size - 1)
         voltage = target[index]
         if self.pole is not None:

@@ -255,8 +255,7 @@ class Twin:
         duration = first.duration * n_cycles
         # A trigger during a burst or its delay is lost, and the next one counts.
         triggers = max(1.0, np.ceil((first.delay + first.duration * first.n_cycles) / first.period - 1e-9))
-        period = first.period * triggers
-        return Held(np.tile(voltage, n_cycles), rest, duration, period, first.delay, first.converter)
+        return Held(np.tile(voltage, n_cycles), rest, duration, first.period * triggers, first.delay, first.converter)
 
     def _is_linear(self, playbacks: Sequence[Playback | None]) -> bool:
         """Test whether the motion of the beam is proportional to the level."""
