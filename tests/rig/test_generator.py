@@ -394,12 +394,16 @@ def test_fingers_differ_between_the_trials_of_a_placement(apparatus: Apparatus, 
     }
     log, twin = tmp_path / "session.jsonl", apparatus.twin.model_copy(update=own)
     followed, masses = FollowedSession(log, apparatus.model_copy(update={"twin": twin})), []
+    given = []
     start = '{"event":"start","seed":1,"participant":"p01","session":1}\n'
     for line in (start + '{"event":"placement","zone_left":"A","zone_right":"C"}\n', *['{"event":"trial"}\n'] * 30):
         with log.open("a", encoding="utf-8") as growing:
             growing.write(line)
-        masses += [finger.mass for finger in followed.fingers().values()]
+        given.append(followed.fingers())
+        masses += [finger.mass for finger in given[-1].values()]
     assert len(set(masses)) == 62
+    # What was given for a burst is still that of its trial when the burst is listed.
+    assert [finger.mass for fingers in given for finger in fingers.values()] == masses
     assert np.std(np.log(masses)) == pytest.approx(0.02, rel=0.3)
     assert np.mean(masses) == pytest.approx(1e-4, rel=0.01)
 

@@ -193,7 +193,9 @@ class FollowedSession:
     def _drift(self) -> None:
         """Draw the fingers of a trial around those of its placement."""
         rng, spread = self._drawn_by(f"trial {self._n_trials}"), self._apparatus.twin.finger_trial_spread
-        self._fingers |= {zone: spread.drawn(own, rng).at(centre) for zone, (own, centre) in self._placed.items()}
+        drawn = {zone: spread.drawn(own, rng).at(centre) for zone, (own, centre) in self._placed.items()}
+        # A burst that waits to be listed keeps the fingers of its trial.
+        self._fingers = self._fingers | drawn
 
     def _drawn_by(self, what: str) -> np.random.Generator:
         return Schedule.random_generator(*self._who, what)
