@@ -20,6 +20,7 @@ import pytest
 import pyvisa
 
 from modaltouch.protocol.apparatus import Apparatus
+from modaltouch.rig.interface import RigError
 from modaltouch.rig.simulator import Simulator
 from modaltouch.rig.simulator.common import Behaviour
 
@@ -137,6 +138,16 @@ def test_port_can_be_chosen(apparatus: Apparatus) -> None:
         port = probe.getsockname()[1]
     with Simulator(apparatus, port=port) as simulator:
         assert simulator.address == f"TCPIP::127.0.0.1,{port}::inst0::INSTR"
+
+
+def test_port_that_is_taken_is_refused_with_a_remedy(apparatus: Apparatus, simulator: Simulator) -> None:
+    """Two twins on one port: the second says so, and the first goes on."""
+    with (
+        pytest.raises(RigError, match=f"cannot listen on port {simulator.server.port} .*or give another --port"),
+        Simulator(apparatus, port=simulator.server.port) as second,
+    ):
+        second.address  # noqa: B018
+    assert simulator.front_panel("*IDN?").startswith("TEKTRONIX")
 
 
 def test_stranger_is_understood(raw: RawClient) -> None:

@@ -19,6 +19,7 @@ import time
 import typing
 from dataclasses import dataclass, field
 
+from modaltouch.rig.interface import RigError
 from modaltouch.rig.simulator.instrument import Reply, SimulatedInstrument
 from modaltouch.rig.simulator.scpi import ScpiError
 
@@ -275,12 +276,25 @@ class Vxi11Server:
         return f"TCPIP::127.0.0.1,{self.port}::{INSTRUMENT}::INSTR"
 
     def listen(self) -> None:
-        """Accept connections."""
+        """Accept connections.
+
+        Raises
+        ------
+        RigError
+            If another program listens on the port, or it is reserved.
+        """
         listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
         if sys.platform != "win32":  # there it would let two programs share a port
             listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        listener.bind(("127.0.0.1", self.port))
-        listener.listen(16)
+        try:
+            listener.bind(("127.0.0.1", self.port))
+            listener.listen(16)
+        except OSError as error:
+            listener.close()
+            raise RigError(
+                f"the twin cannot listen on port {self.port} ({error.strerror}): stop the program that does, or give "
+                "another --port, 0 for any free one"
+            ) from error
         self.port = listener.getsockname()[1]
         self._listener = listener
         threading.Thread(target=self._accept, args=(listener,), daemon=True, name="vxi11-accept").start()
