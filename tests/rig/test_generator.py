@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from modaltouch.protocol import InputError
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.apparatus_sections import Latency
 from modaltouch.protocol.fingers import FingerSection, FingerSpread
@@ -354,6 +355,12 @@ def test_line_cut_by_a_crash_is_passed_over_in_a_followed_session(apparatus: App
     placed = '{"event":"placement","zone_left":"A","zone_right":"C"}\n'
     log.write_text(f'{placed}{{"event":"trial","answ\n{placed.replace("A", "B")}', encoding="utf-8")
     assert list(FollowedSession(log, apparatus).fingers()) == ["B", "C"]
+
+
+def test_folder_is_no_log_to_follow(apparatus: Apparatus, tmp_path: Path) -> None:
+    """It would be noticed in the midst of a burst, and break the driver's connection."""
+    with pytest.raises(InputError, match="given a folder; allowed: the log of a session.*give its session.jsonl"):
+        Simulator(apparatus, follow=tmp_path)
 
 
 def test_fingers_differ_between_the_placements_of_a_followed_session(apparatus: Apparatus, tmp_path: Path) -> None:

@@ -68,7 +68,7 @@ class Simulator(AbstractContextManager["Simulator"]):
     Raises
     ------
     InputError
-        If the file `played` cannot be written.
+        If the file `played` cannot be written, or `follow` is a folder.
 
     Attributes
     ----------

@@ -141,9 +141,19 @@ class FollowedSession:
         The log, ``session.jsonl``.
     apparatus : Apparatus
         The apparatus; its section ``twin`` specifies the fingers and their variation between placements and trials.
+
+    Raises
+    ------
+    InputError
+        If the path is that of a folder.
     """
 
     def __init__(self, path: Path, apparatus: Apparatus) -> None:
+        if path.is_dir():
+            remedy = "give its session.jsonl with --follow"
+            raise InputError(
+                [Problem(str(path), 0, 0, "", "a folder", "the log of a session, even a future one", remedy)]
+            )
         self._path, self._apparatus = path, apparatus
         self._read = self._n_placements = self._n_trials = 0
         self._who = 0, "", 0
