@@ -308,23 +308,10 @@ def _chunk_moments(
 
 
 def clock_inputs(voltage: FloatArray, timing: Timing, start: int, stop: int, n_inputs: int) -> FloatArray:
-    """Return the voltages of a range of samples, followed by the rows of inputs that represent late clock steps.
+    """Return the inputs of a range of samples for the columns of `DiagonalSystem.clock_gain`.
 
-    Parameters
-    ----------
-    voltage : (n_channels, n_samples) array
-        Held samples from the start of the burst [V].
-    timing : Timing
-        Clock of the samples.
-    start, stop : int
-        First sample, and the one after the last.
-    n_inputs : int
-        Number of columns of `DiagonalSystem.clock_gain`.
-
-    Returns
-    -------
-    (n_inputs, stop - start) array
-        Voltages, then steps times their delay on the clock [s], times its square, and so on.
+    They are the voltages, (n_channels, n_samples) array [V], then steps times their delay on the clock [s], times its
+    square, and so on, (n_inputs, stop - start) array.
     """
     if timing.clock_error is None:
         return voltage[:, start:stop]

@@ -184,17 +184,7 @@ class CoupledModes:
 
     @classmethod
     def of(cls, omega: FloatArray, damping_ratio: FloatArray, gain: FloatArray, loads: Sequence[Load]) -> CoupledModes:
-        """Return the equations of modes with fingers on the beam.
-
-        Parameters
-        ----------
-        omega, damping_ratio : (n_modes,) array
-            Angular frequencies [rad/s] and damping ratios [1] of the free modes.
-        gain : (n_modes, n_channels) array
-            Modal accelerations per volt [m/s^2 per V].
-        loads : sequence of Load
-            Contact and finger, for each finger.
-        """
+        """Return the equations of modes with fingers on the beam; parameters as in `DiagonalSystem.of_modes`."""
         n = omega.size
         mass, damping, stiffness = np.eye(n), np.diag(2 * damping_ratio * omega), np.diag(omega)
         branches, inner = [np.zeros((n, 0))], list[FloatArray]()

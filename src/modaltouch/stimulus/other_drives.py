@@ -191,12 +191,8 @@ def paper_drive(steering: Steering) -> Drive:
 
     Here :math:`\dot\eta_k = \dot\eta_k(t_F) e^{a_k (t - t_F)} \cos b_k (t - t_F)`; each mode is driven on its
     strongest channel, and sampled at the middle of each hold. Sample 0 is 0 V, the level at which the generator idles.
-    The amplifier is not taken into account.
-
-    Parameters
-    ----------
-    steering : Steering
-        Conditions; modes with a target velocity of 0 are not driven, target displacements are ignored.
+    The amplifier is not taken into account; modes with a target velocity of 0 are not driven, target displacements are
+    ignored.
 
     References
     ----------
