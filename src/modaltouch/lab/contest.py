@@ -35,9 +35,6 @@ REST = 0.02
 FINGER = 0.01
 """Width of a finger's contact area [m]."""
 
-FINGER_POINTS = 5
-"""Number of points under a finger at which the highest speed is evaluated."""
-
 PLACES = 41
 """Number of points along the beam at which the highest speed is evaluated."""
 
@@ -119,7 +116,7 @@ def true_delay(rig: Simulator) -> float:
 def _finger_peaks(rig: Simulator, zones: dict[str, float]) -> dict[str, float]:
     """Return the highest speed under a finger on each zone [m/s]."""
     half = rig.twin.beam.table.length / 2
-    under = np.linspace(-FINGER / 2, FINGER / 2, FINGER_POINTS)
+    under = np.linspace(-FINGER / 2, FINGER / 2, 5)
     places = np.clip([centre + under for centre in zones.values()], -half, half)
     speeds = rig.twin.felt(rig.playbacks, places.ravel().tolist()).reshape(places.shape).max(axis=1)
     return dict(zip(zones, speeds.tolist(), strict=True))

@@ -222,12 +222,6 @@ STRENGTHS = 10.0 ** np.arange(-5.0, 0.01, 0.5)
 ABOVE_NOISE = 10.0
 """Minimum strength of a direction used by the inverse filter at one instant, relative to the noise [1]."""
 
-STRONGER = 8
-"""Number of trial values for that threshold, each ten times the previous one."""
-
-ENDS = 1e-3
-"""Length of the taper at either end of a burst [s]."""
-
 
 def inverse_filter(known: TrainingData) -> FloatArray:
     """Return the drives of the inverse filter at the level or the limit, (n_channels, n_samples) array at the beam [V].
@@ -240,7 +234,8 @@ def inverse_filter(known: TrainingData) -> FloatArray:
 
     step, n_before = known.step, known.n_before
     n_after = (known.timing.n_samples - n_before * known.stride) // known.stride
-    taper = tukey(n_before + n_after, 2 * ENDS / step / (n_before + n_after))
+    # The burst fades over a millisecond at either end.
+    taper = tukey(n_before + n_after, 2e-3 / step / (n_before + n_after))
     # The drive is linear in the spectrum of the pulse, which is the same for all control points.
     target = np.broadcast_to(known.target()[:, None], known.responses.response.shape[1:]).astype(complex)
     candidates = []
@@ -292,7 +287,7 @@ def inverse_filter_at_instant(known: TrainingData) -> FloatArray:
     noise = float(known.responses.variance.sum()) * 2 * (known.responses.spacing * known.step) ** 2 * known.n_before
     target, towards = known.target(), known.towards
     strength, direction = np.linalg.eigh(np.einsum("cmj,cnj->mn", towards, towards, optimize=True))
-    for floor in noise * ABOVE_NOISE * 10.0 ** np.arange(STRONGER):
+    for floor in noise * ABOVE_NOISE * 10.0 ** np.arange(8):
         # Always keep the strongest direction.
         kept = direction[:, (strength > floor) | (strength == strength.max())]
         steps = least_energy(towards, target, noise, kept)[:, ::-1]

@@ -36,9 +36,6 @@ SIMULATED = "simulated"
 ATTEMPTS = 3
 """Number of attempts at a record if the computer stalls."""
 
-BEAT_PERIOD = 0.1
-"""Time between two heartbeats for the watchdog while a record is taken [s]."""
-
 SETTLING_TIME = 0.5
 """Time from the first burst until the motion is periodic: 30 decay times of a mode of 20 Hz bandwidth [s]."""
 
@@ -176,7 +173,7 @@ class Laboratory:
 
         def beat() -> None:
             try:
-                while not ended.wait(BEAT_PERIOD) and time.monotonic() < deadline:
+                while not ended.wait(0.1) and time.monotonic() < deadline:
                     self.rig.heartbeat()
             except RigError as error:
                 failures.append(error)

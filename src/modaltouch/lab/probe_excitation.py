@@ -225,14 +225,8 @@ def _at_beam(apparatus: Apparatus, burst: Burst, bins: NDArray[np.intp]) -> Comp
     return np.asarray(spectrum * held * low_pass(SPACING * bins, apparatus.amplifier_values().bandwidth))
 
 
-BURST_OVERSAMPLING = 2
-"""Scope samples per generator sample of a burst; spectral images of the held samples lie above the beam's band."""
-
 RINGS, LISTENS = 0.3, 0.9
 """Ends of the beam's ringing and of the noise record, as fractions of the silence after a burst [1]."""
-
-N_CLOCKS = 1000
-"""Number of record lengths tried; the one closest to whole samples of both clocks is used."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,7 +249,8 @@ class BurstRecord:
 
     def acquisition(self, fastest: float) -> Acquisition:
         """Return the scope settings for the highest expected speed [m/s]."""
-        rate = BURST_OVERSAMPLING * RATE
+        # Spectral images of the generator's held samples lie above the beam's band.
+        rate = 2 * RATE
         n_samples = int(rate * self._until(LISTENS))
         return Acquisition(sampling_rate=rate, n_samples=n_samples, drives=(), velocity_range=HEADROOM * fastest)
 
@@ -285,7 +280,8 @@ class BurstRecord:
                 "a wider range at the vibrometer, and enter it as acquisition.range_mm_s in the apparatus file"
             )
         hold, rate = self.stimulus.timing.hold, recording.sampling_rate
-        held = round(self._until(RINGS) / hold) + np.arange(N_CLOCKS)
+        # Of a thousand lengths, the one closest to whole samples of both clocks is used.
+        held = round(self._until(RINGS) / hold) + np.arange(1000)
         n_held = int(held[np.abs(held * hold * rate - np.round(held * hold * rate)).argmin()])
         seen, silence = np.split(recording.velocity[0], [round(n_held * hold * rate)])
         if silence.size < 4 * N_SILENT:

@@ -38,9 +38,6 @@ POLL = 0.5
 MOST_OVERSAMPLED = 50.0
 """Largest sampling rate of a file, relative to the requested one [1]."""
 
-CUT = 4
-"""Ratio of samples at a record's extreme to those at the next value, above which the record is clipped [1]."""
-
 REMEDY = "move it away, or give another folder with --record"
 
 FORM = "save it as UTF-8, with commas between columns and points in decimals"
@@ -242,7 +239,7 @@ def _is_cut(velocity: FloatArray) -> bool:
     """Return whether a record is clipped: far more samples sit at its extreme than at the next value."""
     for values in (velocity, -velocity):
         counts = np.unique(values, return_counts=True)[1]
-        if counts.size > 1 and counts[-1] > CUT * (counts[-2] + 1):
+        if counts.size > 1 and counts[-1] > 4 * (counts[-2] + 1):
             return True
     return False
 

@@ -420,10 +420,6 @@ def save_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
     replace_file(path, buffer.getvalue(), _REMEDY)
 
 
-EDGE = 0.5e-3
-"""Distance from the long edges of the beam to the outer rows [m]."""
-
-
 def rows_over(apparatus: Apparatus, n_rows: int) -> tuple[float, ...]:
     """Return evenly spaced distances of rows from the mid-line, from edge to edge and including 0 [m].
 
@@ -436,7 +432,8 @@ def rows_over(apparatus: Apparatus, n_rows: int) -> tuple[float, ...]:
         raise ValueError(
             f"given --rows {n_rows}; allowed: odd numbers; 1 scans only the mid-line, 3 or more show torsion"
         )
-    half = apparatus.beam.width_mm * 0.5e-3 - EDGE
+    # The outer rows lie half a millimetre inside the long edges.
+    half = apparatus.beam.width_mm * 0.5e-3 - 0.5e-3
     return tuple(float(each) for each in np.round(np.linspace(-half, half, n_rows), 9)) if n_rows > 1 else (0.0,)
 
 

@@ -16,12 +16,6 @@ import numpy as np
 
 from modaltouch.lab.arrays import ComplexArray, FloatArray
 
-_STEPS = 12
-"""Largest number of Gauss-Newton steps; two or three usually suffice."""
-
-_SETTLED = 1e-3
-"""Largest step of converged poles, in units of each pole's decay rate [1]."""
-
 _STANDS_OUT = 3.0
 """Power of a line above which it is a mode, relative to the highest power expected from noise alone [1]."""
 
@@ -81,7 +75,8 @@ def fit_residues(time: FloatArray, records: FloatArray, pole: ComplexArray) -> D
 def fit_poles(time: FloatArray, records: FloatArray, pole: ComplexArray) -> Decay:
     """Fit decays and their poles, which must be known to within about their own decay rate."""
     best = _Projection(time, records, pole)
-    for _ in range(_STEPS):
+    # Two or three steps usually suffice.
+    for _ in range(12):
         step = best.newton_step()
         # A pole moves by at most half its decay rate per step, and so never becomes unstable.
         size = np.abs(step) / -best.pole.real
@@ -94,7 +89,7 @@ def fit_poles(time: FloatArray, records: FloatArray, pole: ComplexArray) -> Deca
         else:
             break
         best = tried
-        if float((np.abs(step) / -best.pole.real).max()) < _SETTLED:
+        if float((np.abs(step) / -best.pole.real).max()) < 1e-3:
             break
     return best.decay()
 

@@ -31,9 +31,6 @@ STABILITIES: tuple[tuple[str, dict[str, Any]], ...] = (
 )
 """Labels and markers for the stability of a pole."""
 
-MOST_SETS = 6
-"""Maximum number of excitations drawn, one panel each."""
-
 
 def draw_all(identification: Identification) -> dict[str, Figure]:
     """Draw all figures for which the responses suffice, by file name."""
@@ -61,7 +58,7 @@ def draw_responses(identification: Identification) -> Figure:
         (identification.fitted, "fitted", {"lw": 0.9}),
         (responses.response - identification.fitted, "measured minus fitted", {"lw": 0.7}),
     )
-    sets = responses.sets[:MOST_SETS]
+    sets = responses.sets[:6]
     with house_style(7.6, 1.0 + 2.5 * len(sets), len(sets), sharex=True) as (figure, panels):
         for row, (axes, name) in enumerate(zip(panels[:, 0], sets, strict=True)):
             for values, label, look in curves:
@@ -307,9 +304,6 @@ BAND = 16.0
 STABLE_FREQUENCY, STABLE_DAMPING = 0.01, 0.05
 """Largest relative changes of a stable pole from one order to the next [1]."""
 
-HIGHEST_DAMPING = 0.2
-"""Damping ratio above which a pole is not shown [1]."""
-
 
 def poles_by_order(responses: FrequencyResponses) -> FloatArray:
     """Return the poles of every model order, fitted to all responses weighted by their noise.
@@ -361,5 +355,6 @@ def _poles(frequency: FloatArray, white: ComplexArray) -> Iterator[FloatArray]:
             pole = -np.log(np.roots(coefficient[::-1])) * rate / (2 * np.pi)
             damped = frequency[0] + np.mod(pole.imag, rate)
             own = np.hypot(damped, pole.real)
-            shown = (pole.real < 0) & (-pole.real < HIGHEST_DAMPING * own)
+            # Strongly damped poles are of no structure.
+            shown = (pole.real < 0) & (-pole.real < 0.2 * own)
             yield np.stack([0.0 * own + n, own, -pole.real / own, 0.0 * own])[:, shown]

@@ -142,9 +142,6 @@ CSV_COLUMNS = ("frequency_Hz", "set", "position_mm", "real", "imag")
 """Columns of responses in a CSV file; ``coherence`` and ``across_mm``, from the mid-line, may follow. Repeats follow
 each other in one file or come in several files."""
 
-ROUNDING = 1e-3
-"""Largest excess of a coherence over 1 that is attributed to rounding [1]."""
-
 FEWEST_SIGNED = 6
 """Number of places from which at least one response of a beam must have a negative real part."""
 
@@ -265,7 +262,8 @@ def _assemble(
                 f"{path}: the response to {name}{where} contains a value that is not finite; measure it again"
             )
         certainty = coherence[name, place]
-        if certainty is not None and not ((certainty >= 0) & (certainty <= 1 + ROUNDING))[usable].all():
+        # An excess of a thousandth is rounding.
+        if certainty is not None and not ((certainty >= 0) & (certainty <= 1.001))[usable].all():
             raise ValueError(
                 f"{path}: the coherence of the response to {name}{where} is not between 0 and 1 throughout; export it "
                 "as a share of 1, or leave it out"

@@ -94,7 +94,7 @@ def find_more(responses: FrequencyResponses, fit: Evaluation, most: int) -> Eval
     ends = [(high * FAR_BEYOND, 0.01), (low / FAR_BEYOND, 0.01)]
     for attempt in range(most):
         peak = ends.pop() if ends else _left_over(fit, passed)
-        if peak is None or fit.n_modes >= MOST_POLES or len(passed) == MOST_PASSED:
+        if peak is None or fit.n_modes >= MOST_POLES or len(passed) == 3:
             break
         frequency, ratio = np.append(fit.poles.natural_frequency, peak[0]), np.append(fit.poles.damping_ratio, peak[1])
         tried = Poles(frequency, ratio, fit.poles.delay).sorted()
@@ -137,7 +137,8 @@ def _left_over(fit: Evaluation, passed: Sequence[tuple[float, float]]) -> tuple[
     best, where = SIGNIFICANT**2, None
     for ratio in (0.004, 0.012, 0.03):
         # Power explained by a mode at each candidate, summed over the responses.
-        candidate = np.append(frequency[:: max(1, frequency.size // 1500)], frequency[-1] * BEYOND)
+        beyond = frequency[-1] * np.array([1.02, 1.06, 1.15, 1.3])
+        candidate = np.append(frequency[:: max(1, frequency.size // 1500)], beyond)
         candidate = candidate[[all(abs(own / f - 1) > max(2 * wide, NEAR) for f, wide in passed) for own in candidate]]
         course = _course(fit.problem, candidate, ratio, fit.poles.delay)
         overlap = (np.conj(course) @ left.T).real / np.linalg.norm(course, axis=1)[:, None]
@@ -170,18 +171,12 @@ SURE = 6.0
 FAR_OFF = 100.0
 """Misfit above which the search restarts from the peaks above a frequency-independent noise [1]."""
 
-BEYOND = np.array([1.02, 1.06, 1.15, 1.3])
-"""Frequencies at which poles beyond the band are tried, relative to its upper end [1]."""
-
 FAR_BEYOND = 3.0
 """Initial frequency of a pole for all modes above the band, relative to its upper end; the lower end divided by it is
 used below the band [1]."""
 
 NEAR = 0.01
 """Relative distance from a rejected peak within which no further pole is tried [1]."""
-
-MOST_PASSED = 3
-"""Number of rejected peaks after which the search ends."""
 
 MOST_ADDED = 20
 """Maximum number of poles added to those of the first peaks."""

@@ -32,9 +32,6 @@ class Place(NamedTuple):
 Key = tuple[str, Place | None]
 """Excitation and place of a response; the place is None if the file does not state it."""
 
-NOISE_WINDOW = 33
-"""Number of bins over which the noise is pooled; like the excitation, it varies slowly with frequency."""
-
 LONGEST_OFFSET = 20e-3
 """Longest time offset between excitation and response in the search [s]."""
 
@@ -49,9 +46,6 @@ ROWS_APART = 0.2e-3
 
 LIKE_THE_FIRST = 0.5
 """Minimum share of a repeat's power that matches the first repeat, and minimum factor between the two [1]."""
-
-FEW_POINTS = 5
-"""Number of points below which their mean is used instead of their median."""
 
 
 @dataclass(frozen=True)
@@ -215,8 +209,10 @@ class FrequencyResponses:
             second[..., 1:-1] = self.response[..., 2:] - 2 * self.response[..., 1:-1] + self.response[..., :-2]
             second[..., 0], second[..., -1] = second[..., 1], second[..., -2]
             n_free, variance = 1, np.abs(second) ** 2 / 6
-        pooled = np.median(variance, axis=1) if self.n_points >= FEW_POINTS else variance.mean(axis=1)
-        smooth = np.array([_running_median(row, NOISE_WINDOW) for row in pooled])
+        # The median of fewer than five points is hardly more robust than their mean.
+        pooled = np.median(variance, axis=1) if self.n_points >= 5 else variance.mean(axis=1)
+        # Like the excitation, the noise varies slowly with frequency.
+        smooth = np.array([_running_median(row, 33) for row in pooled])
         if self.coherence is None or self.n_averages < 2:
             # At a resonance the response itself dominates the second difference, so use the rest of the band.
             smooth[:] = np.percentile(smooth, 25, axis=1)[:, None]

@@ -333,9 +333,6 @@ def misplaced(shapes: FloatArray, labels: Sequence[int], places: Sequence[Place]
 APART = 3.0
 """Minimum factor between the magnitudes of two separate groups of points for different units [1]."""
 
-USUAL = (1, 2, 3, 4, 5, 6)
-"""Modes from which the larger amplitude of all shapes near the ends of a beam is computed."""
-
 
 def in_two_units(shapes: FloatArray, places: Sequence[Place], length: float) -> str:
     """Describe points with far larger values than the others in most modes; empty unless both groups have several.
@@ -344,7 +341,8 @@ def in_two_units(shapes: FloatArray, places: Sequence[Place], length: float) -> 
     """
     if len(places) < 4:
         return ""
-    usual = np.linalg.norm(mode_shapes(USUAL, np.array(places)[:, 0], length), axis=0)
+    # All shapes have larger amplitudes near the ends of a beam.
+    usual = np.linalg.norm(mode_shapes(range(1, 7), np.array(places)[:, 0], length), axis=0)
     norm = np.linalg.norm(shapes, axis=1, keepdims=True)
     size = np.median(np.abs(shapes) / np.maximum(norm, 1e-300), axis=0) / usual
     order = np.argsort(size)

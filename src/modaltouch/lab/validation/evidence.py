@@ -106,9 +106,6 @@ def mean_velocity(scan: Scan) -> FloatArray:
 LAGS = np.arange(-5e-6, 25e-6, 0.25e-6)
 """Trial delays of the measurement [s]."""
 
-COMPARED = 0.25e-3
-"""Time before and after the focusing instant for this comparison, where a delay has the largest effect [s]."""
-
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
@@ -155,7 +152,8 @@ def measurement_delay(observations: Sequence[Observation], predictions: Sequence
     missed = np.zeros(LAGS.size)
     for observation, prediction in zip(observations, predictions, strict=True):
         scan = observation.field
-        near = np.abs(scan.time - observation.stimulus.timing.focusing_instant) < COMPARED
+        # A delay has the largest effect around the focusing instant.
+        near = np.abs(scan.time - observation.stimulus.timing.focusing_instant) < 0.25e-3
         measured = mean_velocity(scan)[:, near]
         predicted = prediction.around(scan.time[near][0] - 2 * LAGS[-1], scan.time[near][-1] - 2 * LAGS[0])
         for place, lag in enumerate(LAGS):
@@ -172,9 +170,6 @@ def measurement_delay(observations: Sequence[Observation], predictions: Sequence
 
 FINE = 401
 """Number of points at which smooth fields are drawn and their widths evaluated."""
-
-FURTHER_LABELS = 2
-"""Number of modes fitted beyond the highest modelled one, so that their motion is not attributed to others."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -297,7 +292,8 @@ class Evidence:
     def fitted_labels(self) -> tuple[int, ...]:
         """Labels of the modes fitted to the measured field: the modelled ones and further ones if the points allow."""
         stimulus = self.observation.stimulus
-        most = min(max(stimulus.model.label) + FURTHER_LABELS, self.observation.field.positions.size * 2 // 3)
+        # Without the two modes above the modelled ones, their motion would be attributed to others.
+        most = min(max(stimulus.model.label) + 2, self.observation.field.positions.size * 2 // 3)
         return tuple(sorted({*stimulus.model.label, *range(1, most + 1)}))
 
     def _shapes(self, position: FloatArray) -> FloatArray:
@@ -369,7 +365,7 @@ class Evidence:
         return {name: self._above_90(*course) for name, course in courses.items()}
 
     def _above_90(self, time: FloatArray, velocity: FloatArray) -> float:
-        near = np.abs(time - self.instant) < AROUND_PEAK
+        near = np.abs(time - self.instant) < 0.1e-3
         time, velocity = time[near], velocity[near]
         return spot_width(time, velocity, float(time[np.abs(velocity).argmax()]), 0.9)
 
@@ -382,10 +378,6 @@ class Evidence:
             zone: dict(zip(("measured", "predicted"), each, strict=True))
             for zone, each in zip(self.observation.zones, both, strict=True)
         }
-
-
-AROUND_PEAK = 0.1e-3
-"""Time before and after the focusing instant within which the peak is searched for [s]."""
 
 
 def standard_error(records: FloatArray) -> FloatArray:

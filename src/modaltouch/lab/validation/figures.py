@@ -172,14 +172,8 @@ def _over_width(evidence: Evidence) -> tuple[FloatArray, FloatArray, FloatArray]
     return evidence.field_over_width.mean(axis=1), evidence.speed_over_width, torsion
 
 
-MAP_STEP = 2e-6
-"""Time step of a map in a figure: a sixth of the shortest period [s]."""
-
 LOWEST = 150.0
 """Lowest frequency of the spectrogram [Hz]."""
-
-_DECIBELS = 60.0
-"""Range of the spectrogram [dB]."""
 
 
 def draw_maps(evidences: Sequence[Evidence]) -> Figure:
@@ -187,7 +181,8 @@ def draw_maps(evidences: Sequence[Evidence]) -> Figure:
     highest = max(float(np.abs(mean_velocity(each.observation.field)).max()) for each in evidences) * 1e3
     with house_style(7.6, 4.4, 1, len(evidences), sharex=True, sharey=True) as (figure, [panels]):
         for axes, evidence in zip(panels, evidences, strict=True):
-            time, velocity = around_focus(evidence, MAP_STEP)
+            # A sixth of the shortest period is enough for a figure.
+            time, velocity = around_focus(evidence, 2e-6)
             time, velocity, place = time * 1e3, velocity.T * 1e3, evidence.observation.field.positions * 1e3
             look: dict[str, Any] = {"cmap": SIGNED, "vmin": -highest, "vmax": highest, "rasterized": True}
             image = axes.pcolormesh(place, time, velocity, shading="gouraud", **look)
@@ -216,7 +211,7 @@ def draw_spectrograms(evidences: Sequence[Evidence]) -> Figure:
             rows = np.unique(wanted.clip(1, frequency.size - 1))
             decibels = 20 * np.log10(np.maximum(amplitude[rows] * 1e3, 1e-9))
             image = axes.pcolormesh(
-                time * 1e3, frequency[rows] * 1e-3, decibels, cmap="Greys", vmin=top - _DECIBELS, vmax=top,
+                time * 1e3, frequency[rows] * 1e-3, decibels, cmap="Greys", vmin=top - 60, vmax=top,
                 shading="gouraud", rasterized=True,
             )  # fmt: skip
             axes.axvline(evidence.instant * 1e3, color=DARK, linewidth=0.7, linestyle=":")

@@ -272,9 +272,6 @@ AROUND = 1.0e-3
 WINDOW = 4e-3
 """Length of the Hann window: about one period of a mode at 229 Hz [s]."""
 
-FINER = 4
-"""Factor of zero padding, for a smooth figure along frequency."""
-
 STEP = 0.2e-3
 """Time between two windows [s]."""
 
@@ -314,8 +311,9 @@ def spectrogram(time: FloatArray, velocity: FloatArray, highest: float) -> tuple
             f"the record lasts {velocity.size * step * 1e3:g} ms, but a window of the spectrogram needs "
             f"{WINDOW * 1e3:g} ms: record for longer"
         )
+    # Padding with zeros to four windows makes the figure smooth along frequency.
     frequency, middle, amplitude = of_windows(
-        velocity, 1 / step, "hann", n_window, n_window - n_step, FINER * n_window, detrend=False, scaling="spectrum",
+        velocity, 1 / step, "hann", n_window, n_window - n_step, 4 * n_window, detrend=False, scaling="spectrum",
         mode="magnitude",
     )  # fmt: skip
     kept = frequency <= highest
@@ -334,10 +332,6 @@ def spectrogram_of(evidence: Evidence) -> tuple[FloatArray, FloatArray, FloatArr
     """Return the spectrogram at the focus, up to a quarter above the highest modelled mode."""
     highest = 1.25 * float(evidence.observation.stimulus.model.natural_frequency.max())
     return spectrogram(evidence.times(evidence.observation.course), evidence.focus_course, highest)
-
-
-MAP_CSV_STEP = 10e-6
-"""Time step of the map's table [s]."""
 
 
 def figure_tables(evidences: Sequence[Evidence]) -> dict[str, list[dict[str, Any]]]:
@@ -398,7 +392,7 @@ def _width_lines(evidence: Evidence) -> list[dict[str, Any]]:
 
 
 def _map_lines(evidence: Evidence) -> list[dict[str, Any]]:
-    time, velocity = around_focus(evidence, MAP_CSV_STEP)
+    time, velocity = around_focus(evidence, 10e-6)
     names = [f"velocity_mm_s_at_{place * 1e3:g}_mm" for place in evidence.observation.field.positions]
     return [
         {"time_ms": round(float(instant) * 1e3, 5), **dict(zip(names, np.round(row * 1e3, 1).tolist(), strict=True))}
