@@ -202,19 +202,10 @@ def identified_apparatus(
     ----------
     source : Source
         The apparatus file with which the beam was measured.
-    identification : Identification
-        The modes found.
-    labels : sequence of int
-        Modes of the new table, in order.
+    identification, labels
+        The modes found, and those of the new table, in order.
     facts : mapping
         For the section ``identified``: date, mode, source, generator, scope, method.
-
-    Returns
-    -------
-    name : str
-        Name of the file.
-    text : str
-        Contents of the file, as read by `modaltouch.protocol.Apparatus`.
 
     Raises
     ------
@@ -232,7 +223,16 @@ def identified_apparatus(
     document["apparatus"] = name if name.endswith(SUFFIX) else f"{name[: 64 - len(SUFFIX)]}{SUFFIX}"
     document["modes"] = [_mode(identification.by_label[label], identification.responses.sets) for label in labels]
     document.pop("identified", None)
-    document["identified"] = {**facts, **_figures(identification), "replaced_sha256": source.sha256}
+    document["identified"] = {
+        **facts,
+        "n_points": identification.responses.n_points,
+        "n_averages": identification.responses.n_averages,
+        "velocity_delay_us": _round(identification.delay.value * 1e6),
+        "velocity_delay_interval_us": _interval(identification.delay, 1e6),
+        "misfit": _round(identification.misfit, 4),
+        "warnings": warnings(identification),
+        "replaced_sha256": source.sha256,
+    }
     unlisted = document.get("twin", {}).get("unlisted_modes")
     if unlisted:
         kept = [each for each in unlisted if each.get("family") == "torsion" or each["label"] not in labels]
@@ -244,19 +244,6 @@ def identified_apparatus(
     file_name = f"{document['apparatus']}.yaml"
     Apparatus.read(Source(Path(file_name), text))
     return file_name, text
-
-
-def _figures(identification: Identification) -> dict[str, Any]:
-    """Return the extent of the measurement, and the results that belong to no single mode."""
-    delay = identification.delay
-    return {
-        "n_points": identification.responses.n_points,
-        "n_averages": identification.responses.n_averages,
-        "velocity_delay_us": _round(delay.value * 1e6),
-        "velocity_delay_interval_us": _interval(delay, 1e6),
-        "misfit": _round(identification.misfit, 4),
-        "warnings": warnings(identification),
-    }
 
 
 def _mode(mode: IdentifiedMode, sets: Sequence[str]) -> Any:

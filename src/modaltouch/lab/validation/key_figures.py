@@ -38,6 +38,9 @@ def key_figures(evidence: Evidence, pairs: Sequence[tuple[str, str]]) -> dict[st
     time = evidence.times(observation.course)
     near = np.abs(time - evidence.instant) < stimulus.timing.duration
     highest = int(np.abs(np.where(near, evidence.focus_course, 0.0)).argmax())
+    error = evidence.achieved_coefficient - evidence.target
+    worst = int(np.abs(error).argmax())
+    drive = np.abs(observation.course.drive).mean(axis=(0, 1)).max(axis=1)
     return {
         "law": evidence.law,
         "velocity_mm_s": observation.velocity * 1e3,
@@ -45,7 +48,9 @@ def key_figures(evidence: Evidence, pairs: Sequence[tuple[str, str]]) -> dict[st
         "n_records": int(observation.field.velocity.shape[1]),
         "selected_modes": [int(label) for label in stimulus.selected],
         "coefficients": coefficients(evidence),
-        **_modal_error(evidence),
+        "worst_modal_error_mm_s": float(np.abs(error[worst])) * 1e3,
+        "worst_mode": int(stimulus.model.label[worst]),
+        "rms_modal_error_mm_s": root_mean_square(error) * 1e3,
         "unmodelled_motion_mm_s": evidence.unmodelled_motion * 1e3,
         "velocity_at_focus_mm_s": at_focus * 1e3,
         "highest_velocity_at_focus_mm_s": abs(float(evidence.focus_course[highest])) * 1e3,
@@ -67,7 +72,7 @@ def key_figures(evidence: Evidence, pairs: Sequence[tuple[str, str]]) -> dict[st
         "peak_drive_V": {
             str(number): {"measured": float(measured), "predicted": float(predicted)}
             for number, (measured, predicted) in enumerate(
-                zip(peak_drive(evidence), stimulus.peak_drive(observation.velocity), strict=True), 1
+                zip(drive, stimulus.peak_drive(observation.velocity), strict=True), 1
             )
         },
     }
@@ -95,22 +100,6 @@ def coefficients(evidence: Evidence) -> list[dict[str, Any]]:
         }
         for label, target, predicted, achieved, error in columns
     ]
-
-
-def peak_drive(evidence: Evidence) -> FloatArray:
-    """Return the highest voltage measured at the beam throughout the burst, (n_channels,) array [V]."""
-    drive = evidence.observation.course.drive
-    return np.asarray(np.abs(drive).mean(axis=(0, 1)).max(axis=1))
-
-
-def _modal_error(evidence: Evidence) -> dict[str, Any]:
-    error = evidence.achieved_coefficient - evidence.target
-    worst = int(np.abs(error).argmax())
-    return {
-        "worst_modal_error_mm_s": float(np.abs(error[worst])) * 1e3,
-        "worst_mode": int(evidence.observation.stimulus.model.label[worst]),
-        "rms_modal_error_mm_s": root_mean_square(error) * 1e3,
-    }
 
 
 def _distance(one: FloatArray, other: FloatArray) -> dict[str, float]:
