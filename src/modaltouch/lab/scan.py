@@ -66,24 +66,6 @@ class ScanPlan:
     about: Mapping[str, Any] = field(default_factory=dict)
     across: float = 0.0
 
-    def settings(self) -> dict[str, Any]:
-        """Return the settings that must be the same when a scan is resumed, as plain values."""
-        return {
-            "about": dict(self.about),
-            "burst": {
-                "sha256": self.burst.content_hash,
-                "n_samples": int(self.burst.codes.shape[1]),
-                "duration_s": self.burst.duration,
-                "repetition_rate_Hz": self.burst.repetition_rate,
-                "velocity_mm_s": self.burst.velocity * 1e3,
-                "amplitude_V": list(self.burst.amplitude),
-            },
-            "velocity_mm_s": self.velocity * 1e3,
-            "positions_mm": [place * 1e3 for place in self.positions],
-            **({"across_mm": self.across * 1e3} if self.across else {}),
-            "acquisition": {**asdict(self.acquisition), "drives": list(self.acquisition.drives)},
-        }
-
 
 @dataclass(frozen=True, eq=False)
 class Scan:
@@ -343,7 +325,22 @@ def take_scan(
 
 
 def _describe(laboratory: Laboratory, plan: ScanPlan, source: Source | None, reduction: Reduction) -> dict[str, Any]:
-    settings = plan.settings() | {
+    burst, acquisition = plan.burst, plan.acquisition
+    # These must be the same when a scan is resumed.
+    settings = {
+        "about": dict(plan.about),
+        "burst": {
+            "sha256": burst.content_hash,
+            "n_samples": int(burst.codes.shape[1]),
+            "duration_s": burst.duration,
+            "repetition_rate_Hz": burst.repetition_rate,
+            "velocity_mm_s": burst.velocity * 1e3,
+            "amplitude_V": list(burst.amplitude),
+        },
+        "velocity_mm_s": plan.velocity * 1e3,
+        "positions_mm": [place * 1e3 for place in plan.positions],
+        **({"across_mm": plan.across * 1e3} if plan.across else {}),
+        "acquisition": {**asdict(acquisition), "drives": list(acquisition.drives)},
         "kept": getattr(reduction, "__name__", type(reduction).__name__),
         "apparatus_sha256": "" if source is None else source.sha256,
         "generator": laboratory.rig.identity,
