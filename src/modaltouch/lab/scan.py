@@ -441,4 +441,5 @@ def row_name(name: str, across: float) -> str:
 
 def kept_rows(folder: Path, name: str) -> list[str]:
     """Return the name suffixes of the rows kept in a folder, first the empty suffix of the mid-line."""
-    return ["", *sorted(path.name.removeprefix(name) for path in folder.glob(f"{name}_*_mm"))]
+    # The sign tells a row of this name from a name that continues with an underscore.
+    return ["", *sorted(path.name.removeprefix(name) for path in folder.glob(f"{name}_[+-]*_mm"))]

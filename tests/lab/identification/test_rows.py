@@ -16,7 +16,7 @@ from modaltouch.lab.identification.modal_parameters import Identification
 from modaltouch.lab.identification.report import as_dict, export, map_rows, shape_rows, table_rows
 from modaltouch.lab.identification.responses import FrequencyResponses, Place, along
 from modaltouch.lab.identification.shapes import label_torsion, mac, torsion_shapes
-from modaltouch.lab.scan import rows_over
+from modaltouch.lab.scan import kept_rows, row_name, rows_over
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig.simulator.true_beam import TrueBeam
 
@@ -128,3 +128,12 @@ def test_an_even_number_of_rows_is_refused(apparatus: Apparatus) -> None:
     assert rows_over(apparatus, 5) == pytest.approx((-2.5e-3, -1.25e-3, 0.0, 1.25e-3, 2.5e-3))
     with pytest.raises(ValueError, match="given --rows 2; allowed: odd numbers"):
         rows_over(apparatus, 2)
+
+
+def test_rows_of_one_set_are_not_those_of_another(tmp_path: Path) -> None:
+    """The folders of the sets `outer` and `outer_2`: each set has its own two rows beside the mid-line."""
+    for name in ("scan_outer", "scan_outer_2"):
+        for across in (-2.5e-3, 0.0, 2.5e-3):
+            (tmp_path / row_name(name, across)).mkdir()
+    assert kept_rows(tmp_path, "scan_outer") == ["", "_+2.5_mm", "_-2.5_mm"]
+    assert kept_rows(tmp_path, "scan_outer_2") == ["", "_+2.5_mm", "_-2.5_mm"]
