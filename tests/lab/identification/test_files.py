@@ -230,6 +230,16 @@ def test_damaged_files_are_named(tmp_path: Path, name: str, content: str, words:
         read_responses([path], ResponseFormat("velocity", spacing=1.0))
 
 
+@pytest.mark.parametrize("line", ["", "Delta_X\tfast\tfast\t", "Delta_X\t", "Delta_X\t0,0\t0,0\t"])
+def test_a_labview_file_without_a_time_step_is_refused(tmp_path: Path, line: str) -> None:
+    """National Instruments, "Specification for the LabVIEW Measurement File": each segment states its Delta_X."""
+    path = write_lvm(tmp_path / "a.lvm")
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join(line if each.startswith("Delta_X") else each for each in lines))
+    with pytest.raises(ValueError, match=r"a.lvm: its header gives no time step \(Delta_X\)"):
+        read_responses([path])
+
+
 def test_missing_file_and_uneven_axis_are_refused(tmp_path: Path) -> None:
     """No such file; frequencies that jump."""
     with pytest.raises(ValueError, match="there is no such file"):

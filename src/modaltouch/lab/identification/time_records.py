@@ -93,7 +93,12 @@ def read_lvm(path: Path, how: ResponseFormat) -> Part:
         return float(cell.replace(",", ".") if comma else cell)
 
     quantity, size = UNITS[units[motion[0]]]
-    step = number(fields["Delta_X"][motion[0]])
+    try:
+        step = number(fields["Delta_X"][motion[0]])
+    except (KeyError, IndexError, ValueError):
+        step = 0.0
+    if not step > 0:
+        raise ValueError(f"{path}: its header gives no time step (Delta_X) of the motion; export it again")
     records, first_line = [], head.count("\n") + 1
     for piece in pieces[n_heads:]:
         rows: list[list[float]] = []
