@@ -88,16 +88,12 @@ class Excitation:
 
         Parameters
         ----------
-        apparatus : Apparatus
-            Amplifier and generator.
-        model : ModalModel
-            Approximate model of the beam.
+        apparatus, model
+            Amplifier and generator, and an approximate model of the beam.
         placements : sequence of sequences of Finger
             Expected fingers of each placement.
-        laser : float
-            Position of the vibrometer's spot [m].
-        speed : float
-            Highest speed at the fingers and at the spot [m/s].
+        laser, speed : float
+            Position of the vibrometer's spot [m], and highest speed there and at the fingers [m/s].
         """
         bins, channel = _lines(model)
         places = [laser, *dict.fromkeys(finger.position for fingers in placements for finger in fingers)]
@@ -131,12 +127,8 @@ class Excitation:
 
         Parameters
         ----------
-        laboratory : Laboratory
-            Generator and scope.
-        laser : float
-            Position of the vibrometer's spot [m].
-        speed : float
-            Highest expected speed there [m/s].
+        laser, speed : float
+            Position of the vibrometer's spot [m], and highest expected speed there [m/s].
         bandwidth : float or None
             Corner of the vibrometer's low-pass [Hz].
 

@@ -32,10 +32,8 @@ def probe_voltage(model: ModalModel, timing: Timing, channel: int) -> FloatArray
 
     Parameters
     ----------
-    model : ModalModel
-        Approximate modes.
-    timing : Timing
-        Clock of the samples; nothing is played after the focusing instant.
+    model, timing
+        Approximate modes, and clock of the samples; nothing is played after the focusing instant.
     channel : int
         Channel that is driven, counted from 0.
 
@@ -58,17 +56,10 @@ def probe_voltage(model: ModalModel, timing: Timing, channel: int) -> FloatArray
 def timing_voltage(model: ModalModel, timing: Timing) -> FloatArray:
     """Return voltages on all channels from which the delay can be measured at the start and the end of a burst.
 
-    Parameters
-    ----------
-    model : ModalModel
-        The modes; the sweep covers their frequencies.
-    timing : Timing
-        Clock of the samples.
-
     Returns
     -------
     (n_channels, n_samples) array
-        A tapered sweep in the first and in the last `SWEEP` seconds, arbitrarily scaled.
+        A tapered sweep over the modes' frequencies in the first and in the last `SWEEP` seconds, arbitrarily scaled.
     """
     n = min(int(SWEEP * timing.sampling_rate), timing.n_samples // 2)
     time = np.arange(n) * timing.hold
@@ -97,12 +88,8 @@ def identifying_burst(
     ----------
     voltage : (n_channels, n_samples) array
         Voltages of arbitrary scale.
-    model : ModalModel
-        Approximate modes.
-    timing : Timing
-        Clock of the samples.
-    amplifier : Amplifier
-        Gain and voltage limit.
+    model, timing, amplifier
+        Approximate modes, clock of the samples, and gain and voltage limit.
     load_factor : float
         Share of the generator's open-circuit voltage that reaches the amplifier [1].
     velocity_limit : float
@@ -221,10 +208,8 @@ class DecayRecorder:
 
         Parameters
         ----------
-        burst : Burst
-            A burst without voltage after the focusing instant.
-        level : float
-            Level at which it is played [m/s].
+        burst, level
+            A burst without voltage after the focusing instant, and the level at which it is played [m/s].
         points : (n_points,) array
             Positions [m].
         highest : float, optional
@@ -267,21 +252,11 @@ class DecayRecorder:
     def at_level(self, level: float, point: float) -> tuple[FloatArray, FloatArray, float]:
         """Record the decay of the loaded burst at one point, and the highest speed there over a whole period.
 
-        Parameters
-        ----------
-        level : float
-            Level at which it is played [m/s].
-        point : float
-            Position [m].
-
         Returns
         -------
-        time : (n_samples,) array
-            Times by the scope's clock, from the generator's first sample [s].
-        velocity : (1, n_samples) array
-            Averaged over records [m/s].
-        highest : float
-            Highest speed of the mean over records [m/s].
+        time, velocity, highest
+            Times by the scope's clock [s], (1, n_samples) velocities of the decay, and highest speed [m/s]; means over
+            the records.
         """
         whole = replace(self._decay(N_RECORDS // 2), start=0.0, n_samples=int(self.timing.duration * self.rate))
         burst = self._within(point, level, whole, 1.2 * level)
@@ -290,29 +265,15 @@ class DecayRecorder:
         return decay.time, decay.velocity.mean(axis=0, keepdims=True), highest
 
     def drive(self, burst: Burst, volts: float) -> list[Recording]:
-        """Record the drive of all channels in the first and the last `SWEEP` seconds of a burst.
-
-        Parameters
-        ----------
-        burst : Burst
-            The timing burst.
-        volts : float
-            Highest expected voltage at the beam [V].
-        """
+        """Record the drive of all channels in the first and the last `SWEEP` seconds of a burst of at most `volts`."""
         self.bench.load(burst)
         return [self.drive_from(start, burst.velocity, volts) for start in (0.0, self.timing.duration - SWEEP)]
 
     def drive_from(self, start: float, level: float, volts: float) -> Recording:
         """Record the drive of all channels of the loaded burst for `SWEEP` seconds from a given instant.
 
-        Parameters
-        ----------
-        start : float
-            Instant since the start of the burst; negative values count as 0 [s].
-        level : float
-            Level [m/s].
-        volts : float
-            Highest expected drive [V].
+        It is counted from the start of the burst, where negative values count as 0 [s]; the level is in m/s, and the
+        drive has at most `volts`.
         """
         rate = max(self.rate, 2.0e6)
         drives = tuple(range(1, self.model.n_channels + 1))

@@ -167,13 +167,6 @@ def significant(state: ModalState, target: FloatArray) -> FloatArray:
 
     A deviation of a few standard errors is corrected in part, a smaller one not at all, so that the loop does not
     follow the noise of its measurements.
-
-    Parameters
-    ----------
-    state : ModalState
-        The measured state.
-    target : (n_modes,) array
-        Target modal velocities [m/s].
     """
     error = np.stack([state.velocity - target, state.displacement])
     doubt = CERTAIN * state.spread / np.maximum(np.abs(error), 1e-30)

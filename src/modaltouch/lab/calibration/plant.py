@@ -67,8 +67,6 @@ def fit_drive(recordings: list[Recording], commanded: FloatArray, timing: Timing
         Each with the drive of every commanded channel; the further apart in time, the better the clock is determined.
     commanded : (n_channels, n_samples) array
         Commanded voltages at the beam, with the gain in the apparatus file [V].
-    timing : Timing
-        Clock of the samples.
     """
     from scipy.optimize import least_squares
 
@@ -116,14 +114,10 @@ def predicted_drive(drive: DriveDelay, commanded: FloatArray, time: FloatArray, 
 
     Parameters
     ----------
-    drive : DriveDelay
-        Gain, delay, lag and clock of the drive.
     commanded : (n_channels, n_samples) array
         Commanded voltages at the beam, with the gain in the apparatus file [V].
     time : (n_times,) array
         Times by the scope's clock, from the generator's first sample [s].
-    timing : Timing
-        Clock of the samples.
     """
     course = _Lagged(commanded, timing.hold, drive.lag).at(time / (1 + drive.clock) - drive.delay)
     return np.asarray(np.array(drive.gain)[:, None] * course)
@@ -400,20 +394,14 @@ def identify_plant(
 
     Parameters
     ----------
-    model : ModalModel
-        Listed modes; their shapes are kept.
-    amplifier : Amplifier
-        Listed amplifier.
-    drive : DriveDelay
-        From the measured drive.
+    model, amplifier, drive
+        Listed modes, whose shapes are kept, listed amplifier, and the measured drive.
     decay : Decay
         Joint fit of the records of all probes, one probe after the other.
     shapes : (n_modes, n_points) array
         Mode shapes at the points of each probe's records [1].
     voltages : list of (n_channels, n_samples) arrays
         Commanded voltages at the beam of each probe, on one channel [V].
-    timing : Timing
-        Clock of the samples.
     vibrometer_bandwidth : float, optional
         Corner of the vibrometer's low-pass from the data sheet [Hz].
     """

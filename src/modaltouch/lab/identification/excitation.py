@@ -61,14 +61,10 @@ def excite(apparatus: Apparatus, set_name: str, voltage: float, highest: float, 
 
     Parameters
     ----------
-    apparatus : Apparatus
-        Amplifier and actuator sets.
-    set_name : str
-        The set that is driven.
-    voltage : float
-        Peak at the beam [V].
-    highest : float
-        Upper end of its spectrum [Hz].
+    apparatus, set_name
+        Amplifier and actuator sets, and the set that is driven.
+    voltage, highest : float
+        Peak at the beam [V], and upper end of the spectrum [Hz].
     kind : str
         ``chirp`` (linear) or ``multisine`` (random phases with a fixed seed).
 

@@ -204,16 +204,10 @@ def plans(
 
     Parameters
     ----------
-    inputs : DesignInputs
-        Inputs from which the stimulus was designed.
-    stimulus : Stimulus
-        The stimulus to be played.
-    velocity : float
-        Level [m/s].
-    n_points : int
-        Points along the beam, evenly spaced from end to end.
-    n_records : int
-        Records at each point.
+    inputs, stimulus, velocity
+        Inputs from which the stimulus was designed, and the stimulus with its level [m/s].
+    n_points, n_records : int
+        Points along the beam, evenly spaced from end to end, and records at each.
     """
     half, timing = stimulus.model.length / 2, stimulus.timing
     places = np.round(np.linspace(-half, half, n_points), 9)
@@ -260,12 +254,8 @@ def record_laws(
 
     Parameters
     ----------
-    inputs : DesignInputs
-        Inputs from which the stimuli are designed.
-    laboratory : Laboratory
-        Generator and scope, open.
-    velocity : float
-        Level [m/s].
+    inputs, laboratory, velocity
+        Inputs from which the stimuli are designed, generator and scope, and the level [m/s].
     n_points, n_records : int
         Points along the beam, and records at each.
     rows : sequence of float
@@ -297,13 +287,6 @@ def record_laws(
 
 def read_laws(inputs: DesignInputs, folder: Path) -> list[Observation]:
     """Read the recordings of each law from the scans in a folder, with all rows found there; no rig is needed.
-
-    Parameters
-    ----------
-    inputs : DesignInputs
-        Inputs from which the stimuli were designed.
-    folder : Path
-        Folder of the scans written by `record_laws`.
 
     Raises
     ------
