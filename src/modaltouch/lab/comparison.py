@@ -77,7 +77,7 @@ def criteria(rows: Sequence[Row]) -> list[Criterion]:
     contrasts = []
     for begin, where in (("contrast_", ""), ("finger_contrast_", " under fingers 10 mm wide")):
         for key in (key for key in rows[0] if key.startswith(begin)):
-            pair = key.removeprefix(begin).split("_")
+            pair = zones_of(rows[0], key.removeprefix(begin))
             # A high contrast is best if either zone is the focus; other pairs are not ranked.
             best = "high" if rows[0]["focus"] in pair else "none"
             contrasts.append(Criterion(key, f"contrast of ({', '.join(pair)}){where}", "", best, 2))
@@ -103,6 +103,11 @@ def criteria(rows: Sequence[Row]) -> list[Criterion]:
         ),
         Criterion("changed_drift_mm_s", "other beams: change of the field, rms, median", "mm/s", "low", 2),
     ]
+
+
+def zones_of(row: Row, pair: str) -> list[str]:
+    """Return the two zones of a contrast from their joined names, each of which may contain the joint itself."""
+    return next([a, b] for a in row["zone_peak_mm_s"] for b in row["zone_peak_mm_s"] if f"{a}_{b}" == pair)
 
 
 def rows_of(contest: Contest) -> list[Row]:
@@ -208,7 +213,8 @@ def draw_price(rows: Sequence[Row], limit: float) -> Figure:
         left.axvline(limit, color=INK, linestyle="--", linewidth=0.8)
         left.text(limit, 0.5, "limit ", ha="right", fontsize=7, transform=left.get_xaxis_transform())
         left.set(yscale="log", xlabel="peak voltage [V]", ylabel="distance from the target\nfield, rms [mm/s]")
-        right.set(xlabel="energy [V² s]", ylabel=f"contrast of ({', '.join(pairs[0].split('_')[1:])})")
+        zones = zones_of(rows[0], pairs[0].removeprefix("contrast_"))
+        right.set(xlabel="energy [V² s]", ylabel=f"contrast of ({', '.join(zones)})")
         for axes in (left, right):
             axes.set_xscale("log")
             axes.margins(0.12)

@@ -89,6 +89,16 @@ def test_winners_share_what_is_printed_alike():
     assert [low.printed(row) for row in rows] == ["1.0", "1.0", "3.0", "–"]
 
 
+def test_a_zone_whose_name_has_an_underscore_is_ranked(rows):
+    """`Word` in `protocol.section` allows it; a high contrast with the focus is best, one without it is not ranked."""
+    peaks = {"left_end": 10.0, "mid": 200.0, "far_right": 20.0}
+    keys = {"contrast_left_end_mid": 20.0, "contrast_left_end_far_right": 2.0}
+    row = {name: value for name, value in rows[0].items() if "contrast_" not in name}
+    found = {each.key: each for each in criteria([row | keys | {"focus": "mid", "zone_peak_mm_s": peaks}])}
+    assert [found[key].name for key in keys] == ["contrast of (left_end, mid)", "contrast of (left_end, far_right)"]
+    assert [found[key].best for key in keys] == ["high", "none"]
+
+
 def test_page_json_and_table_hold_the_same(found, rows, tmp_path):
     """One page without network, one JSON, one CSV; every criterion and every method."""
     written = write_comparison(found, ABOUT, tmp_path / "out")
