@@ -113,9 +113,6 @@ def identifying_burst(
 MARGIN = 40e-6
 """Time from the focusing instant to the first sample, in which drive and vibrometer settle [s]."""
 
-PER_CYCLE = 5.0
-"""Samples per cycle of the fastest listed mode [1]."""
-
 HEADROOM = 1.4
 """Range of the scope relative to the highest value so far [1]."""
 
@@ -194,8 +191,8 @@ class DecayRecorder:
 
     @property
     def rate(self) -> float:
-        """Sampling rate [Hz]."""
-        return PER_CYCLE * float(self.model.natural_frequency.max())
+        """Sampling rate, five samples per cycle of the fastest listed mode [Hz]."""
+        return 5 * float(self.model.natural_frequency.max())
 
     def wait_for(self, drive: DriveDelay) -> None:
         """Delay the start of decay records until the drive at the beam has ended."""

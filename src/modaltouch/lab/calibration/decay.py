@@ -19,9 +19,6 @@ from modaltouch.lab.arrays import ComplexArray, FloatArray
 _STANDS_OUT = 3.0
 """Power of a line above which it is a mode, relative to the highest power expected from noise alone [1]."""
 
-_FIRST_DAMPING = 0.015
-"""Initial damping ratio of an unlisted mode [1]."""
-
 _LEAST_APART = 0.75
 """Minimum distance of an unlisted pole from its neighbours, in decay rates; closer poles are a single line [1]."""
 
@@ -149,7 +146,8 @@ def _next_line(time: FloatArray, records: FloatArray, decay: Decay) -> complex |
             omega = 2 * np.pi * float(frequency[place])
             if omega == 0:
                 continue
-            line = complex(-_FIRST_DAMPING * omega, omega)
+            # A damping ratio of 0.015 to begin with.
+            line = complex(-0.015 * omega, omega)
             apart = np.abs(decay.pole.imag - omega) / np.maximum(-decay.pole.real, -line.real)
             if (apart > _LEAST_APART).all():
                 best = (excess, line)

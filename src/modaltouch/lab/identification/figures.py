@@ -298,9 +298,6 @@ def _plain_ticks(axis: Axis, digits: tuple[float, ...]) -> None:
 HIGHEST_ORDER = 50
 """Highest order of the denominator in each band."""
 
-BAND = 16.0
-"""Ratio of the highest to the lowest frequency of a band, limited by the conditioning of the polynomial basis [1]."""
-
 STABLE_FREQUENCY, STABLE_DAMPING = 0.01, 0.05
 """Largest relative changes of a stable pole from one order to the next [1]."""
 
@@ -315,7 +312,8 @@ def poles_by_order(responses: FrequencyResponses) -> FloatArray:
         pole of the same frequency, 2 if it has one of the same frequency and damping ratio.
     """
     frequency, white = responses.frequency, responses.response / np.sqrt(responses.noise)[:, None]
-    n_bands = max(1, math.ceil(math.log(frequency[-1] / frequency[0]) / math.log(BAND)))
+    # A band of more than four octaves is beyond the conditioning of the polynomial basis.
+    n_bands = max(1, math.ceil(math.log(frequency[-1] / frequency[0]) / math.log(16)))
     edges = np.geomspace(frequency[0], frequency[-1], n_bands + 1)
     found = []
     for low, high in zip(edges[:-1], edges[1:], strict=True):

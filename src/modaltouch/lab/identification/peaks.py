@@ -86,9 +86,6 @@ def half_power(frequency: FloatArray, magnitude: FloatArray, near: float, reach:
 SIGNIFICANT = 7.0
 """Minimum height of a peak above its noise [standard deviations of the averaged quantity]."""
 
-FIRST_DAMPING = 0.01
-"""Largest initial damping ratio of a peak that is too narrow for its half-power bandwidth to be used [1]."""
-
 SAME_PEAK = 0.7
 """Distance below which two peaks count as one [half the larger of their half-power bandwidths]."""
 
@@ -237,7 +234,8 @@ def _rotation(share: ComplexArray, place: int, reach: int) -> float:
 def _ratio(width: float, frequency: float, spacing: float) -> float:
     """Return the damping ratio from a half-power bandwidth in bins."""
     if width < 3:
-        return min(FIRST_DAMPING, spacing / frequency)
+        # The peak is too narrow for its half-power bandwidth to be used.
+        return min(0.01, spacing / frequency)
     return float(np.clip(width * spacing / (2 * frequency), 10 * DAMPING_BOUNDS[0], DAMPING_BOUNDS[1] / 2))
 
 

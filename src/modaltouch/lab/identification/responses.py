@@ -32,9 +32,6 @@ class Place(NamedTuple):
 Key = tuple[str, Place | None]
 """Excitation and place of a response; the place is None if the file does not state it."""
 
-LONGEST_OFFSET = 20e-3
-"""Longest time offset between excitation and response in the search [s]."""
-
 CLEAR_LINE = 0.5
 """Fraction of the phases that must agree on a time offset [1]."""
 
@@ -237,7 +234,8 @@ class FrequencyResponses:
 
         def found(values: ComplexArray) -> float | None:
             line = np.abs(np.fft.ifft(values, n_fft)) * n_fft / max(float(np.abs(values).sum()), 1e-300)
-            line[np.abs(time) > min(LONGEST_OFFSET, 1 / (8 * self.spacing))] = 0.0
+            # No offset beyond 20 ms is looked for.
+            line[np.abs(time) > min(20e-3, 1 / (8 * self.spacing))] = 0.0
             at, at_zero = int(line.argmax()), float(line[near].max())
             if line[at] < CLEAR_LINE:
                 return None
