@@ -56,7 +56,7 @@ class DriveAssessment:
     row: dict[str, Any]
 
 
-def judge(rig: Simulator, preflight: Preflight, *, everywhere: bool = True) -> DriveAssessment:
+def assess(rig: Simulator, preflight: Preflight, *, everywhere: bool = True) -> DriveAssessment:
     """Evaluate the effect of a generator's output on a beam, in the steady state of repeated bursts.
 
     The field is evaluated after the focusing instant by the amplifier's true delay and lag. These are unknown to all
@@ -222,12 +222,12 @@ def run_contest(
     centre = without_mismatch(apparatus)
     designed = design_all(known)
     sent = _play(centre, designed, stimulus.target_field.velocity, progress)
-    verdicts = [judge(each.on_beam(centre, seed), preflight) for each in sent]
+    verdicts = [assess(each.on_beam(centre, seed), preflight) for each in sent]
     changed: list[list[DriveAssessment]] = [[] for _ in designed]
     for number in range(n_beams):
         progress.check()
         for own, each in zip(changed, sent, strict=True):
-            own.append(judge(each.on_beam(apparatus, seed + number), preflight, everywhere=False))
+            own.append(assess(each.on_beam(apparatus, seed + number), preflight, everywhere=False))
         progress.show("other beams", number + 1, n_beams)
     return Contest(
         preflight, known, delay, identification, tuple(designed), tuple(verdicts), tuple(map(tuple, changed))

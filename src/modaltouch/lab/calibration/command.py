@@ -421,7 +421,7 @@ class CalibrationLoop:
         vibrometer = plant.vibrometer.response(plant.pole)
         swing = (fitted.residue[:, 0] / vibrometer).real
         shape = plant.model.shapes([stimulus.target_field.centre])[:, 0]
-        said = float(shape @ reached.velocity) * factor * level / self._reference
+        expected = float(shape @ reached.velocity) * factor * level / self._reference
         noise = float(np.sqrt(np.sum((fitted.spread / np.abs(vibrometer)) ** 2)))
         missed = missed_swing(fitted.residue[:, 0], fitted.spread, fitted.pole, fitted.pole_error)
         return Level(
@@ -429,7 +429,7 @@ class CalibrationLoop:
             factor=factor,
             amplitude=stimulus.burst.amplitude_for(level),
             at_focus=float(swing.sum()),
-            excess=float(swing[: plant.model.n_modes].sum()) / said - 1,
+            excess=float(swing[: plant.model.n_modes].sum()) / expected - 1,
             spread=float(np.hypot(noise, np.linalg.norm(missed) / NORMAL_95)),
             sensitivity_doubt=plant.sensitivity_doubt,
             highest=highest,

@@ -58,8 +58,8 @@ def _read_universal(path: Path, how: ResponseFormat) -> Part:
     def name(function: dict[str, Any], reference: float) -> Key:
         node, direction = int(function["rsp_node"]), int(function["rsp_dir"])
         # A single word, as are the names of actuator sets in an apparatus file.
-        told = f"reference_{int(reference)}" + (f"_node_{node}" if node not in places else "")
-        return told + (f"_direction_{direction}" if len(directions) > 1 else ""), places.get(node)
+        label = f"reference_{int(reference)}" + (f"_node_{node}" if node not in places else "")
+        return label + (f"_direction_{direction}" if len(directions) > 1 else ""), places.get(node)
 
     kinds = {_kind(each) for each in moved}
     if len(kinds) > 1:
@@ -214,14 +214,14 @@ def read_responses(paths: Sequence[Path], how: ResponseFormat | None = None) -> 
 
 
 def _quantity(path: Path, part: Part, how: ResponseFormat) -> Quantity:
-    said, found = how.quantity, part.quantity
-    if said is None and found is None:
+    given, found = how.quantity, part.quantity
+    if given is None and found is None:
         raise ValueError(
             f"{path}: it does not say whether it contains a velocity, a displacement or an acceleration; say so with "
             "--quantity")  # fmt: skip
-    if said is not None and found is not None and said != found:
-        raise ValueError(f"{path}: its quantity is {found}, but --quantity says {said}; leave --quantity out")
-    return said or found  # type: ignore[return-value]
+    if given is not None and found is not None and given != found:
+        raise ValueError(f"{path}: its quantity is {found}, but --quantity says {given}; leave --quantity out")
+    return given or found  # type: ignore[return-value]
 
 
 def _refuse_amplitudes(path: Path, part: Part) -> None:
@@ -316,8 +316,8 @@ def _read(path: Path, how: ResponseFormat) -> Part:
     reader = readers.get(path.suffix.lower())
     if reader is None:
         remedy = "; give an apparatus with --apparatus" if path.suffix.lower() in (".yaml", ".yml") else ""
-        said = f"files that end in '{path.suffix}' cannot be read; allowed: {', '.join(readers)}"
-        raise ValueError(f"{path}: {said}{remedy}")
+        problem = f"files that end in '{path.suffix}' cannot be read; allowed: {', '.join(readers)}"
+        raise ValueError(f"{path}: {problem}{remedy}")
     try:
         return reader(path, how)
     except UnicodeDecodeError as error:

@@ -244,9 +244,9 @@ class FrequencyResponses:
         offset, own = found(squares.sum(axis=0)), [found(each) for each in squares]
         known = {name: each for name, each in zip(self.sets, own, strict=True) if each is not None}
         if known and self.positions is not None and max(known.values()) - min(known.values()) > resolution:
-            said = ", ".join(f"{name} {each * 1e3:.4g} ms" for name, each in known.items())
+            delays = ", ".join(f"{name} {each * 1e3:.4g} ms" for name, each in known.items())
             raise ValueError(
-                f"the delay of the motion differs between the sets ({said}): start all records at their excitation, "
+                f"the delay of the motion differs between the sets ({delays}): start all records at their excitation, "
                 "check the trigger, and export them again"
             )
         if not offset:

@@ -317,8 +317,8 @@ def misplaced(shapes: FloatArray, labels: Sequence[int], places: Sequence[Place]
     steps = [[0.0, 0.0], [STRETCH, 0.0], [0.0, SHIFT]]
     found = minimize(lacking, steps[0], method="Nelder-Mead", options={"initial_simplex": steps, "xatol": 1e-4})
     stretch, shift = (float(value) for value in found.x)
-    is_told = len(labels) >= FEWEST_MODES and (abs(stretch) > STRETCH or abs(shift) > SHIFT)
-    if not is_told or found.fun >= EXPLAINED * lacking(np.zeros(2)):
+    is_large = len(labels) >= FEWEST_MODES and (abs(stretch) > STRETCH or abs(shift) > SHIFT)
+    if not is_large or found.fun >= EXPLAINED * lacking(np.zeros(2)):
         return ""
     off = [
         *([f"{1 + stretch:.3f} times as far from mid-beam"] if abs(stretch) > STRETCH / 2 else []),

@@ -251,12 +251,12 @@ def check_gains(identification: Identification, apparatus: Apparatus, labels: Se
         _refuse_factor([each for (name, _), each in listed.items() if name in chosen], chosen, apparatus)
     if len(ratios) < FEWEST_GAINS:
         return []
-    told = ratios if labels is None else labels
-    moved = {str(label): each for label, each in ratios.items() if label in told and abs(each - 1) > MOVED}
+    shown = ratios if labels is None else labels
+    moved = {str(label): each for label, each in ratios.items() if label in shown and abs(each - 1) > MOVED}
     other = {
         f"{label} by {name}": each
         for (name, label), (each, _) in listed.items()
-        if label in told and not 1 / FASTER < each < FASTER
+        if label in shown and not 1 / FASTER < each < FASTER
     }
     return [
         f"{what}, times those listed: {', '.join(f'{each:.3g} for mode {name}' for name, each in far.items())}; check "
@@ -369,14 +369,14 @@ def _cause(modes: Sequence[IdentifiedMode]) -> str:
 
 def warnings(identification: Identification) -> list[str]:
     """Return the warnings for an accepted result, a sentence each."""
-    responses, said = identification.responses, list(identification.responses.marks)
+    responses, sentences = identification.responses, list(identification.responses.marks)
     if responses.offset:
-        said.append(
+        sentences.append(
             f"the motion is {abs(responses.offset) * 1e3:.4g} ms {'behind' if responses.offset > 0 else 'before'} its "
             "excitation, judging by the slope of the phase over frequency; this offset was removed"
         )
     if responses.coherence is not None and (median := float(np.median(responses.coherence))) < LEAST_COHERENCE:
-        said.append(f"the median coherence over the band is {median:.2f}, below {LEAST_COHERENCE:g}: average more")
+        sentences.append(f"the median coherence over the band is {median:.2f}, below {LEAST_COHERENCE:g}: average more")
     noisy = identification.misfit <= WELL_FITTED
     known = "" if noisy else _digit(identification) or _hum(identification)
     marked = [mode for mode in identification.modes if mode.rest.smooth > MARKED.get(mode.rest.cause, MARKED_ELSE)]
@@ -385,20 +385,20 @@ def warnings(identification: Identification) -> list[str]:
         if chosen:
             names = ", ".join(each.name for each in chosen)
             left = max(max(each.rest.smooth, each.rest.share) for each in chosen)
-            said.append(
+            sentences.append(
                 f"the residual is up to {left:.1%} of the response around {names}, and the intervals may not cover it: "
                 f"{known or _cause(chosen)}"
             )
     if of_points := _misplaced(identification) or _uneven(identification):
-        said.append(of_points)
+        sentences.append(of_points)
     split = _split(identification) if identification.length else ""
     if split or not (noisy or (known and (marked or badly))):
-        said.append(
+        sentences.append(
             known
             or split
             or f"{misfit_verdict(identification)}: the intervals are widened accordingly, but may not cover it"
         )
-    return said
+    return sentences
 
 
 def misfit_verdict(identification: Identification) -> str:

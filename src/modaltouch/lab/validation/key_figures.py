@@ -186,11 +186,11 @@ def validation_table(figures: Sequence[Figures]) -> list[dict[str, Any]]:
 
 def findings(figures: Sequence[Figures]) -> list[str]:
     """Describe the findings from the `key_figures` of the laws, a sentence each."""
-    said = [_reached(f) for f in figures]
+    sentences = [_reached(f) for f in figures]
     if len(figures) > 1:
-        said.append(_compared(figures))
-    said += [_limits(f) for f in figures[:1]]
-    return said + [sentence for f in figures for sentence in (*_implausible_drives(f), *_implausible_speeds(f))]
+        sentences.append(_compared(figures))
+    sentences += [_limits(f) for f in figures[:1]]
+    return sentences + [sentence for f in figures for sentence in (*_implausible_drives(f), *_implausible_speeds(f))]
 
 
 def _reached(f: Figures) -> str:
