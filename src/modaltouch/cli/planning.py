@@ -70,7 +70,12 @@ def power(
         checked = preflight.examine(protocol, uncalibrated=True).require()
         repetitions = sizes_r or (checked.experiment.protocol.schedule.all_repetitions,)
         designs = planning.designs_for(checked, model)
-        _refuse_too_large(max(sizes_n) * max(repetitions) * len(checked.experiment.protocol.scheduled_levels))
+        n_answers = max(sizes_n) * max(repetitions) * len(checked.experiment.protocol.scheduled_levels)
+        if n_answers > _MOST_ANSWERS:
+            raise typer.BadParameter(
+                f"given {n_answers} answers to each pair (participants x repetitions x levels); allowed: at most "
+                f"{_MOST_ANSWERS}; lower --participants or --reps"
+            )
         folders = {name: out / name for name in designs} if out is not None else {}
         for folder in folders.values():
             report.refuse_other(folder, "power")
@@ -153,14 +158,6 @@ def _refuse(option: str, words: str, most: int) -> None:
         f"given {option} {words!r}; allowed: whole numbers from 1 to {most}, as a range 6:40, a range with a step "
         "6:40:2, or a list 8,12,16"
     )
-
-
-def _refuse_too_large(n_answers: int) -> None:
-    if n_answers > _MOST_ANSWERS:
-        raise typer.BadParameter(
-            f"given {n_answers} answers to each pair (participants x repetitions x levels); allowed: at most "
-            f"{_MOST_ANSWERS}; lower --participants or --reps"
-        )
 
 
 def _families(questions: str | None, scopes: Callable[[str], tuple[str, ...]], *, null: bool) -> tuple[str, ...]:

@@ -139,7 +139,9 @@ def run(
 
     may_ask = can_ask() and not yes and not json_output
     with reporting(json_output=json_output):
-        _refuse_people(people, answers)
+        if people is not None and answers != "window":
+            given = f"given --people {people} with --answers {answers}"
+            raise typer.BadParameter(f"{given}, whose answers are drawn; leave it out, or have a person answer")
         chosen = _chosen(size, theme, fullscreen=fullscreen, screen=screen, screenshots=screenshots)
         window_options = window.WindowOptions(**chosen)
         checked = preflight.examine(protocol, calibration, marked=with_marked_calibration)
@@ -161,12 +163,6 @@ def run(
         if may_ask:
             wait_for_start(setup, rig)
         _conduct(sessions.begin, setup, events, plain=plain, json_output=json_output)
-
-
-def _refuse_people(people: Path | None, answers: AnswersChoice) -> None:
-    if people is not None and answers != "window":
-        given = f"given --people {people} with --answers {answers}"
-        raise typer.BadParameter(f"{given}, whose answers are drawn; leave it out, or have a person answer")
 
 
 def _with_people(setup: sessions.Setup, people: Path | None, may_ask: bool) -> sessions.Setup:

@@ -69,8 +69,7 @@ class Design:
 
     def facing(self, n_participants: int) -> FloatArray:
         """Return 1 for each participant, or -1 if the beam is turned for them, (n_participants,) array."""
-        turned = np.resize(np.array(self.placements), n_participants)
-        return np.where(turned, -1.0, 1.0)
+        return np.where(np.resize(np.array(self.placements), n_participants), -1.0, 1.0)
 
     def count(self, counts: NDArray[np.int64], n_repetitions: int) -> AnswerCounts:
         """Return counts of answers in the form used by the analysis.

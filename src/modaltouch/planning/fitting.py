@@ -423,8 +423,7 @@ def _count(preflight: Preflight, path: Path, responses: Responses) -> AnswerCoun
     zones = experiment.apparatus.zones
     for zone in dict.fromkeys(zone for pair in answers.pairs for zone in (pair.left, pair.right)):
         if zone not in zones:
-            known = ", ".join(zones)
-            raise InputError.of(path, f"answers about the zone {zone!r}", known, remedy)
+            raise InputError.of(path, f"answers about the zone {zone!r}", ", ".join(zones), remedy)
     return answers
 
 

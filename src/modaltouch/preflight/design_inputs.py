@@ -65,6 +65,11 @@ class DesignInputs:
         )
 
     @property
+    def loads(self) -> list[Finger]:
+        """Fingers as they load the modes; equal ones share a design."""
+        return [load for _, load in self.apparatus.modal_model().touched(self.fingers).loads]
+
+    @property
     def highest_amplitude(self) -> float:
         """Generator's highest amplitude whose full scale is within the amplifier's limit [Vpp]."""
         return 2 * instrument_of(self.apparatus).highest_level(self.apparatus)

@@ -311,7 +311,7 @@ def _examine_placements(findings: Findings, inputs: DesignInputs) -> Preflight:
     for name, fingers in ({} if findings.placements is None else findings.placements.all()).items():
         own = replace(inputs, fingers=fingers)
         # Placements whose fingers load the modes alike share a design.
-        same = next((each for each in placed.values() if each.inputs and _alike(each.inputs, own)), None)
+        same = next((each for each in placed.values() if each.inputs and each.inputs.loads == own.loads), None)
         if same is not None and same.inputs is not None:
             placed[name] = replace(same, inputs=replace(same.inputs, fingers=fingers))
             continue
@@ -325,11 +325,6 @@ def _examine_placements(findings: Findings, inputs: DesignInputs) -> Preflight:
         for problem in part.problems
     }
     return Preflight(findings, tuple(sorted(problems)), first.inputs, first.designed, placed=placed)
-
-
-def _alike(one: DesignInputs, other: DesignInputs) -> bool:
-    first, second = (each.apparatus.modal_model().touched(each.fingers).loads for each in (one, other))
-    return [finger for _, finger in first] == [finger for _, finger in second]
 
 
 def _examine_one(findings: Findings, inputs: DesignInputs | None) -> Preflight:

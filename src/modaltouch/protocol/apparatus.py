@@ -282,7 +282,8 @@ class Apparatus(Section):
 def examine_apparatus(source: Source) -> tuple[Reading[Apparatus], list[Problem]]:
     """Read and check an apparatus file; return its valid parts and its problems."""
     reading = read(source, Apparatus)
-    return reading, [*reading.problems, *check_apparatus(reading)]
+    checks = _check_zones, _check_actuator_sets, _check_modes, check_shapes, check_patches
+    return reading, [*reading.problems, *(problem for check in checks for problem in check(reading))]
 
 
 _NOTHING = 1e-6
@@ -305,17 +306,6 @@ def check_patches(reading: Reading[Apparatus]) -> Iterator[Problem]:
                     f"from {-length / 2:g} to {length / 2:g} mm, the ends of the {length:g} mm beam",
                     "measure from mid-beam",
                 )
-
-
-def check_apparatus(reading: Reading[Apparatus]) -> list[Problem]:
-    """Return a problem for each inconsistency between the valid keys of an apparatus."""
-    return [
-        *_check_zones(reading),
-        *_check_actuator_sets(reading),
-        *_check_modes(reading),
-        *check_shapes(reading),
-        *check_patches(reading),
-    ]
 
 
 def _check_zones(reading: Reading[Apparatus]) -> Iterator[Problem]:
