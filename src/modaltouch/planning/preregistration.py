@@ -90,8 +90,7 @@ def preregister(
     InputError
         If the protocol has faults, or its levels depend on a threshold that is not given.
     """
-    protocol, source = preflight.experiment.protocol, preflight.experiment.sources.protocol
-    path = _public(source.path)
+    protocol, path = preflight.experiment.protocol, _public(preflight.experiment.sources.protocol.path)
     given = f" --threshold {threshold_mm_s:g}" if threshold_mm_s else ""
     if threshold_mm_s is None:
         refuse_own_levels(preflight, "give the threshold that you expect with --threshold")
@@ -101,13 +100,7 @@ def preregister(
         counted = Study(design, observer, tuple(filter(design.scopes, STATISTICS)), null=False, seed=seed)
         found = _by_counts(counted, protocol, n_participants, n_experiments or N_COUNTED, on_progress)
     several = (preflight, *preflight.others) if preflight.others else ()
-    terms = {
-        "date": datetime.now(UTC).date().isoformat(),
-        **found.terms,
-        "protocol (SHA-256)": source.sha256,
-        "equivalence margin": protocol.analysis.equivalence_margin,
-    }
-    size = {"n": n_participants, "observer": observer.name, "seed": seed}
+    terms, size = _terms(preflight, found), {"n": n_participants, "observer": observer.name, "seed": seed}
     return render_page(
         "modaltouch.planning",
         "prereg.md.j2",
@@ -129,6 +122,16 @@ def _public(path: Path) -> str:
     """Return a protocol's path, or the name of a shipped one, whose path may contain a user name."""
     shipped = {file: name for name, file in Source.shipped("protocol").items()}
     return shipped.get(path.absolute(), path.as_posix())
+
+
+def _terms(preflight: Preflight, found: _Plan) -> dict[str, Any]:
+    protocol = preflight.experiment.protocol
+    return {
+        "date": datetime.now(UTC).date().isoformat(),
+        **found.terms,
+        "protocol (SHA-256)": preflight.experiment.sources.protocol.sha256,
+        "equivalence margin": protocol.analysis.equivalence_margin,
+    }
 
 
 def _counted(preflight: Preflight, observer: Observer) -> Design | None:

@@ -108,15 +108,10 @@ class Preflight:
         return self
 
     def with_levels(self, levels_mm_s: tuple[float, ...]) -> Self:
-        """Return the preflight for a participant whose calibrated levels are known.
+        """Return the preflight for a participant whose calibrated levels are known [mm/s].
 
         The stimulus is unchanged, designed at the highest level allowed for any participant: all participants get the
         same codes, at individual amplitudes.
-
-        Parameters
-        ----------
-        levels_mm_s : tuple of float
-            The participant's levels, within the bounds that the protocol gives [mm/s].
         """
         reading = self.findings.protocol
         if reading is None or reading.value is None or self.inputs is None:
@@ -188,15 +183,7 @@ class Preflight:
         return min(level * part.sound[0].share, part.attainable)
 
     def zone_peaks(self, name: str, level: float) -> dict[str, float]:
-        """Return the predicted peak speed at each zone's centre, or at the finger on it [m/s].
-
-        Parameters
-        ----------
-        name : str
-            Name of the design; empty for a single design.
-        level : float
-            Peak velocity at the focus [mm/s].
-        """
+        """Return the predicted peak speed at each zone's centre, or at the finger on it [m/s]; the level is in mm/s."""
         if (name, level) not in self._peaks:
             inputs, stimulus = self.designs[name].sound
             peaks = stimulus.peak_velocity(finger_places(inputs), level * 1e-3)
@@ -244,15 +231,7 @@ class Preflight:
     def touched(self, fingers: str | None = None) -> list[dict[str, dict[str, Any]]]:
         """Return the figures of each level of each stimulus under fingers, by placement (see `preflight.exploration`).
 
-        Parameters
-        ----------
-        fingers : str, optional
-            File of fingers or name of shipped ones; the protocol's if not given.
-
-        Raises
-        ------
-        InputError
-            With all faults of the file or the protocol.
+        The fingers are those of the protocol, or of a file, or shipped ones. Raises InputError with all faults.
         """
         from modaltouch.preflight.exploration import touched_figures
 
@@ -286,12 +265,7 @@ class Preflight:
     def as_dict(self, *, compare: bool = False, fingers: str | None = None) -> dict[str, Any]:
         """Return all results as plain values, as printed by ``modaltouch check --json``.
 
-        Parameters
-        ----------
-        compare : bool
-            Whether to include the other drive law.
-        fingers : str, optional
-            As for `touched`; ``none`` leaves fingers out.
+        `compare` includes the other drive law; `fingers` are as for `touched`, or ``none``.
         """
         reading = self.findings.protocol
         values: dict[str, Any] = {

@@ -184,17 +184,7 @@ def design(
 def design_to_fit(inputs: DesignInputs, *, release: Release | None = None) -> Stimulus:
     """Return the stimulus, without the 5 % of full scale reserved for the amplitude grid if that does not fit.
 
-    Parameters
-    ----------
-    inputs : DesignInputs
-        Inputs of the design.
-    release : str, optional
-        Drive after the focusing instant; the protocol's if not given.
-
-    Raises
-    ------
-    ValueError
-        If the design fails.
+    Parameters and errors are those of `design`.
     """
     stimulus = design(inputs, release=release)
     within = float(stimulus.peak_voltage.max()) <= inputs.apparatus.amplifier.limit_V
@@ -208,13 +198,6 @@ def equalised(inputs: DesignInputs, stimulus: Stimulus, first: tuple[DesignInput
 
     Velocity is equalised since perceived intensity follows it (Grigorii et al. 2021, under load, 20 to 400 Hz); the
     tactile channels span 0.4 to above 500 Hz (Bolanowski et al. 1988, J. Acoust. Soc. Am. 84, 1680).
-
-    Parameters
-    ----------
-    inputs, stimulus
-        Inputs and stimulus of the placement, at the nominal levels.
-    first : (DesignInputs, Stimulus)
-        Inputs and stimulus of the first placement.
     """
     share = round(_band_velocity(*first) / _band_velocity(inputs, stimulus), 4)
     return replace(inputs, levels={key: level * share for key, level in inputs.levels.items()}, share=share)

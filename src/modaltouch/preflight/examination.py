@@ -268,15 +268,7 @@ def examine(
 
 
 def check_legibility(preflight: Preflight, window: WindowOptions | None = None) -> Preflight:
-    """Return the preflight with illegible texts added to its problems.
-
-    Parameters
-    ----------
-    preflight : Preflight
-        The examined protocol.
-    window : WindowOptions, optional
-        Options of the answer window; full screen if not given.
-    """
+    """Return the preflight with illegible texts added to its problems; full screen if no window is given."""
     from modaltouch.window import WindowOptions
 
     options = window or WindowOptions(fullscreen=True)
@@ -285,13 +277,7 @@ def check_legibility(preflight: Preflight, window: WindowOptions | None = None) 
 
 
 def examine_findings(findings: Findings) -> Preflight:
-    """Check the contents of files already read.
-
-    Parameters
-    ----------
-    findings : Findings
-        The files, with their contents and faults.
-    """
+    """Check the contents of files already read."""
     if findings.others:
         first, *others = (examine_findings(replace(each, others=())) for each in (findings, *findings.others))
         problems = set(first.problems).union(*(each.problems for each in others))

@@ -166,10 +166,7 @@ class Findings:
     def with_true_fingers(self, rng: np.random.Generator) -> Apparatus:
         """Return the apparatus with a random person's fingers, if the stimulus is for fingers and the twin has none.
 
-        Parameters
-        ----------
-        rng : numpy.random.Generator
-            Draws the person with the spread of the file; ``twin`` may give other spreads between placements and trials.
+        They are drawn with the spread of the file; ``twin`` may give other spreads between placements and trials.
         """
         apparatus = self.experiment().apparatus
         fingers = None if self.placements is None else self.placements.drawn(rng)
@@ -234,15 +231,7 @@ class Findings:
             yield name, replace(self, protocol=alone, problems=tuple(problems), calibration=calibration)
 
     def at_stimulus(self, name: str, problems: Iterable[Problem]) -> Iterator[Problem]:
-        """Yield the problems of a stimulus with its name, at the key of the stimulus if it overrides the shared one.
-
-        Parameters
-        ----------
-        name : str
-            The stimulus.
-        problems : iterable of Problem
-            Its problems, found as if it were the only stimulus.
-        """
+        """Yield problems found as if a stimulus were the only one, with its name, at its own key if there is one."""
         calibration = self.calibration
         in_calibration = calibration is not None and calibration.find(("stimuli", name)) is not None
         for problem in problems:

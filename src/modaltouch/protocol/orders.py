@@ -6,13 +6,15 @@ and orders can be counted or found by rejection; otherwise by a random walk.
 
 from __future__ import annotations
 
+import math
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from itertools import groupby
 from operator import itemgetter
 from typing import TYPE_CHECKING
 
 from modaltouch.protocol.conditions import Cell
-from modaltouch.protocol.schedule_section import LIMITS
+from modaltouch.protocol.schedule_section import LIMITS, NoOrderError
 from modaltouch.protocol.sections import Protocol
 from modaltouch.protocol.streams import Stream
 
@@ -29,8 +31,6 @@ def order_cells(
         return cells * protocol.scheduled_repetitions
     if order == "shuffled":
         return _shuffled(protocol, cells, stream, effort)
-    from modaltouch.protocol.latin_orders import order_by_square
-
     return order_by_square(protocol, cells, turn, stream)
 
 
@@ -53,8 +53,6 @@ def are_certain(protocol: Protocol) -> bool:
 
 def insert_catches(protocol: Protocol, cells: list[Cell], stream: Stream) -> list[Cell]:
     """Insert the protocol's catch trials, which have velocity 0, into the cells of a block."""
-    from modaltouch.protocol.catches import place_catches
-
     schedule = protocol.schedule
     placed = dict(
         place_catches(
@@ -131,3 +129,147 @@ def draw_order(counts: Sequence[int], limit: int | None, stream: Stream, key: st
         kinds = [kind for kind, count in enumerate(counts) for _ in range(count)]
         drawn = limited_orders.draw_by_walk(kinds, [limited_orders.Limit(key, lambda kind: kind, limit)], stream)
     return drawn
+
+
+Pair = tuple[str, ...]
+
+
+def place_catches(
+    order: Sequence[Pair], n_catches: int, limit: int | None, stream: Stream, *, own_pair: bool = False
+) -> list[tuple[int, Pair]]:
+    """Return, for each catch trial, the index of the trial that it follows and its pair of zones."""
+    pairs = list(dict.fromkeys(order))
+    if limit is None:
+        places = sorted(stream.chosen(range(len(order)), n_catches))
+        return [(place, order[place] if own_pair else pairs[stream.below(len(pairs))]) for place in places]
+    # Catch trials are never adjacent, so a run of k becomes at most 2 k + 1; a higher limit has no effect.
+    limit = min(limit, 2 * max((len(list(run)) for _, run in groupby(order)), default=0) + 1)
+    ways = _count_ways(order, pairs, n_catches, limit, own_pair=own_pair)
+    if not ways[0][n_catches][1]:
+        raise NoOrderError(
+            LIMITS[0],
+            f"{limit}, but {n_catches} catch trials cannot be spread over {len(order)} trials without longer runs",
+            "",
+            "use fewer catch trials or allow longer runs",
+        )
+    placed = []
+    left, run = n_catches, 1
+    for place in range(len(order)):
+        moves = list(_moves(order, pairs, place, left, run, own_pair=own_pair))
+        weights = [ways[place + 1][rest][after] if after <= limit and most <= limit else 0
+                   for _, rest, most, after in moves]  # fmt: skip
+        pair, left, _, run = moves[stream.weighted(weights)]
+        if pair is not None:
+            placed.append((place, pair))
+    return placed
+
+
+def _moves(
+    order: Sequence[Pair], pairs: Sequence[Pair], place: int, left: int, run: int, *, own_pair: bool
+) -> Iterator[tuple[Pair | None, int, int, int]]:
+    """Yield the choices after the trial at a place, where a run has the length `run`: no catch trial, or one.
+
+    Each choice consists of the pair of the catch trial (None for none), the number of catch trials left, the length of
+    the run so far, and the length at the next trial (1 after the last trial).
+    """
+    own = order[place]
+    following = order[place + 1] if place + 1 < len(order) else None
+    yield None, left, run, run + 1 if following == own else 1
+    if not left:
+        return
+    for pair in (own,) if own_pair else pairs:
+        caught = run + 1 if pair == own else 1
+        yield pair, left - 1, caught, caught + 1 if following == pair else 1
+
+
+def _count_ways(
+    order: Sequence[Pair], pairs: Sequence[Pair], n_catches: int, limit: int, *, own_pair: bool
+) -> list[list[list[int]]]:
+    """Count the ways to continue, by place of a trial, catch trials left and length of the run ending at the trial."""
+    # After the last trial there is one way if no catch trial is left; run lengths start at 1.
+    table = [[[int(left == 0)] * (limit + 1) for left in range(n_catches + 1)]]
+    for place in reversed(range(len(order))):
+        after = table[-1]
+        table.append(
+            [
+                [
+                    sum(
+                        after[rest][ending]
+                        for _, rest, most, ending in _moves(order, pairs, place, left, run, own_pair=own_pair)
+                        if most <= limit and ending <= limit
+                    )
+                    for run in range(limit + 1)
+                ]
+                for left in range(n_catches + 1)
+            ]
+        )
+    return table[::-1]
+
+
+def latin_square(n_cells: int) -> list[list[int]]:
+    """Return the rows of a balanced Latin square: Williams' design.
+
+    Each cell occurs equally often at each position and follows each other cell equally often. This takes `n_cells` rows
+    for an even number of cells and twice as many for an odd number.
+
+    References
+    ----------
+    E. J. Williams, Australian Journal of Scientific Research A 2, 149 (1949).
+
+    Examples
+    --------
+    >>> latin_square(4)
+    [[0, 1, 3, 2], [1, 2, 0, 3], [2, 3, 1, 0], [3, 0, 2, 1]]
+    """
+    zigzag = [(place + 1) // 2 if place % 2 else -place // 2 for place in range(n_cells)]
+    rows = [[(cell + shift) % n_cells for cell in zigzag] for shift in range(n_cells)]
+    return rows if n_cells % 2 == 0 else [*rows, *(row[::-1] for row in rows)]
+
+
+def period_of_rows(protocol: Protocol) -> int:
+    """Return the number of turns after which the rows of a Latin square repeat; 1 if there is no square."""
+    if protocol.schedule.order not in ("latin_square", *_PLACES):
+        return 1
+    return math.lcm(*(_period(protocol, protocol.cells(name)) for name in protocol.conditions.finger_conditions))
+
+
+def order_by_square(protocol: Protocol, cells: list[Cell], turn: int, stream: Stream) -> list[Cell]:
+    """Return the cells of a block in a participant's row of a Latin square.
+
+    With a square of pairs or velocities, these are presented one after the other, the cells of each shuffled. With a
+    square of all cells, each repetition takes the next row.
+    """
+    order, repetitions = protocol.schedule.order, protocol.scheduled_repetitions
+    kinds = _kinds(order, cells)
+    rows = latin_square(len(kinds))
+    if order == "latin_square":
+        turns = range(turn * repetitions, (turn + 1) * repetitions)
+        return [cells[cell] for each in turns for cell in rows[_row_of_turn(each, len(rows))]]
+    each_kind = [[cell for cell in cells if cell[_PLACES[order]] == kind] * repetitions for kind in kinds]
+    return [cell for kind in rows[_row_of_turn(turn, len(rows))] for cell in stream.shuffled(each_kind[kind])]
+
+
+def _period(protocol: Protocol, cells: list[Cell]) -> int:
+    n_rows = len(latin_square(len(_kinds(protocol.schedule.order, cells))))
+    # Each round begins one row later than the last, so the period is as many rounds as rows.
+    period = n_rows * n_rows
+    taken = protocol.scheduled_repetitions if protocol.schedule.order == "latin_square" else 1
+    return period // math.gcd(period, taken)
+
+
+def _row_of_turn(turn: int, n_rows: int) -> int:
+    """Return the row of a square for a turn.
+
+    Each round of `n_rows` participants begins one row later than the last, so that every row is combined with every
+    order of finger conditions, which also alternates between participants.
+    """
+    return (turn + turn // n_rows) % n_rows
+
+
+_PLACES = {"by_pair": 0, "by_velocity": 1}
+"""Index, within a cell, of the factor ordered by the square, by the protocol's `order`."""
+
+
+def _kinds(order: str, cells: list[Cell]) -> list[object]:
+    """Return the items ordered by a Latin square: pairs, velocities, or cells (each as often as its weight)."""
+    return list(cells if order == "latin_square" else dict.fromkeys(cell[_PLACES[order]] for cell in cells))

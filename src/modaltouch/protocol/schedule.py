@@ -17,7 +17,7 @@ import numpy as np
 
 from modaltouch.protocol.conditions import Cell, Placement
 from modaltouch.protocol.intervals import draw_intervals
-from modaltouch.protocol.orders import are_certain, insert_catches, order_cells
+from modaltouch.protocol.orders import are_certain, insert_catches, order_cells, period_of_rows
 from modaltouch.protocol.schedule_section import NoOrderError
 from modaltouch.protocol.sections import Protocol
 from modaltouch.protocol.source import InputError, Problem
@@ -88,8 +88,6 @@ class Turn:
     @staticmethod
     def period(protocol: Protocol) -> int:
         """Return the number of turns after which orders of finger conditions, placements and rows all repeat."""
-        from modaltouch.protocol.latin_orders import period_of_rows
-
         n_orders = len(_orders_of_finger_conditions(protocol)) * len(protocol.conditions.placements)
         return math.lcm(n_orders, period_of_rows(protocol))
 
@@ -293,12 +291,7 @@ class Schedule:
     def random_generator(seed: int, participant: str, session: int, purpose: str) -> np.random.Generator:
         """Return a generator for random numbers that do not affect the order, such as an observer's answers.
 
-        Parameters
-        ----------
-        seed, participant, session
-            As in `draw`.
-        purpose : str
-            Purpose of the numbers; streams of different purposes are independent.
+        Streams of different purposes are independent.
         """
         return np.random.Generator(np.random.PCG64(seed_sequence(seed, participant, session, purpose)))
 
@@ -363,19 +356,7 @@ class Round:
 
 
 def judge_round(events: Iterable[Mapping[str, Any]], number: int, n_trials: int, protocol: Protocol) -> Round:
-    """Return the result of a round of practice from the session log.
-
-    Parameters
-    ----------
-    events : iterable of dict
-        Events of the session log.
-    number : int
-        Number of the round, from 1.
-    n_trials : int
-        Number of practice trials in a round.
-    protocol : Protocol
-        The design, which defines the expected answers.
-    """
+    """Return the result of a round of practice, from 1, of `n_trials` each, from the events of the session log."""
     first, last = (number - 1) * n_trials + 1, number * n_trials
     judged: dict[int, bool] = {}
     for event in events:
