@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from modaltouch.preflight import Preflight, examine
+from modaltouch.preflight.exploration import continuous_figures
 from modaltouch.rig.afg3022b import AFG3022B
 
 PROTOCOLS = Path(__file__).parents[2] / "protocols"
@@ -32,7 +33,7 @@ def test_the_continuous_record_misses_as_its_real_edges_do(preflight: Preflight)
     velocity = state.real + exponent.real / exponent.imag * state.imag
     displacement = stimulus.model.angular_frequency / exponent.imag * state.imag
     error = max(np.abs(velocity - stimulus.target).max(), np.abs(displacement).max())
-    fallback = preflight.continuous_fallback()
+    fallback = continuous_figures(*preflight.sound)
     assert fallback is not None
     assert fallback["worst_modal_error_mm_s"] == pytest.approx(error * 1e3, rel=1e-6)
 

@@ -280,34 +280,39 @@ def _in_order(checked: preflight.Preflight, stimuli: list[dict[str, Any]]) -> li
 def _show_levels(stimuli: list[dict[str, Any]], whose: str) -> None:
     zones = list(stimuli[0]["zone_peak_mm_s"])
     drive = "peak drive V: " + ", ".join(f"CH{channel}" for channel in stimuli[0]["peak_drive_V"])
-    rows = [
-        (
-            stimulus,
-            *(_in_two_digits(stimulus["zone_peak_mm_s"][zone]) for zone in zones),
-            f"{stimulus['worst_modal_error_mm_s']:.1e}",
-            ", ".join(map(_in_two_digits, stimulus["peak_drive_V"].values())),
-        )
-        for stimulus in stimuli
-    ]
-    _show_speeds(f"Largest speed at the centre of each zone, mm/s{whose}", (*zones, "modal error mm/s", drive), rows)
+    _show_speeds(
+        f"Largest speed at the centre of each zone, mm/s{whose}",
+        (*zones, "modal error mm/s", drive),
+        [
+            (
+                stimulus,
+                *(_in_two_digits(stimulus["zone_peak_mm_s"][zone]) for zone in zones),
+                f"{stimulus['worst_modal_error_mm_s']:.1e}",
+                ", ".join(map(_in_two_digits, stimulus["peak_drive_V"].values())),
+            )
+            for stimulus in stimuli
+        ],
+    )
 
 
 def _show_touched(stimuli: list[dict[str, Any]], whose: str) -> None:
     focus, zones = stimuli[0]["focus"], list(stimuli[0]["zone_peak_mm_s"])
-    rows = [
-        (
-            stimulus,
-            place,
-            *(_in_two_digits(found["zone_peak_mm_s"][zone]) for zone in zones),
-            _in_two_digits(found["zone_at_focus_mm_s"][focus]),
-            _in_two_digits(found["attainable_mm_s"]),
-            f"{found['pull_N']:.2f}",
-        )
-        for stimulus in stimuli
-        for place, found in stimulus["touched"].items()
-    ]
-    headings = ("pair", *zones, f"{focus} at focus mm/s", f"{focus} at most mm/s", "pull N")
-    _show_speeds(f"The same with fingers on the beam{whose}", headings, rows)
+    _show_speeds(
+        f"The same with fingers on the beam{whose}",
+        ("pair", *zones, f"{focus} at focus mm/s", f"{focus} at most mm/s", "pull N"),
+        [
+            (
+                stimulus,
+                place,
+                *(_in_two_digits(found["zone_peak_mm_s"][zone]) for zone in zones),
+                _in_two_digits(found["zone_at_focus_mm_s"][focus]),
+                _in_two_digits(found["attainable_mm_s"]),
+                f"{found['pull_N']:.2f}",
+            )
+            for stimulus in stimuli
+            for place, found in stimulus["touched"].items()
+        ],
+    )
 
 
 def _show_speeds(title: str, headings: Sequence[str], rows: Sequence[tuple[Any, ...]]) -> None:

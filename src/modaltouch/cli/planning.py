@@ -215,18 +215,20 @@ def tell(found: planning.Power, target: float) -> None:
             print_table(title, ("n", *study.families[shown]), [(n, *cells[shown]) for n, *cells in rows], n_words=0)
     if not study.null:
         of = study.design.finger_conditions, study.design.pairs
-        rows = [
-            (
-                row["family"],
-                analysis.scope_in_words(row["scope"], *of),
-                str(row["n_repetitions"]),
-                str(row["n_participants"] or "more"),
-            )
-            for row in found.needed(target)
-            if row["family"] != "a1" or row["scope"] == "any test"
-        ]
         print_table(
-            f"Participants for a power of {target:g}", ("question", "test", "reps", "participants"), rows, n_words=2
+            f"Participants for a power of {target:g}",
+            ("question", "test", "reps", "participants"),
+            [
+                (
+                    row["family"],
+                    analysis.scope_in_words(row["scope"], *of),
+                    str(row["n_repetitions"]),
+                    str(row["n_participants"] or "more"),
+                )
+                for row in found.needed(target)
+                if row["family"] != "a1" or row["scope"] == "any test"
+            ],
+            n_words=2,
         )
     for floor in (each for each in found.floors if each.least_participants != 1):
         least = floor.least_participants

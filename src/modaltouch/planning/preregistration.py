@@ -207,8 +207,7 @@ def _by_sessions(
     terms = analysis.terms({family["name"]: len(family["scopes"]) for family in families})
     thresholds = [_describe_threshold(name, found) for name, found in estimates.items()]
     counts = getattr(analysis, "answers", None)
-    design = analysis.design_in_words()
-    return _Plan(counts, terms, families, rows, n_experiments, again, thresholds, design)
+    return _Plan(counts, terms, families, rows, n_experiments, again, thresholds, analysis.design_in_words())
 
 
 def _describe_threshold(name: str, found: Sequence[dict[str, Any]]) -> dict[str, Any]:

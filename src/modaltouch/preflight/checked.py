@@ -221,13 +221,6 @@ class Preflight:
         compared = stimulus.under_law(other)
         return [stimulus_figures(inputs, compared, level) for level in inputs.levels.values()]
 
-    def continuous_fallback(self) -> dict[str, Any]:
-        """Return the error of a generator without burst mode at the highest level."""
-        from modaltouch.preflight.exploration import continuous_figures
-
-        inputs, stimulus = self.sound
-        return continuous_figures(inputs.apparatus, stimulus, max(inputs.levels.values()) * 1e-3)
-
     def touched(self, fingers: str | None = None) -> list[dict[str, dict[str, Any]]]:
         """Return the figures of each level of each stimulus under fingers, by placement (see `preflight.exploration`).
 
@@ -312,7 +305,9 @@ class Preflight:
             ],
         }
         if compare:
-            values |= {"comparison": self.comparison(), "continuous_fallback": self.continuous_fallback()}
+            from modaltouch.preflight.exploration import continuous_figures
+
+            values |= {"comparison": self.comparison(), "continuous_fallback": continuous_figures(*self.sound)}
         return values
 
     def _levels(self, fingers: str | None) -> list[dict[str, Any]]:

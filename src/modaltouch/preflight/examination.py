@@ -42,17 +42,16 @@ _MODE_KEYS = (("gain", "gain_mm_s2_per_V"), ("damping", "damping_ratio"), ("freq
 """Words of `stimulus` error messages and the key of the table of modes at fault."""
 
 
-def check_levels(inputs: DesignInputs, stimulus: Stimulus, findings: Findings) -> list[Problem]:
-    """Return a problem for each level that the amplifier, the generator or the safety limit does not allow."""
-    problems = _check_range(inputs, stimulus, findings)
-    if problems:
-        return problems
+def check_levels(inputs: DesignInputs, stimulus: Stimulus, findings: Findings) -> Iterator[Problem]:
+    """Yield a problem for each level that the amplifier, the generator or the safety limit does not allow."""
+    if problem := _check_range(inputs, stimulus, findings):
+        yield problem
+        return
     fast = _moves_fast(inputs, stimulus)
     for path, level in inputs.levels.items():
         amplified = list(_check_amplifier(inputs, stimulus, findings, path, level))
-        problems += amplified or _check_generator(inputs, stimulus, findings, path, level)
-        problems += _check_safety(inputs, stimulus, findings, path, level) if fast else []
-    return problems
+        yield from amplified or _check_generator(inputs, stimulus, findings, path, level)
+        yield from _check_safety(inputs, stimulus, findings, path, level) if fast else ()
 
 
 def _check_amplifier(
@@ -109,18 +108,18 @@ def _sounding(stimulus: Stimulus, level: float) -> tuple[dict[int, float], dict[
     return amplitude, full
 
 
-def _check_range(inputs: DesignInputs, stimulus: Stimulus, findings: Findings) -> list[Problem]:
+def _check_range(inputs: DesignInputs, stimulus: Stimulus, findings: Findings) -> Problem | None:
     """Return a problem if no level can be played, since one output's smallest amplitude exceeds another limit."""
     level, limit = stimulus.target_field.velocity * 1e3, inputs.apparatus.amplifier.limit_V
     sounding, full = _sounding(stimulus, level)
     if not sounding:
-        return []
+        return None
     highest = level * min(limit / float(stimulus.peak_voltage.max()), inputs.highest_amplitude / max(full.values()))
     weak = min(sounding, key=sounding.__getitem__)
     least = level * instrument_of(inputs.apparatus).lowest_amplitude / sounding[weak]
     # Levels that round to zero result from an instant or duration given in seconds.
     if least <= highest and float(_rounded(highest)):
-        return []
+        return None
     length, base = inputs.apparatus.beam.length_mm, inputs.section.field.base_mm
     path: tuple[str, ...] = ("stimulus",)
     given = "a field that cannot be played at any level"
@@ -131,14 +130,12 @@ def _check_range(inputs: DesignInputs, stimulus: Stimulus, findings: Findings) -
         f" (output {weak} needs at least {_rounded(least, up=True)} mm/s for the generator's smallest amplitude, and "
         f"amplifier and generator reach at most {_rounded(highest)} mm/s)"
     )
-    return [
-        findings.problem(
-            path,
-            given,
-            f"up to {length:g} mm" if base > length else "",
-            "choose another field, focus, modes or focusing_instant_ms; no other level will do",
-        )
-    ]
+    return findings.problem(
+        path,
+        given,
+        f"up to {length:g} mm" if base > length else "",
+        "choose another field, focus, modes or focusing_instant_ms; no other level will do",
+    )
 
 
 def _moves_fast(inputs: DesignInputs, stimulus: Stimulus) -> bool:

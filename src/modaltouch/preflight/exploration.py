@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from modaltouch.preflight.design_inputs import DesignInputs
 from modaltouch.preflight.figures import by_name, finite, zone_centres
-from modaltouch.protocol import Apparatus, Findings
+from modaltouch.protocol import Findings
 from modaltouch.rig import instrument_of
 from modaltouch.stimulus import ModalModel, Stimulus
 
@@ -183,16 +183,16 @@ def _assumed_mode(model: ModalModel) -> ModalModel:
     return ModalModel((max(model.label) + 1,), np.array([between]), np.array([ratio]), gain, model.length)
 
 
-def continuous_figures(apparatus: Apparatus, stimulus: Stimulus, velocity: float) -> dict[str, Any]:
-    """Return the error at the focusing instant of the first burst if the generator repeats ``continuous``.
+def continuous_figures(inputs: DesignInputs, stimulus: Stimulus) -> dict[str, Any]:
+    """Return the error at the highest level and the first focusing instant if the generator repeats ``continuous``.
 
     A record of a whole period leaves fewer points for the burst: its steps are up to half a point early or late, in
     addition to the jitter of the clock.
     """
-    burst, timing = stimulus.burst, stimulus.timing
+    burst, timing, velocity = stimulus.burst, stimulus.timing, max(inputs.levels.values()) * 1e-3
     played = replace(timing, n_samples=timing.converter.max_points, duration=1 / timing.repetition_rate)
     # Only samples up to the focusing instant affect the error.
-    codes = instrument_of(apparatus).continuous_codes(burst)[:, : int(timing.focusing_instant / played.hold) + 2]
+    codes = instrument_of(inputs.apparatus).continuous_codes(burst)[:, : int(timing.focusing_instant / played.hold) + 2]
     error = 1e3 * stimulus.worst_modal_error_of(codes, played, velocity)
     step = 1e6 * (played.hold / 2 + 1 / timing.clock_rate)
     return {

@@ -174,8 +174,10 @@ class Calibration(Section):
         own = self.by_stimulus.get(name)
         if own is None:
             return None
-        shared = {key: getattr(self, key) for key in Calibration.model_fields}
-        return CalibrationFile.model_construct(**shared, **{key: getattr(own, key) for key in OWN_KEYS})
+        return CalibrationFile.model_construct(
+            **{key: getattr(self, key) for key in Calibration.model_fields},
+            **{key: getattr(own, key) for key in OWN_KEYS},
+        )
 
     @staticmethod
     def of(values: Mapping[str, Any]) -> Calibration:
@@ -262,22 +264,21 @@ def examine_calibration(source: Source) -> Reading[Calibration]:
 
 def check_calibration(
     calibration: Reading[Calibration], protocol: Reading[Protocol], apparatus: Reading[Apparatus] | None
-) -> list[Problem]:
-    """Check a calibration against the valid parts of a protocol and apparatus; return the problems.
+) -> Iterator[Problem]:
+    """Yield the problems of a calibration with the valid parts of a protocol and apparatus.
 
     For a protocol with several stimuli, only the names and the apparatus are checked here: the part for each stimulus
     is checked with the protocol of that stimulus alone.
     """
     if calibration.value is None:
-        return []
-    others = [*_check_names(calibration, calibration.value, protocol)]
-    problems = [*others]
+        return
+    others, only = [*_check_names(calibration, calibration.value, protocol)], calibration.value.alone("")
+    yield from others
     if apparatus is not None and apparatus.value is not None:
-        problems += _check_apparatus(calibration, calibration.value, apparatus.value)
-    only = calibration.value.alone("")
-    if only is None or others:
-        return problems
-    return [*problems, *_check_stimulus(calibration, only, protocol, apparatus), *_check_levels(only, protocol)]
+        yield from _check_apparatus(calibration, calibration.value, apparatus.value)
+    if only is not None and not others:
+        yield from _check_stimulus(calibration, only, protocol, apparatus)
+        yield from _check_levels(only, protocol)
 
 
 def check_mark(calibration: Reading[Calibration]) -> list[Problem]:
