@@ -7,8 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
-from modaltouch.protocol.questions import RATED
-from modaltouch.protocol.trial import SIDES
+from modaltouch.protocol.trial import RATED, SIDES
 
 Side = Literal["left", "between", "right"]
 Fingers = tuple[Side, ...]

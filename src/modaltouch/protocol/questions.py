@@ -12,7 +12,7 @@ from pydantic import Field, PrivateAttr, model_validator
 from modaltouch.protocol.reading import Reading
 from modaltouch.protocol.section import Number, Positive, Section, Text, Word, described
 from modaltouch.protocol.source import Problem, fault, suggest
-from modaltouch.protocol.trial import TIME_OUT
+from modaltouch.protocol.trial import RATED, TIME_OUT
 
 _NAMED = """
 ampersand apostrophe asciicircum asciitilde asterisk at backslash backspace bar begin braceleft braceright
@@ -41,9 +41,6 @@ KEY_NAMES = frozenset(
 KeyName = Annotated[Text, Field(json_schema_extra={"x-allowed": "the name of a key"})]
 Keys = Annotated[tuple[KeyName, ...], Field(min_length=1)]
 ScaleAction = Literal["lower", "higher", "confirm"]
-
-RATED = "rated"
-"""Answer recorded for a scale, together with the number."""
 
 MOST_ANSWERS = 7
 """Largest number of answers that fit on a screen and on the digit keys of a console."""

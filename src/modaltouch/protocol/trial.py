@@ -9,6 +9,9 @@ from typing import Any, Literal
 TIME_OUT = "time_out"
 """Answer recorded at a time-out; never offered."""
 
+RATED = "rated"
+"""Answer recorded for a scale, together with the number."""
+
 _SELDOM = ("value", "further")
 """Keys of a response recorded only if set."""
 
