@@ -129,26 +129,22 @@ class Power:
             "reachable": p_min * n_tests <= self.study.alpha,
         }
 
-    def _test_rows(self, size: Size, family: str) -> list[dict[str, Any]]:
+    def _test_rows(self, size: Size, family: str) -> Iterator[dict[str, Any]]:
         tally, design = self.tallies[size][family], self.study.design
-        rows = []
         for place, scope in enumerate(design.scopes(family)):
             width = float(tally.width[place]) / tally.n_experiments
-            rows.append(
-                {
-                    "question": STATISTICS[family].question,
-                    "family": family,
-                    "scope": scope,
-                    **_size(size, design.shape),
-                    "n_experiments": tally.n_experiments,
-                    **_shares("power", "", int(tally.corrected[place]), tally.n_experiments),
-                    **_shares("power_uncorrected", "power_uncorrected_", int(tally.single[place]), tally.n_experiments),
-                    "half_width": width if width == width else None,
-                    "half_width_of": STATISTICS[family].unit,
-                    "p_min": self._p_min[size, family],
-                }
-            )
-        return rows
+            yield {
+                "question": STATISTICS[family].question,
+                "family": family,
+                "scope": scope,
+                **_size(size, design.shape),
+                "n_experiments": tally.n_experiments,
+                **_shares("power", "", int(tally.corrected[place]), tally.n_experiments),
+                **_shares("power_uncorrected", "power_uncorrected_", int(tally.single[place]), tally.n_experiments),
+                "half_width": width if width == width else None,
+                "half_width_of": STATISTICS[family].unit,
+                "p_min": self._p_min[size, family],
+            }
 
     @cached_property
     def _p_min(self) -> dict[tuple[Size, str], float]:

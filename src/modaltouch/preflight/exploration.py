@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -42,7 +43,7 @@ def explore(
     if designs:
         asked["designs"] = design_figures(sound[1])
     if contrast:
-        asked["contrast"] = contrast_figures(placed or dict.fromkeys(pairs, sound))
+        asked["contrast"] = [*contrast_figures(placed or dict.fromkeys(pairs, sound))]
     if tolerance is not None:
         asked["samples"] = sample_figures(*sound, tolerance)
     return asked
@@ -99,8 +100,8 @@ def design_figures(stimulus: Stimulus) -> list[dict[str, Any]]:
     ]
 
 
-def contrast_figures(designs: dict[str, Design]) -> list[dict[str, Any]]:
-    """Return the contrast between focus and other zone, as designed and at its maximum: two rows per placement.
+def contrast_figures(designs: dict[str, Design]) -> Iterator[dict[str, Any]]:
+    """Yield the contrast between focus and other zone, as designed and at its maximum: two rows per placement.
 
     Contrast is the peak speed at the focus over that within 5 mm of the other zone's centre, over the whole burst.
 
@@ -109,7 +110,6 @@ def contrast_figures(designs: dict[str, Design]) -> list[dict[str, Any]]:
     designs : dict of str to (DesignInputs, Stimulus)
         Designs by placement, such as ``A-C``; only placements on two zones, one of them the focus, have a contrast.
     """
-    rows: list[dict[str, Any]] = []
     known: dict[tuple[int, float], Any] = {}
     for place, (inputs, stimulus) in designs.items():
         focus, zones = inputs.section.focus, place.split(" ")[0].split("-")
@@ -130,18 +130,15 @@ def contrast_figures(designs: dict[str, Design]) -> list[dict[str, Any]]:
         ):
             peak, *others = played.peak_velocity(places, volts)
             slow, *slow_others = (played.peak_below(1e3, point, volts) for point in places)
-            rows.append(
-                {
-                    "placement": place,
-                    "design": name,
-                    "contrast": float(peak / max(others)),
-                    "bound": most,
-                    "contrast_below_1_kHz": slow / max(slow_others),
-                    "focus_below_1_kHz_mm_s": slow * 1e3,
-                    "peak_drive_V": float((np.abs(played.codes).max(axis=1) * volts).max()),
-                }
-            )
-    return rows
+            yield {
+                "placement": place,
+                "design": name,
+                "contrast": float(peak / max(others)),
+                "bound": most,
+                "contrast_below_1_kHz": slow / max(slow_others),
+                "focus_below_1_kHz_mm_s": slow * 1e3,
+                "peak_drive_V": float((np.abs(played.codes).max(axis=1) * volts).max()),
+            }
 
 
 def sample_figures(inputs: DesignInputs, stimulus: Stimulus, tolerance: float) -> dict[str, Any]:
@@ -254,11 +251,11 @@ def _figures(inputs: DesignInputs, stimulus: Stimulus, beam: Any, velocity: floa
 def untouched_warning(findings: Findings, inputs: DesignInputs, stimulus: Stimulus) -> str:
     """Return a warning with the highest level under typical fingers, for a stimulus for the untouched beam."""
     placements, level = findings.under("typical").placements, max(inputs.levels.values())
-    unit = stimulus.volts_per_code(level * 1e-3)
-    said = []
-    for name, laid in ({} if placements is None else placements.all()).items():
-        at_focus = stimulus.touched(laid).velocity_at_focus([inputs.centre_mm * 1e-3], unit)
-        said.append(f"{at_focus[0] * 1e3:.0f} ({name})")
+    unit, focus = stimulus.volts_per_code(level * 1e-3), [inputs.centre_mm * 1e-3]
+    said = [
+        f"{stimulus.touched(laid).velocity_at_focus(focus, unit)[0] * 1e3:.0f} ({name})"
+        for name, laid in ({} if placements is None else placements.all()).items()
+    ]
     return (
         f"untouched beam: with typical fingers the level at {inputs.section.focus} would be {', '.join(said)} mm/s "
         f"instead of {level:g}; `--fingers typical` shows all levels, `stimulus.fingers` designs for them"

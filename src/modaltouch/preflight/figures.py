@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -68,23 +69,19 @@ def field_figures(inputs: DesignInputs, stimulus: Stimulus) -> dict[str, Any]:
     }
 
 
-def contrasts(protocol: Protocol, zone_peak: dict[str, float], placement: str = "") -> list[dict[str, Any]]:
-    """Return the speeds at the zones of each pair, and the ratio of the faster to the slower."""
-    rows = []
+def contrasts(protocol: Protocol, zone_peak: dict[str, float], placement: str = "") -> Iterator[dict[str, Any]]:
+    """Yield the speeds at the zones of each pair, and the ratio of the faster to the slower."""
     for left, right in protocol.conditions.pairs:
         if placement and {left, right} != set(placement.split("-")):
             continue
         slower, faster = sorted((zone_peak[left], zone_peak[right]))
-        rows.append(
-            {
-                "zone_left": left,
-                "zone_right": right,
-                "left_mm_s": zone_peak[left],
-                "right_mm_s": zone_peak[right],
-                "contrast": finite(faster / slower) if slower else None,
-            }
-        )
-    return rows
+        yield {
+            "zone_left": left,
+            "zone_right": right,
+            "left_mm_s": zone_peak[left],
+            "right_mm_s": zone_peak[right],
+            "contrast": finite(faster / slower) if slower else None,
+        }
 
 
 def zone_centres(inputs: DesignInputs) -> np.ndarray[Any, np.dtype[np.float64]]:
