@@ -256,7 +256,7 @@ def _by_occasion(
     """Return the table rows for each set of groups and session kinds that share them, unnamed if all do."""
     found: list[tuple[list[str], list[dict[str, Any]]]] = []
     for each in (checked, *checked.others):
-        rows = _in_order(each, stimuli if each is checked else each.as_dict(fingers=fingers)["stimuli"])
+        rows = [*_in_order(each, stimuli if each is checked else each.as_dict(fingers=fingers)["stimuli"])]
         alike = next((names for names, known in found if known == rows), None)
         if alike is None:
             found.append((alike := [], rows))
@@ -264,17 +264,15 @@ def _by_occasion(
     return {f" ({', '.join(names)})" if len(found) > 1 else "": rows for names, rows in found}
 
 
-def _in_order(checked: preflight.Preflight, stimuli: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return the rows sorted by stimulus and level, with a level label that marks the standard of interval trials."""
+def _in_order(checked: preflight.Preflight, stimuli: list[dict[str, Any]]) -> Iterator[dict[str, Any]]:
+    """Yield the rows sorted by stimulus and level, with a level label that marks the standard of interval trials."""
     protocol = checked.experiment.protocol
     standard = None if protocol.intervals is None else protocol.intervals.standard
     names = list(protocol.stimuli) or [""]
-    rows = []
     for each in sorted(stimuli, key=lambda row: (names.index(row.get("stimulus", "")), row["velocity_mm_s"])):
         level = each["velocity_mm_s"]
         is_told = standard and standard.velocity_mm_s == level and standard.stimulus in (None, each.get("stimulus"))
-        rows.append({**each, "level": f"{level:g}" + (" (standard)" if is_told else "")})
-    return rows
+        yield {**each, "level": f"{level:g}" + (" (standard)" if is_told else "")}
 
 
 def _show_levels(stimuli: list[dict[str, Any]], whose: str) -> None:

@@ -48,9 +48,10 @@ class Levels:
             # Built in advance, so that the first trial is not delayed.
             blank = Quest(self._bounds, to_dB(adaptive.start_mm_s), adaptive.guess_rate, adaptive.lapse_rate)
             fingers, contacts = protocol.conditions.finger_conditions, protocol.conditions.contacts
-            for finger_condition, zones, name in product(fingers, contacts, protocol.stimulus_names):
-                for run in ((finger_condition, *zones, name), (finger_condition, *zones[::-1], name)):
-                    self._quests[run] = copy.copy(blank)
+            self._quests |= {
+                (finger_condition, *zones[::order], name): copy.copy(blank)
+                for finger_condition, zones, name, order in product(fingers, contacts, protocol.stimulus_names, (1, -1))
+            }
 
     def settle(self, trial: Trial, answered: Iterable[Mapping[str, Any]], algorithm: str = "") -> Trial:
         """Return a scheduled trial with its actual level.

@@ -103,10 +103,7 @@ def format_path(path: Iterable[str | int]) -> str:
     >>> format_path(("conditions", "zone_pairs", 1))
     'conditions.zone_pairs[1]'
     """
-    text = ""
-    for step in path:
-        text += f"[{step}]" if isinstance(step, int) else f".{step}" if text else step
-    return text
+    return "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in path).removeprefix(".")
 
 
 def suggest(word: str, known: Iterable[str]) -> str:
