@@ -114,8 +114,10 @@ def order_findings(answers: AnswerCounts, frame: pd.DataFrame) -> Iterator[Findi
     if not any(led):
         return
     score = (lead.where(lead != 0) * (shares.iloc[:, 0] - shares.iloc[:, 1])).groupby("participant").mean()
-    notes = [", ".join(f"{n} began with {name.replace('_', ' ')}" for n, name in zip(led, starts.columns, strict=True))]
-    notes += ["the effect of order cannot be separated from that of the finger condition"] if not all(led) else []
+    notes = [
+        ", ".join(f"{n} began with {name.replace('_', ' ')}" for n, name in zip(led, starts.columns, strict=True)),
+        "" if all(led) else "the effect of order cannot be separated from that of the finger condition",
+    ]
     yield _mean_finding(
         "order", "first against second finger condition", "all", score, "P(dominant), first minus second", notes
     )
@@ -134,10 +136,12 @@ def time_findings(answers: AnswerCounts, frame: pd.DataFrame, n_untimed: int = 0
             gap = (medians[first.label] - medians[second.label]).dropna().to_numpy()
             every = (all_medians[first.label] - all_medians[second.label]).dropna().to_numpy()
             test, unfiltered = (sign_flip_test(np.rint(values * 1000).astype(np.int64)) for values in (gap, every))
-            notes = [f"{dropped} of all {len(frame)} answers left out as faster than {ANTICIPATION:g} s"]
-            notes += [f"with them p = {unfiltered.p:.2g}"] if dropped else []
-            notes += [f"{n_untimed} more answer{'s' * (n_untimed > 1)} without a reaction time"] if n_untimed else []
-            notes += [f"reaction times are known to {known * 1e3:.2g} ms"] if known else []
+            notes = [
+                f"{dropped} of all {len(frame)} answers left out as faster than {ANTICIPATION:g} s",
+                f"with them p = {unfiltered.p:.2g}" if dropped else "",
+                f"{n_untimed} more answer{'s' * (n_untimed > 1)} without a reaction time" if n_untimed else "",
+                f"reaction times are known to {known * 1e3:.2g} ms" if known else "",
+            ]
             yield finding_of(
                 "time", "exact sign-flip test of median reaction times",
                 f"{condition} {first.label} - {second.label}", test, "difference of medians [s]",

@@ -109,7 +109,7 @@ def analyse_design(responses: Responses) -> DesignAnalysis:
         *level_findings(values, groups),
         *(row for two in combinations(names, 2) for row in group_findings(every, shared[two], groups, two)),
     )
-    limits, catches = tuple(_limits(responses, task, fits)), catch_rows(responses)
+    limits, catches = _limits(responses, task, fits), catch_rows(responses)
     return DesignAnalysis(values, fits, findings, catches, scale, groups, limits, shared.get(names, ()))
 
 
@@ -130,23 +130,34 @@ def _shared(
     return () if met.frame.empty else (*_measures(met, fit_cells(met, met.task)), *_shares(met))
 
 
-def _limits(responses: Responses, task: TrialTask, fits: Sequence[FittedCell]) -> Iterator[str]:
-    """Yield notes on what is not tested or estimated here, and on the files for other analyses."""
-    if task.n_intervals > 1 and not (task.named or task.different):
-        yield (
+def _limits(responses: Responses, task: TrialTask, fits: Sequence[FittedCell]) -> tuple[str, ...]:
+    """Return notes on what is not tested or estimated here, and on the files for other analyses."""
+    frame = responses.frame
+    known = (
+        (
+            task.n_intervals > 1 and not (task.named or task.different),
             "No answer says which interval it names, or same or different (answers.intervals), so neither d' nor a "
-            "threshold is estimated."
-        )
-    if task.named and not fits and responses.frame[scale_of(responses.frame.columns).column].nunique() > 2:
-        yield "No psychometric function is fitted: with the question asked, the answers do not rise with the level."
-    if task.named and set(responses.answers.names) - task.named.keys():
-        yield "Answers that name no interval are left out of d' and of psychometric functions."
-    if task.named and (task.n_intervals > 2 or responses.frame["interval"].nunique() < 2):
-        yield "d' assumes no preference for an interval: these answers cannot show a preference."
-    yield (
-        "No test here covers interactions between factors, or several measures together: answers.csv is a tidy table "
-        "for tests of your own, and models.R fits mixed models to it."
+            "threshold is estimated.",
+        ),
+        (
+            task.named and not fits and frame[scale_of(frame.columns).column].nunique() > 2,
+            "No psychometric function is fitted: with the question asked, the answers do not rise with the level.",
+        ),
+        (
+            task.named and set(responses.answers.names) - task.named.keys(),
+            "Answers that name no interval are left out of d' and of psychometric functions.",
+        ),
+        (
+            task.named and (task.n_intervals > 2 or frame["interval"].nunique() < 2),
+            "d' assumes no preference for an interval: these answers cannot show a preference.",
+        ),
+        (
+            True,
+            "No test here covers interactions between factors, or several measures together: answers.csv is a tidy "
+            "table for tests of your own, and models.R fits mixed models to it.",
+        ),
     )
+    return tuple(limit for holds, limit in known if holds)
 
 
 def _shares(responses: Responses) -> Iterator[IndividualValue]:

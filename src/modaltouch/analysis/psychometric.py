@@ -138,7 +138,9 @@ def fit_psychometric(
     ValueError
         If there is no trial, or levels and successes differ in number.
     """
-    x, hits, tries = _counted(levels, successes)
+    if not levels or len(levels) != len(successes):
+        raise ValueError(f"given {len(levels)} levels and {len(successes)} answers; give one answer to each level")
+    x, hits, tries = counted(levels, successes)
     n_catch, n_false = len(catches), sum(catches)
     fits = fit_counts(
         x, hits[np.newaxis], tries[np.newaxis], guess_rate=guess_rate, most_lapse=most_lapse, n_catch=n_catch,
@@ -282,13 +284,14 @@ def _log_chance(n_false: int, n_catch: int, guesses: FloatArray) -> FloatArray:
     return np.asarray(n_false * np.log(p) + (n_catch - n_false) * np.log1p(-p))
 
 
-def _counted(levels: Sequence[float], successes: Sequence[bool]) -> tuple[FloatArray, FloatArray, FloatArray]:
+def counted(levels: ArrayLike, successes: ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the unique levels, with the numbers of successes and trials at each."""
-    if not levels or len(levels) != len(successes):
-        raise ValueError(f"given {len(levels)} levels and {len(successes)} answers; give one answer to each level")
-    x, places = np.unique(np.round(levels, 6), return_inverse=True)
-    hits = np.bincount(places, weights=np.asarray(successes, dtype=float))
-    return x, hits.astype(np.float64), np.bincount(places).astype(np.float64)
+    x, places = np.unique(np.asarray(levels, dtype=float).round(6), return_inverse=True)
+    return (
+        x,
+        np.bincount(places, weights=np.asarray(successes, dtype=float)).astype(np.float64),
+        np.bincount(places).astype(np.float64),
+    )
 
 
 def _why_not(x: FloatArray, hits: FloatArray, tries: FloatArray, gain: float, threshold: float, unit: str) -> str:
@@ -414,9 +417,8 @@ def _fit_cell(
         (20 * np.log10(given)).tolist(), success.tolist(), guess_rate=guess_rate, most_lapse=MOST_LAPSE,
         catches=catches, unit=scale.unit,
     )  # fmt: skip
-    levels, places = np.unique(given, return_inverse=True)
-    tries = np.bincount(places).astype(float)
-    return FittedCell(cell, levels, np.bincount(places, weights=success) / tries, tries, fitted, is_choice)
+    levels, hits, tries = counted(given, success)
+    return FittedCell(cell, levels, hits / tries, tries, fitted, is_choice)
 
 
 def measures_of_fits(fits: tuple[FittedCell, ...], task: TrialTask, scale: LevelScale) -> Iterator[IndividualValue]:

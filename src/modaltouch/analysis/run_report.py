@@ -14,6 +14,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocato
 from modaltouch.analysis.columns import scale_of
 from modaltouch.analysis.intervals import Interval
 from modaltouch.analysis.provenance import describe_record
+from modaltouch.analysis.psychometric import counted
 from modaltouch.analysis.runs import Run, ThresholdAnalysis, in_words, is_forced
 from modaltouch.analysis.words import certificates_in_words, format_interval
 from modaltouch.report import CONDITION_COLOURS, FAINT, INK, ReportFigure, house_style, page_files, quiet_grid
@@ -65,11 +66,11 @@ def _draw_track(axes: Axes, run: Run, bounds: tuple[float, float]) -> None:
 
 
 def _draw_function(axes: Axes, run: Run, bounds: tuple[float, float]) -> None:
-    levels, places = np.unique(run.levels, return_inverse=True)
-    tries = np.bincount(places)
-    shares = np.bincount(places, weights=run.successes.astype(float)) / tries
+    levels, hits, tries = counted(run.levels, run.successes)
     _band(axes.axvspan, axes.axvline, run.fitted.threshold, bounds)
-    axes.scatter(levels, shares, s=10 + 9 * tries, color=BLUE, alpha=0.75, edgecolor="white", linewidth=0.5, zorder=3)
+    axes.scatter(
+        levels, hits / tries, s=10 + 9 * tries, color=BLUE, alpha=0.75, edgecolor="white", linewidth=0.5, zorder=3
+    )
     fine = np.geomspace(*bounds, 200)
     curve = run.fitted.probability(20 * np.log10(fine))
     if curve is not None:

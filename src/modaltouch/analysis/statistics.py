@@ -86,14 +86,12 @@ def chance_tests(answers: AnswerCounts) -> FamilyResult | None:
     )
 
     def notes(place: int) -> list[str]:
-        said = [", ".join(f"{answers.answers[kind].name} {kinds[place, kind]}" for kind in felt)]
-        if nothing is not None:
-            said.append(f"{nothing.name} {n[place] - kinds[place, felt].sum()}, left out of the test")
-        if answers.n_repetitions > 1:
-            ties = answers.n_participants - n[place]
-            why = "tied or without an answer" if answers.missing else "tied"
-            said.append(f"most frequent answer of each participant, {ties} {why} and left out")
-        return said
+        why = f"{answers.n_participants - n[place]} {'tied or without an answer' if answers.missing else 'tied'}"
+        return [
+            ", ".join(f"{answers.answers[kind].name} {kinds[place, kind]}" for kind in felt),
+            f"{nothing.name} {n[place] - kinds[place, felt].sum()}, left out of the test" if nothing else "",
+            f"most frequent answer of each participant, {why} and left out" if answers.n_repetitions > 1 else "",
+        ]
 
     share = Interval.point(clopper_pearson(kinds[..., felt].max(axis=-1), n).estimate, n)
     quantities = [f"P({label})" for label in named]
@@ -129,11 +127,8 @@ def joint_findings(answers: AnswerCounts) -> Iterator[Finding]:
     ):
         if own.shape[-2] > 1:
             where = " over levels" * (question == "b")
-            test, n, name = (
-                association_test(own),
-                len(counts),
-                f"all answers together{where}, shuffles within participants",
-            )
+            test, n = association_test(own), len(counts)
+            name = f"all answers together{where}, shuffles within participants"
             for place, scope in enumerate(scopes):
                 yield finding_of(
                     question, name, scope, test[place], "shares of all answers", Interval.point(math.nan, n), n,
@@ -259,10 +254,8 @@ def conditions_compared(answers: AnswerCounts) -> Contrast | None:
 def pairs_compared(answers: AnswerCounts) -> Contrast | None:
     """Return the contrasts between pairs of the share of "both" or, without a dominant zone, of each answer."""
     effects = slice(1 if answers.compares else 0, None)
-    names, chosen = (
-        [pair.label for pair in answers.pairs],
-        [answers.shares(each) for each in answers.of_effects[effects]],
-    )
+    chosen = [answers.shares(each) for each in answers.of_effects[effects]]
+    names = [pair.label for pair in answers.pairs]
     compared = list(combinations(range(len(names)), 2))
     if not (compared and chosen):
         return None
