@@ -14,12 +14,12 @@ from modaltouch.analysis.csv_table import Table, list_faults
 from modaltouch.analysis.responses import answers_per_cell, cell_of, describe_cell, keys_of
 from modaltouch.protocol import Problem
 
+# Share of missing answers at or above which a participant presumably had another design, or gave up [1].
 _MOST_MISSING = 0.25
-"""Share of missing answers at or above which a participant presumably had another design, or gave up [1]."""
 
 
+# Minimum number of distinct reaction times for which a full match cannot be coincidence.
 _FEWEST_TIMES = 4
-"""Minimum number of distinct reaction times for which a full match cannot be coincidence."""
 
 
 def check_balance(table: Table, frame: pd.DataFrame, *, is_crossed: bool = True) -> tuple[list[Problem], int]:

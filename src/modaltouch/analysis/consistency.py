@@ -32,8 +32,8 @@ PAIRED = "paired difference in a cell, interval of a bounded mean over participa
 
 _SEED, _DRAWS, _TAIL = 20080501, 1999, (1 - CONFIDENCE) / 2
 
+# Maximum number of random weights held in memory at a time [1].
 _AT_ONCE = 200_000
-"""Maximum number of random weights held in memory at a time [1]."""
 
 
 def consistency_findings(answers: AnswerCounts) -> Iterator[Finding]:

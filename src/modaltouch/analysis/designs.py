@@ -28,16 +28,15 @@ from modaltouch.analysis.responses import Responses
 from modaltouch.analysis.task import TrialTask
 from modaltouch.analysis.words import certificates_in_words
 
+# Certificates of individual intervals, by a substring of the model's or measure's name; the first match applies.
+#
+# Empty without simulated error rates.
 _CERTIFICATES = {
     "detection threshold": "", "differencing criterion": "", "criterion": "criterion of one",
     "differencing": "same and different of one", "2AFC": "d' of one", "AFC": "a1 share", "triangular": "a1 share",
     "d'": "d' of one", "threshold": "threshold of one", "PSE": "PSE of one", "JND": "JND of one",
     "exponent": "exponent of one",
 }  # fmt: skip
-"""Certificates of individual intervals, by a substring of the model's or measure's name; the first match applies.
-
-Empty without simulated error rates.
-"""
 
 
 @dataclass(frozen=True, eq=False)

@@ -39,8 +39,8 @@ Count = tuple[int, int]
 """Count of an answer, and number of trials."""
 
 _HALVINGS = 50
+# Largest finite d'.
 _FARTHEST = 40.0
-"""Largest finite d'."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -237,8 +237,8 @@ def _joint(statistic: Statistic, first: Count, second: Count) -> Interval:
     return Interval(best, low, high, first[1] + second[1])
 
 
+# Confidence levels of the limits of a rate, from 0 to 95 %, closely spaced at both ends [1].
 _PARTS = 2 * ndtr(math.sqrt(2 * DROP) * np.sin(np.linspace(0, np.pi / 2, 61))) - 1
-"""Confidence levels of the limits of a rate, from 0 to 95 %, closely spaced at both ends [1]."""
 
 
 @lru_cache(maxsize=4096)
@@ -353,8 +353,8 @@ def _measured(cell: Cell, found: SignalDetection, part: pd.DataFrame) -> Iterato
         yield IndividualValue(measure, *cell, found.criterion, n, f"{found.model} model")
 
 
+# Name of the answer "nothing felt" if the protocol does not offer one.
 _ABSENT = "none"
-"""Name of the answer "nothing felt" if the protocol does not offer one."""
 
 
 @dataclass(frozen=True)

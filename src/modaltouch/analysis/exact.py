@@ -24,8 +24,8 @@ from numpy.typing import ArrayLike
 
 from modaltouch.analysis.sums import LEAST_P, FloatArray, IntArray, Law, Sums
 
+# Maximum number of participants for which p is rounded to its exact steps.
 _EXACT_UP_TO = 40
-"""Maximum number of participants for which p is rounded to its exact steps."""
 
 
 class ExactTest:
@@ -191,8 +191,8 @@ def multinomial_test(counts: ArrayLike) -> ExactTest:
     return ExactTest(*found)
 
 
+# Maximum number of outcomes to cache for further simulated experiments; 2,000 answers in three categories have 2e6.
 _KEPT = 10_000
-"""Maximum number of outcomes to cache for further simulated experiments; 2,000 answers in three categories have 2e6."""
 
 
 @lru_cache(maxsize=1024)

@@ -193,8 +193,8 @@ def matched_odds_ratio(only_first: int, only_second: int) -> Interval:
 MOST_DROPPED = 250
 """Maximum number of participants for the B-spline recursion, with a cost quadratic in their number."""
 
+# Maximum number of iterations for a bound; about eight are needed.
 _MOST_STEPS = 60
-"""Maximum number of iterations for a bound; about eight are needed."""
 
 
 class BoundedMean:

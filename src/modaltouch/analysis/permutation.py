@@ -92,11 +92,11 @@ def by_ranks(values: FloatArray) -> Located:
     return rank_test(values), Interval(middle, low, high, n)
 
 
+# Maximum number of permutations for full enumeration; with more, this many are sampled.
 _MOST_ORDERS = 20_000
-"""Maximum number of permutations for full enumeration; with more, this many are sampled."""
 
+# Maximum size of temporary arrays.
 _AT_ONCE = 4_000_000
-"""Maximum size of temporary arrays."""
 
 
 def group_test(first: FloatArray, second: FloatArray) -> Located:

@@ -40,15 +40,15 @@ STEP = 0.25
 BEYOND = 20.0
 """Range of the grid of thresholds beyond the presented levels [dB]."""
 
+# Minimum distance of probabilities from 0 and 1, so that no outcome is impossible [1].
 _LEAST = 1e-9
-"""Minimum distance of probabilities from 0 and 1, so that no outcome is impossible [1]."""
 
 _SPREADS = np.geomspace(0.5, 20.0, 28)
+# Grids of spreads [dB] and, if there are catch trials, of guess rates [1].
 _GUESSES = np.array([0.0, 0.01, 0.025, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5])
-"""Grids of spreads [dB] and, if there are catch trials, of guess rates [1]."""
 
+# Maximum size of temporary arrays of likelihoods.
 _AT_ONCE = 4_000_000
-"""Maximum size of temporary arrays of likelihoods."""
 
 
 @dataclass(frozen=True)

@@ -20,8 +20,8 @@ from modaltouch.analysis.words import certificates_in_words, format_interval
 from modaltouch.report import CONDITION_COLOURS, FAINT, INK, ReportFigure, house_style, page_files, quiet_grid
 
 BLUE = CONDITION_COLOURS[0]
+# Height of the panels of a run [inch].
 _ROW = 2.5
-"""Height of the panels of a run [inch]."""
 
 MOST_FIGURES = 60
 """Maximum number of sessions with figures of runs; with more, the report is too large for a browser."""

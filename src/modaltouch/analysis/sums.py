@@ -40,11 +40,11 @@ LEAST_P = 1e-14
 DIRECT_COST = 100_000_000
 """Maximum number of additions for direct convolution; about 0.15 s."""
 
+# Tilt that concentrates a sum of integers at the end of its range [1].
 _STEEPEST = 50.0
-"""Tilt that concentrates a sum of integers at the end of its range [1]."""
 
+# Maximum size of temporary arrays.
 _AT_ONCE = 1_000_000
-"""Maximum size of temporary arrays."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -124,6 +124,7 @@ def answer_question(own: Sequence[Finding], claim: str, answers: AnswerCounts) -
     return " ".join(_answer_family(rows, _claim(claim, name), answers) for name, rows in parts.items())
 
 
+# Claims of the families of tests of measures, by suffix of the family's name.
 _CLAIMS = {
     " compared": "{claim} between conditions",
     " together": "{claim} for at least one participant, in any of the answers",
@@ -132,7 +133,6 @@ _CLAIMS = {
     "PSE": "the PSE is not the standard",
     "": "{family} is not zero",
 }
-"""Claims of the families of tests of measures, by suffix of the family's name."""
 
 
 def claim_of(family: str, claim: str) -> str:
@@ -222,6 +222,9 @@ def state_families(findings: Sequence[Finding]) -> str:
     )
 
 
+# Certificates of findings outside families, by a substring of their name; the first match applies.
+#
+# Empty for findings without simulated error rates, such as sign flips of criteria or ratings.
 _OF_NAMES = {
     " between groups": ("group",), " compared, sign flips": (), "signed ranks": ("rank", "rank interval"),
     "Friedman": ("friedman",), "leaning": ("leaning", "leaning share"), "agreement between": ("agreement",),
@@ -234,10 +237,6 @@ _OF_NAMES = {
     "threshold over": ("mean threshold, as estimated", "mean threshold"),
     "PSE over": ("mean PSE",), "JND over": ("mean JND, as estimated", "mean JND"), "exponent of": ("mean exponent",),
 }  # fmt: skip
-"""Certificates of findings outside families, by a substring of their name; the first match applies.
-
-Empty for findings without simulated error rates, such as sign flips of criteria or ratings.
-"""
 
 
 @lru_cache(maxsize=1)
