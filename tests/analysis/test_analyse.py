@@ -61,6 +61,30 @@ def test_further_figures_are_drawn_where_they_are_asked_for(paper_csv, tmp_path)
         analyse(paper_csv, tmp_path / "out", figures=["sides"])
 
 
+@pytest.mark.parametrize("zones", [["A", "", ""], ["A", "B", "C"]])
+def test_without_two_fingers_no_answer_is_taken_for_a_zone(zones, tmp_path) -> None:
+    """A table without a protocol has the paper's answers, which say nothing of one finger or of a middle one."""
+    rows = [["p1", "hand", *zones, level, "left", n] for n, level in enumerate((80, 150), start=1)]
+    header = [
+        "participant",
+        "finger_condition",
+        "zone_left",
+        "zone_between",
+        "zone_right",
+        "velocity_mm_s",
+        "response",
+        "trial",
+    ]
+    with (tmp_path / "answers.csv").open("w", newline="") as file:
+        csv.writer(file).writerows([header, *rows])
+    analysis = analyse(tmp_path / "answers.csv", figures=["all"])
+    assert not analysis.answers.compares
+    with analysis.files["answers.csv"].open(newline="") as file:
+        assert [row["response"] for row in csv.DictReader(file)] == ["left", "left"]
+    with pytest.raises(InputError, match="--model: given answers that do not name each of two fingers alone"):
+        analyse(tmp_path / "answers.csv", model=True)
+
+
 def test_the_json_is_plain_and_without_nan(analysis) -> None:
     """A value that is infinite or not defined says which; null stands where there is no such number."""
     values = json.loads(json.dumps(analysis.as_dict(), allow_nan=False))

@@ -139,8 +139,8 @@ class AnswerCounts:
 
     @property
     def compares(self) -> bool:
-        """Whether each finger has an answer naming it alone, so that a pair has a dominant zone."""
-        return self.answers.compares
+        """Whether there are two fingers, each with an answer naming it alone, so that a pair has a dominant zone."""
+        return self.answers.compares and all(len(pair.zones) == 2 for pair in self.pairs)
 
     @property
     def is_nominal(self) -> bool:
