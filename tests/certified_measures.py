@@ -164,13 +164,13 @@ def _of_fixed_levels(task: Task, rng: np.random.Generator, shape: tuple[int, int
     tries = np.full(rising.shape, float(task.tries))
     hits = rng.binomial(task.tries, guess + (1 - guess - task.lapse) * rising).astype(float)
     found = fit_counts(levels, hits, tries, guess_rate=guess, most_lapse=MOST_LAPSE)
-    yield "threshold of one", _missed(found.threshold, own)[found.is_told]
+    yield "threshold of one", _missed(found.threshold, own)[found.is_determined]
     yield from _of_mean("threshold", rng, _known(found, found.threshold), own, shape, LEAST_DB)
     hits = rng.binomial(task.tries, task.lapse + (1 - 2 * task.lapse) * rising).astype(float)
     found = fit_counts(levels, hits, tries, guess_rate=np.linspace(0, MOST_LAPSE, 3), most_lapse=MOST_LAPSE)
-    yield "PSE of one", _missed(found.threshold, own)[found.is_told]
+    yield "PSE of one", _missed(found.threshold, own)[found.is_determined]
     yield from _of_mean("PSE", rng, _known(found, found.threshold), own, shape, LEAST_DB)
-    yield "JND of one", _missed(found.spread, spread)[found.is_told]
+    yield "JND of one", _missed(found.spread, spread)[found.is_determined]
     just = JND_OF_SPREAD * _known(found, found.spread)
     yield from _of_mean("JND", rng, just, JND_OF_SPREAD * spread, shape, LEAST_DB / 5)
 
@@ -186,7 +186,7 @@ def _of_runs(task: Task, rng: np.random.Generator, shape: tuple[int, int]) -> Er
         hits = np.stack([(success & (place == at)).sum(axis=-1) for at in range(LEVELS_DB.size)], axis=-1).astype(float)
         flat = guess if guess else None
         found = fit_counts(LEVELS_DB, hits, tries, guess_rate=guess, most_lapse=0.06, flat_rate=flat)
-        yield f"run of one, {name}", _missed(found.threshold, own)[found.is_told]
+        yield f"run of one, {name}", _missed(found.threshold, own)[found.is_determined]
         known = _known(found, found.threshold)
         means = [student_interval(row[np.isfinite(row)]) for row in known[rng.integers(shape[0], size=shape)]]
         for kind, truth in ((name, own.mean()), (f"{name}, as estimated", np.nanmean(known))):
@@ -244,7 +244,7 @@ def _people(task: Task, rng: np.random.Generator, n: int) -> tuple[np.ndarray, n
 
 
 def _known(found: Fits, estimate: Interval) -> np.ndarray:
-    return np.where(found.is_told, estimate.estimate, np.nan)
+    return np.where(found.is_determined, estimate.estimate, np.nan)
 
 
 def _of_mean(name: str, rng, known, own, shape, least) -> Errors:

@@ -278,7 +278,7 @@ def sensitivities(responses: Responses, task: TrialTask) -> Iterator[IndividualV
         responses = replace(responses, frame=frame[frame["interval"] > 0])
         task = TrialTask(2, {left.name: 1, right.name: 2})
     scale = scale_of(responses.frame.columns)
-    frame = task.told(responses.frame, scale.column)
+    frame = task.informative(responses.frame, scale.column)
     per_cell = [int(part["n"].sum()) for _, part in cells(frame, scale, by_level=True)]
     by_level = min(per_cell, default=0) >= FEWEST
     if task.different:
@@ -286,7 +286,7 @@ def sensitivities(responses: Responses, task: TrialTask) -> Iterator[IndividualV
     elif task.named:
         for cell, part in cells(frame, scale, by_level=by_level or not task.detects):
             # If the standard is an equally strong stimulus with another field, no answer is correct; use the PSE.
-            is_right = task.detects or task.tells(cell[-1])
+            is_right = task.detects or task.has_correct_answer(cell[-1])
             if is_right and not task.is_same(part, scale.column).all():
                 why = task.no_d_prime_reason
                 yield from (
@@ -311,7 +311,7 @@ def sensitivities(responses: Responses, task: TrialTask) -> Iterator[IndividualV
 def _of_intervals(part: pd.DataFrame, task: TrialTask, level: float) -> SignalDetection:
     """Return the sensitivity in a cell of a forced-choice design."""
     place, named = part["interval"].astype(int), part["response"].map(task.named).astype(int)
-    if task.turns(level):
+    if task.wants_standard(level):
         place = 3 - place
     if task.n_intervals == 3 and not task.asks_stronger and not task.detects:
         return odd_of_three(_share(part, named == place))

@@ -144,7 +144,7 @@ def over_participants(measure: Measure, own: Sequence[IndividualValue]) -> Locat
         test = flip_test(in_place[np.isfinite(in_place)])
         if test.p > ALPHA:  # the interval contains the null value unless rejected
             interval = replace(interval, low=min(interval.low, null), high=max(interval.high, null))
-    return test, as_told(measure, interval)
+    return test, from_linear(measure, interval)
 
 
 def mean_findings(values: Sequence[IndividualValue], scale: LevelScale, groups: Mapping[str, str]) -> Iterator[Finding]:
@@ -213,7 +213,7 @@ def _compared(measure: Measure, name: str, scope: str, numbers: FloatArray) -> F
     ends = measure.is_ranked and 0 in (interval.low, interval.high) and test.p <= ALPHA
     notes = ["the interval ends at 0, which the test rejects: zeros count only in the interval"] if ends else []
     return finding_of(
-        measure.question, name, scope, test, quantity, as_told(measure, interval), numbers.size,
+        measure.question, name, scope, test, quantity, from_linear(measure, interval), numbers.size,
         family=f"{measure.question} compared", notes=notes,
     )  # fmt: skip
 
@@ -255,7 +255,7 @@ def group_findings(
         n_part = sum(n < max(n_values.values()) for n in n_values.values())
         yield finding_of(
             "group", f"{measure.name} between groups, permutation test of participants", scope, test, quantity,
-            as_told(measure, interval), first.size + second.size, family="groups",
+            from_linear(measure, interval), first.size + second.size, family="groups",
             notes=[
                 f"{a}: {first.size}, {b}: {second.size} participants; interval of a shift",
                 "over the cells that both groups met" if shared is not values else "",
@@ -270,8 +270,8 @@ def label_places(frame: pd.DataFrame) -> pd.Series:
     named = [name for name in ("stimulus", "session_kind") if name in frame.columns and frame[name].nunique() > 1]
     for name in named:
         label = label + " " + frame[name].astype(str)
-    is_told = {"focus", "stimulus"} <= set(frame.columns)
-    if is_told and frame.groupby("stimulus", observed=True)["focus"].nunique().max() > 1:
+    has_foci = {"focus", "stimulus"} <= set(frame.columns)
+    if has_foci and frame.groupby("stimulus", observed=True)["focus"].nunique().max() > 1:
         label, named = label + " focus " + frame["focus"], [*named, "focus"]
     order = frame[named].assign(zones=zones, label=label).drop_duplicates("label").sort_values(["zones", *named])
     return label.astype(pd.CategoricalDtype(order["label"]))
@@ -319,7 +319,7 @@ def _known(own: Iterable[IndividualValue]) -> dict[str, float]:
 
 def of_participants(own: Sequence[IndividualValue]) -> list[IndividualValue]:
     """Average the values of a measure within each participant, excluding participants without values."""
-    whole = [(who, as_told(own[0].measure, Interval.point(mean, 1))) for who, mean in _known(own).items()]
+    whole = [(who, from_linear(own[0].measure, Interval.point(mean, 1))) for who, mean in _known(own).items()]
     return [IndividualValue(own[0].measure, who, "", "", math.nan, interval, 1) for who, interval in whole]
 
 
@@ -331,7 +331,7 @@ def linear(own: IndividualValue) -> float:
     return value
 
 
-def as_told(measure: Measure, interval: Interval) -> Interval:
+def from_linear(measure: Measure, interval: Interval) -> Interval:
     """Convert an interval from the scale of comparison back to that of the measure."""
     return interval.changed(np.exp) if measure.is_ratio else interval
 

@@ -61,7 +61,7 @@ def model_table(answers: AnswerCounts, frame: pd.DataFrame, asked: Sequence[Ques
         "level": (rows[scale.column] - middle) / scale.step,
         "response": rows["response"].astype(str),
         "zone": chosen,
-        **{each.column: each.told(rows) for each in asked},
+        **{each.column: each.modelled(rows) for each in asked},
     })  # fmt: skip
     return table.assign(dominant=(table["zone"] == "dominant").astype("Int64").where(table["zone"] != ""))
 
@@ -128,7 +128,7 @@ def tidy_files(responses: Responses) -> dict[str, Any]:
     if "interval" in frame.columns:
         table["interval"] = frame["interval"].astype(int)
     for each in asked:
-        table[each.column] = each.told(frame)
+        table[each.column] = each.modelled(frame)
     names, effect = taken.answers.names, taken.answers.names[0]
     if len(names) > 1:
         table["chosen"] = (table["response"] == effect).astype(int)

@@ -86,8 +86,8 @@ def by_ranks(values: FloatArray) -> Located:
     for rank in range(1, n + 1):
         chances = (np.pad(chances, (0, rank)) + np.pad(chances, (rank, 0))) / 2
     dropped = int(np.searchsorted(np.cumsum(chances), (1 - CONFIDENCE) / 2))
-    is_told = bool(dropped and n)
-    low, high = (averages[..., dropped - 1], averages[..., -dropped]) if is_told else (-math.inf, math.inf)
+    is_bounded = bool(dropped and n)
+    low, high = (averages[..., dropped - 1], averages[..., -dropped]) if is_bounded else (-math.inf, math.inf)
     middle = np.median(averages, axis=-1) if n else math.nan
     return rank_test(values), Interval(middle, low, high, n)
 

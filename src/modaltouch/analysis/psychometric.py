@@ -175,7 +175,7 @@ class Fits:
         Maximum-likelihood estimates [1].
     gain, settled : arrays
         Gain in log likelihood over the best constant probability, and over `flat_rate` (if unknown, the same).
-    is_told, is_step : arrays of bool
+    is_determined, is_step : arrays of bool
         Whether the answers determine a threshold, and whether the steepest function fits equally well.
     """
 
@@ -185,7 +185,7 @@ class Fits:
     lapse_rate: FloatArray
     gain: FloatArray
     settled: FloatArray
-    is_told: NDArray[np.bool_]
+    is_determined: NDArray[np.bool_]
     is_step: NDArray[np.bool_]
 
 
@@ -384,14 +384,14 @@ def fit_cells(responses: Responses, task: TrialTask) -> tuple[FittedCell, ...]:
         Task of the participant.
     """
     scale = scale_of(responses.frame.columns)
-    frame = task.told(responses.frame, scale.column)
+    frame = task.informative(responses.frame, scale.column)
     is_felt = task.n_intervals == 1 and responses.answers.naming() is not None and not responses.answers.compares
     if frame[scale.column].nunique() < FEWEST_LEVELS or not (task.named or is_felt):
         return ()
     if task.no_d_prime_reason:  # the guess rate is unknown, too
         return ()
     is_below = bool(task.named) and bool((frame[scale.column] < task.standard).any())
-    is_choice = is_below and task.turns(-math.inf)
+    is_choice = is_below and task.wants_standard(-math.inf)
     if is_below and not is_choice:
         return ()
     return tuple(
@@ -441,5 +441,5 @@ def measures_of_fits(fits: tuple[FittedCell, ...], task: TrialTask, scale: Level
             )
 
 
-def _interval(estimate: Interval | None, told: Callable[[float], float]) -> Interval:
-    return Interval.point(math.nan, 0) if estimate is None else estimate.changed(told)
+def _interval(estimate: Interval | None, convert: Callable[[float], float]) -> Interval:
+    return Interval.point(math.nan, 0) if estimate is None else estimate.changed(convert)

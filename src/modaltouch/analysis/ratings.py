@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from modaltouch.analysis.columns import LevelScale, scale_of
 from modaltouch.analysis.findings import Finding, finding_of
 from modaltouch.analysis.intervals import Interval, student_quantile
-from modaltouch.analysis.measures import IndividualValue, Measure, as_told, cells, linear
+from modaltouch.analysis.measures import IndividualValue, Measure, cells, from_linear, linear
 from modaltouch.analysis.permutation import by_ranks, friedman
 from modaltouch.analysis.responses import Responses
 from modaltouch.analysis.task import TrialTask
@@ -79,7 +79,7 @@ class Question:
         values = pd.to_numeric(frame[self.column], errors="coerce")
         return values.where(values > 0) if self.is_magnitude else values
 
-    def told(self, frame: pd.DataFrame) -> pd.Series:
+    def modelled(self, frame: pd.DataFrame) -> pd.Series:
         """Return the answers for a table of models: words of the list, or ratings."""
         return frame[self.column].astype(str) if self.answers else self.numbers(frame)
 
@@ -156,10 +156,11 @@ def correct(frame: pd.DataFrame, task: TrialTask, scale: LevelScale) -> pd.Serie
         right = frame["response"].isin(task.different) != task.is_same(frame, scale.column)
     elif task.named:
         right = frame["response"].map(task.named).astype(float) == frame["interval"].astype(float)
-        right = (right != level.map(task.turns)).where(~task.is_same(frame, scale.column) & level.map(task.tells))
+        is_scored = ~task.is_same(frame, scale.column) & level.map(task.has_correct_answer)
+        right = (right != level.map(task.wants_standard)).where(is_scored)
     else:
         return pd.Series(math.nan, frame.index)
-    return right.astype(float).reindex(task.told(frame, scale.column).index).reindex(frame.index)
+    return right.astype(float).reindex(task.informative(frame, scale.column).index).reindex(frame.index)
 
 
 def power_law(levels: ArrayLike, magnitudes: ArrayLike) -> Interval:
@@ -221,7 +222,7 @@ def _over_levels(
         return
     if len(levels) == 2:
         test, interval = by_ranks(rows[:, 1] - rows[:, 0])
-        way, interval = "signed ranks", as_told(measure, interval)
+        way, interval = "signed ranks", from_linear(measure, interval)
         quantity = f"{'ratio' if measure.is_ratio else 'difference'} of {measure.quantity}, higher to lower level"
     else:
         test, concordance = friedman(rows)

@@ -215,8 +215,8 @@ def speed_rows(frame: pd.DataFrame) -> list[dict[str, Any]]:
 
 def delivered_rows(frame: pd.DataFrame) -> list[dict[str, Any]]:
     """Return the peak speeds delivered under the faster finger [mm/s], one row per pair, in trials where known."""
-    is_told = "delivered_mm_s" in frame and frame["delivered_mm_s"].notna().any()
-    return _ranges(frame, ["delivered_mm_s"]) if is_told else []
+    is_known = "delivered_mm_s" in frame and frame["delivered_mm_s"].notna().any()
+    return _ranges(frame, ["delivered_mm_s"]) if is_known else []
 
 
 def _ranges(frame: pd.DataFrame, columns: list[str]) -> list[dict[str, Any]]:

@@ -97,7 +97,7 @@ class Run:
         """Return the run as plain values; undetermined values are null."""
         fitted = self.fitted
         threshold, spread = (each or Interval.point(math.nan, 0) for each in (fitted.threshold, fitted.spread))
-        is_told = fitted.threshold is not None
+        is_determined = fitted.threshold is not None
         return {
             "participant": self.participant,
             "session": self.session,
@@ -115,8 +115,8 @@ class Run:
             "spread_low_dB": _known(spread.low),
             "spread_high_dB": _known(spread.high),
             "slope_per_dB": fitted.slope,
-            "guess_rate": fitted.guess_rate if is_told else None,
-            "lapse_rate": fitted.lapse_rate if is_told else None,
+            "guess_rate": fitted.guess_rate if is_determined else None,
+            "lapse_rate": fitted.lapse_rate if is_determined else None,
             "is_uncertain": fitted.is_uncertain,
             "why_not": fitted.why_not or None,
         }

@@ -70,15 +70,15 @@ class TrialTask:
             tuple(section.get("comparison_in") or ()),
         )
 
-    def turns(self, level: float) -> bool:
+    def wants_standard(self, level: float) -> bool:
         """Return whether the correct answer at a level is the interval of the standard, not of the comparison."""
         return self.asks_stronger and self.n_intervals == 2 and level < self.standard
 
-    def tells(self, level: float) -> bool:
+    def has_correct_answer(self, level: float) -> bool:
         """Return whether answers at a level are correct or incorrect; neither if two intervals have equal levels."""
-        return not self.asks_stronger or level > self.standard or self.turns(level)
+        return not self.asks_stronger or level > self.standard or self.wants_standard(level)
 
-    def told(self, frame: pd.DataFrame, level: str) -> pd.DataFrame:
+    def informative(self, frame: pd.DataFrame, level: str) -> pd.DataFrame:
         """Return the informative answers about intervals; all answers if none names an interval.
 
         If the strongest of three intervals is asked for, trials with a comparison below the standard are excluded.
