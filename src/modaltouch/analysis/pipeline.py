@@ -19,10 +19,11 @@ if TYPE_CHECKING:
 
     from modaltouch.analysis.crossed import Analysis
     from modaltouch.analysis.parts import PartsAnalysis
+    from modaltouch.analysis.preregistration import RegisteredAnalysis
     from modaltouch.analysis.responses import Responses, TableFormat
     from modaltouch.analysis.runs import ThresholdAnalysis
 
-Held = TypeVar("Held", "Analysis", "ThresholdAnalysis", "PartsAnalysis")
+Held = TypeVar("Held", bound="RegisteredAnalysis")
 
 
 def analyse(
@@ -94,42 +95,41 @@ def _results(
     """Analyse the answers and render the files; refuse options that do not apply to the design."""
     prereg = asked.pop("--prereg")
     options = [option for option, value in asked.items() if value]
+    if options and responses.is_adaptive:
+        raise InputError.of(options[0], "adaptive sessions", "sessions at fixed levels", f"leave {options[0]} out")
+    if options and responses.scheduled is not None:
+        what = " and ".join(
+            name for name, several in (("stimuli", responses.stimuli), ("groups", responses.groups),
+                                       ("kinds of session", responses.kinds)) if several
+        )  # fmt: skip
+        given = f"{' and '.join(options)} with {f'several {what}' if what else 'a design that is not crossed'}"
+        remedy = "leave these options out" + ", or take one stimulus with --stimulus" * bool(responses.stimuli)
+        raise InputError.of(path, given, "tables, tests of each crossed part, models.R", remedy)
+    found: Any = _hold_against(prereg, analyse_responses(responses, model=asked["--model"]))
     if responses.is_adaptive:
         from modaltouch.analysis.run_report import render_runs
+
+        return found, render_runs(found)
+    if responses.scheduled is not None:
+        from modaltouch.analysis.parts import render_parts
+
+        return found, render_parts(found)
+    return found, render_files(found, asked["--figures"])
+
+
+def analyse_responses(responses: Responses, *, model: bool = False) -> Analysis | ThresholdAnalysis | PartsAnalysis:
+    """Analyse answers like `analyse`, but without writing files."""
+    if responses.is_adaptive:
         from modaltouch.analysis.runs import analyse_runs
 
-        for option in options:
-            raise InputError.of(option, "adaptive sessions", "sessions at fixed levels", f"leave {option} out")
-        runs = _hold_against(prereg, analyse_runs(responses))
-        return runs, render_runs(runs)
-    if responses.scheduled is not None:
-        from modaltouch.analysis.parts import analyse_parts, render_parts
-
-        if options:
-            what = " and ".join(
-                name for name, several in (("stimuli", responses.stimuli), ("groups", responses.groups),
-                                           ("kinds of session", responses.kinds)) if several
-            )  # fmt: skip
-            given = f"{' and '.join(options)} with {f'several {what}' if what else 'a design that is not crossed'}"
-            remedy = "leave these options out" + ", or take one stimulus with --stimulus" * bool(responses.stimuli)
-            raise InputError.of(path, given, "tables, tests of each crossed part, models.R", remedy)
-        parts = _hold_against(prereg, analyse_parts(responses))
-        return parts, render_parts(parts)
-    from modaltouch.analysis.crossed import Analysis
-
-    analysis = _hold_against(prereg, Analysis.of(responses, model=asked["--model"]))
-    return analysis, render_files(analysis, asked["--figures"])
-
-
-def analyse_responses(responses: Responses) -> Analysis | ThresholdAnalysis | PartsAnalysis:
-    """Analyse answers like `analyse`, but without writing files."""
-    from modaltouch.analysis.crossed import Analysis
-    from modaltouch.analysis.parts import analyse_parts
-    from modaltouch.analysis.runs import analyse_runs
-
-    if responses.is_adaptive:
         return analyse_runs(responses)
-    return Analysis.of(responses) if responses.scheduled is None else analyse_parts(responses)
+    if responses.scheduled is not None:
+        from modaltouch.analysis.parts import analyse_parts
+
+        return analyse_parts(responses)
+    from modaltouch.analysis.crossed import Analysis
+
+    return Analysis.of(responses, model=model)
 
 
 def _hold_against(prereg: Path | str | None, analysis: Held) -> Held:
