@@ -298,7 +298,7 @@ def _everywhere(parts: Sequence[CrossedPart]) -> AnswerCounts:
 def _models(analysis: PartsAnalysis) -> dict[str, Any]:
     """Return the table and the R script of mixed models, for zones over all parts if answers name each finger alone."""
     first = analysis.parts[0].counts
-    if not first.compares:
+    if not all(part.counts.compares for part in analysis.parts):
         return tidy_files(analysis.responses)
     asked = questions_of(analysis.responses.design, analysis.responses.frame)
     tables = [model_table(part.counts, part.frame, asked).assign(**part.factors) for part in analysis.parts]
