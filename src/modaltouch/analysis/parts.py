@@ -14,6 +14,7 @@ from modaltouch.analysis.crossed import tabulate, zone_table
 from modaltouch.analysis.findings import ALPHA, Finding, correct, grouped, plain_row, to_frame
 from modaltouch.analysis.models import model_table, tidy_files, zone_files
 from modaltouch.analysis.preregistration import ALL_PARTS, RegisteredAnalysis, terms_of_tests
+from modaltouch.analysis.provenance import describe_record
 from modaltouch.analysis.ratings import questions_of
 from modaltouch.analysis.responses import Responses, cell_of
 from modaltouch.analysis.statistics import uncorrected
@@ -228,7 +229,6 @@ def _part(
 def render_parts(analysis: PartsAnalysis) -> dict[str, Any]:
     """Render all files of the analysis, by name, for `write_files`."""
     from modaltouch.analysis.figures import draw_counts
-    from modaltouch.analysis.provenance import describe_record
     from modaltouch.analysis.report import list_questions
 
     pictures = [
@@ -276,7 +276,6 @@ def render_parts(analysis: PartsAnalysis) -> dict[str, Any]:
         alpha=ALPHA,
         record=describe_record(responses.sessions),
     )
-    page["report.html"] = page.pop("parts.html")
     tests = [{str(key): value for key, value in row.items()} for row in analysis.tests.to_dict("records")]
     return {
         "counts.csv": analysis.counts.to_dict("records"),
@@ -284,6 +283,7 @@ def render_parts(analysis: PartsAnalysis) -> dict[str, Any]:
         "tests.json": [plain_row(row) for row in tests],
         **({"measures.csv": values} if values else {}),
         **_models(analysis),
+        "report.html": page.pop("parts.html"),
         **page,
     }
 

@@ -83,8 +83,7 @@ def analyse(
     responses = responses if speed == "nominal" else responses.by_speed(speed)
     folder = Path(out) if out is not None else default_folder(Path(path), responses.stimulus)
     asked |= {"--speed": speed != "nominal"} if responses.scheduled is not None else {}
-    found, files = _results(responses, path, asked)
-    source = responses.source
+    (found, files), source = _results(responses, path, asked), responses.source
     about = {"version": version(), "source": source.path, "sha256": source.sha256, "mode": source.mode}
     return replace(found, files=write_files(folder, files | form_files(responses.sessions), about))
 

@@ -120,14 +120,12 @@ def fit_psychometric(
     ----------
     levels : sequence of float
         Level of each trial with a stimulus [dB re 1 mm/s, or another unit].
-    successes : sequence of bool
-        Whether each of these trials was a success.
+    successes, catches : sequence of bool
+        Whether each of these trials, and each catch trial, was a success.
     guess_rate : float or array
         Guess rate, or a grid of guess rates [1]; with catch trials, it is fitted instead.
     most_lapse : float
         Maximum lapse rate [1].
-    catches : sequence of bool
-        Whether each catch trial was a success.
     unit : str
         Unit of the levels, in words.
     flat_rate : float, optional
