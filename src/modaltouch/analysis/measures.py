@@ -18,7 +18,15 @@ import pandas as pd
 from modaltouch.analysis.columns import LevelScale, label_zones
 from modaltouch.analysis.findings import ALPHA, Finding, finding_of, grouped
 from modaltouch.analysis.intervals import BoundedMean, Interval
-from modaltouch.analysis.permutation import Located, by_flips, by_ranks, flip_test, group_test
+from modaltouch.analysis.permutation import (
+    Located,
+    by_flips,
+    by_ranks,
+    flip_test,
+    group_test,
+    shuffle_conditions,
+    shuffle_together,
+)
 from modaltouch.analysis.sums import FloatArray
 from modaltouch.analysis.words import certificates
 
@@ -46,6 +54,8 @@ class Measure:
         Whether values are compared by rank, as for ratings.
     ends : (float, float) or None
         Lowest and highest possible value, for the interval of a `BoundedMean`; None if unbounded.
+    share_of : str
+        Name of the list of three or more unordered answers of which this is the share of one; empty for other measures.
     """
 
     name: str
@@ -55,6 +65,7 @@ class Measure:
     is_ratio: bool = False
     is_ranked: bool = False
     ends: tuple[float, float] | None = None
+    share_of: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,6 +197,7 @@ def contrast_findings(values: Sequence[IndividualValue]) -> Iterator[Finding]:
 
     A participant's difference is the mean over the levels with values in both.
     """
+    lists: dict[tuple[str, str, str], list[FloatArray]] = {}
     for measure, own in by_measure(values).items():
         tables: dict[tuple[str, str], dict[tuple[str, str], float]] = {}
         for each in own:
@@ -197,10 +209,40 @@ def contrast_findings(values: Sequence[IndividualValue]) -> Iterator[Finding]:
             if first.keys().isdisjoint(second):
                 continue  # different participants, e.g. in groups
             both = sorted(first.keys() & second.keys())  # fixed order, for reproducible sums
-            gaps = grouped((key[0], gap) for key in both if math.isfinite(gap := first[key] - second[key]))
+            paired = grouped(
+                (key[0], (first[key], second[key])) for key in both if math.isfinite(first[key] - second[key])
+            )
             scope = f"{a[0]} - {b[0]} {a[1]}".strip() if a[1] == b[1] else f"{a[0]} {a[1]} - {b[1]}"
             name = f"{measure.name} compared, {_RANKS if measure.is_ranked else _FLIPS}"
-            yield _compared(measure, name, scope, np.array([np.mean(own) for own in gaps.values()]))
+            gaps = np.array([np.mean([x - y for x, y in each]) for each in paired.values()])
+            yield _compared(measure, name, scope, gaps)
+            if measure.share_of and paired:
+                shares = np.array([np.mean(each, axis=0) for each in paired.values()])
+                lists.setdefault((measure.question, measure.share_of, scope), []).append(shares)
+    for (question, share_of, scope), parts in lists.items():
+        yield together(question, share_of, scope, np.stack(parts, axis=-1))
+
+
+def together(question: str, share_of: str, scope: str, shares: FloatArray, where: str = "") -> Finding:
+    """Test all answers of a list together, by shuffling conditions within participants, as in `association_test`.
+
+    Parameters
+    ----------
+    question, share_of : str
+        Question of the report, and name of the list of answers.
+    scope, where : str
+        Scope of the test, and the conditions if the scope does not name them.
+    shares : (n_participants, n_conditions, n_answers) array
+        Mean shares.
+    """
+    deviations = shares - shares.mean(axis=1, keepdims=True)
+    weights = np.sqrt(shares.mean(axis=(0, 1)))
+    test = shuffle_conditions((deviations / np.where(weights > 0, weights, 1)).round(9))
+    name, n = f"{share_of} together{where}, shuffles within participants", len(shares)
+    return finding_of(
+        question, name, scope, test, f"shares of {share_of}", Interval.point(math.nan, n), n,
+        family=f"{question} together",
+    )  # fmt: skip
 
 
 def _compared(measure: Measure, name: str, scope: str, numbers: FloatArray) -> Finding:
@@ -240,7 +282,7 @@ def group_findings(
     names : (str, str)
         The two groups.
     """
-    compared, (a, b) = by_measure(shared), names
+    compared, (a, b), lists = by_measure(shared), names, dict[str, list[tuple[FloatArray, FloatArray]]]()
     for measure in by_measure(each for each in values if groups.get(each.participant) in names):
         numbers = _known(compared.get(measure, ()))
         first, second = (np.array([n for who, n in numbers.items() if groups.get(who) == name]) for name in names)
@@ -261,6 +303,15 @@ def group_findings(
                 "over the cells that both groups met" if shared is not values else "",
                 f"participants without a value in some cell, averaged over the others: {n_part}" if n_part else "",
             ],
+        )  # fmt: skip
+        if measure.share_of:
+            lists.setdefault(measure.share_of, []).append((first, second))
+    for share_of, parts in lists.items():
+        shares = [np.stack(own, axis=-1) for own in zip(*parts, strict=True)]
+        n = sum(map(len, shares))
+        yield finding_of(
+            "group", f"{share_of} together between groups, permutation test of participants", f"{a} - {b}",
+            shuffle_together(*shares), f"shares of {share_of}", Interval.point(math.nan, n), n, family="groups",
         )  # fmt: skip
 
 

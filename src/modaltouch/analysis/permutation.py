@@ -141,6 +141,26 @@ def shuffle_test(first: FloatArray, second: FloatArray) -> ExactTest:
     return ExactTest(observed, p.reshape(observed.shape)[()], p_min, size)
 
 
+def shuffle_together(first: FloatArray, second: FloatArray) -> ExactTest:
+    """Permutation test of equal distributions of several shares at once in two groups.
+
+    As in Pearson's statistic, the squared difference of the means of each share is divided by its overall mean.
+
+    Parameters
+    ----------
+    first, second : (n, n_shares) arrays
+        Shares of each participant.
+    """
+    values, n = np.concatenate([first, second]), len(first)
+    values = values[:, values.any(axis=0)]
+    # The order within a group makes the sample independent of that of the participants.
+    values[:n], values[n:] = (own[np.lexsort(own.T)] if own.size else own for own in (values[:n], values[n:]))
+    weights, is_exact = _weights(n, len(values))
+    statistic = ((weights @ values) ** 2 / values.mean(axis=0)).sum(axis=-1)
+    p_min = (2 if is_exact and 2 * n == len(values) else 1) / len(weights)
+    return ExactTest(statistic[0], (statistic >= statistic[0] - 1e-9).mean(), p_min, len(values))
+
+
 @lru_cache(maxsize=4)
 def _weights(n: int, size: int) -> tuple[FloatArray, bool]:
     """Return the weights of the difference of means by permutation, identity first, and whether all are enumerated."""

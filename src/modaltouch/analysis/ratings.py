@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from modaltouch.analysis.columns import LevelScale, scale_of
 from modaltouch.analysis.findings import Finding, finding_of
 from modaltouch.analysis.intervals import Interval, student_quantile
-from modaltouch.analysis.measures import IndividualValue, Measure, cells, from_linear, linear
+from modaltouch.analysis.measures import IndividualValue, Measure, cells, from_linear, linear, together
 from modaltouch.analysis.permutation import by_ranks, friedman
 from modaltouch.analysis.responses import Responses
 from modaltouch.analysis.task import TrialTask
@@ -66,7 +66,8 @@ class Question:
         """Measure of a participant's mean rating or share."""
         way = " (geometric mean)" if self.is_magnitude else ""
         ends = None if self.is_magnitude else self.ends
-        return Measure(self.name, f"{self.name}{way}", "rating", None, self.is_magnitude, is_ranked=True, ends=ends)
+        share_of = f"all answers to {self.column}" if len(self.answers) > 2 else ""
+        return Measure(self.name, f"{self.name}{way}", "rating", None, self.is_magnitude, True, ends, share_of)
 
     def numbers(self, frame: pd.DataFrame) -> pd.Series:
         """Return the ratings, or 1 for the counted answer and 0 for others; NaN if missing.
@@ -188,7 +189,7 @@ def power_law(levels: ArrayLike, magnitudes: ArrayLike) -> Interval:
 def level_findings(values: Sequence[IndividualValue], groups: Mapping[str, str]) -> Iterator[Finding]:
     """Yield Friedman's test of each rating over levels, with Kendall's W; for two levels, the signed-rank test.
 
-    Groups with different levels are tested separately.
+    The answers of a list of three or more are also tested together. Groups with different levels are tested separately.
 
     Parameters
     ----------
@@ -198,6 +199,7 @@ def level_findings(values: Sequence[IndividualValue], groups: Mapping[str, str])
         Group of each participant; empty if there is only one.
     """
     tables: dict[tuple[Measure, str], dict[str, dict[float, float]]] = {}
+    lists: dict[tuple[str, str], list[np.ndarray]] = {}
     for each in values:
         if each.measure.is_ranked:
             own = tables.setdefault((each.measure, f"{each.finger_condition} {each.pair}"), {})
@@ -210,17 +212,19 @@ def level_findings(values: Sequence[IndividualValue], groups: Mapping[str, str])
             alike = [name for name in met if met[name] == {*levels}]
             people = [rated for who, rated in everybody.items() if groups.get(who, "") in alike]
             where = f"{scope} {', '.join(alike)}" if len(alike) < len(met) else scope
-            yield from _over_levels(measure, where, levels, people)
+            rows = np.array([[own[level] for level in levels] for own in people if len(own) == len(levels)])
+            if len(levels) < 2 or len(rows) < 2:
+                continue
+            yield _over_levels(measure, where, len(people) - len(rows), rows)
+            if measure.share_of:
+                lists.setdefault((measure.share_of, where), []).append(rows)
+    for (share_of, where), parts in lists.items():
+        yield together("rating", share_of, where, np.stack(parts, axis=-1), " over levels")
 
 
-def _over_levels(
-    measure: Measure, scope: str, levels: Sequence[float], people: Sequence[Mapping[float, float]]
-) -> Iterator[Finding]:
-    """Yield the test of a rating over levels, given the participants' ratings by level; none for a single level."""
-    rows = np.array([[own[level] for level in levels] for own in people if len(own) == len(levels)])
-    if len(levels) < 2 or len(rows) < 2:
-        return
-    if len(levels) == 2:
+def _over_levels(measure: Measure, scope: str, left_out: int, rows: np.ndarray) -> Finding:
+    """Return the test of a rating over levels, given the (n_participants, n_levels) ratings."""
+    if rows.shape[1] == 2:
         test, interval = by_ranks(rows[:, 1] - rows[:, 0])
         way, interval = "signed ranks", from_linear(measure, interval)
         quantity = f"{'ratio' if measure.is_ratio else 'difference'} of {measure.quantity}, higher to lower level"
@@ -228,8 +232,7 @@ def _over_levels(
         test, concordance = friedman(rows)
         way, interval = "Friedman's test by shuffles within participants", Interval.point(concordance, len(rows))
         quantity = "Kendall's W"
-    left_out = len(people) - len(rows)
-    yield finding_of(
+    return finding_of(
         "rating", f"{measure.name} over levels, {way}", scope, test, quantity, interval, len(rows),
         family="rating over levels",
         notes=[f"{left_out} participants without a rating at every level left out" if left_out else ""],

@@ -226,11 +226,12 @@ def state_families(findings: Sequence[Finding]) -> str:
 #
 # Empty for findings without simulated error rates, such as sign flips of criteria or ratings.
 _OF_NAMES = {
-    " between groups": ("group",), " compared, sign flips": (), "signed ranks": ("rank", "rank interval"),
+    " together between": (), " between groups": ("group",), " compared, sign flips": (),
+    "signed ranks": ("rank", "rank interval"),
     "Friedman": ("friedman",), "leaning": ("leaning", "leaning share"), "agreement between": ("agreement",),
     "prevalence of": ("prevalence",), "share of answers": ("share",), "paired difference": ("paired difference",),
     "odds ratio": ("odds ratio",), "reaction times": ("time",), "false alarms,": ("share",), "misses,": ("share",),
-    "together over levels": ("b together",), "answers together": ("c together",),
+    "together over levels": ("b together",), " together, shuffles": ("c together",),
     "share in a cell": ("a1 share",), "bounded mean": ("c mean",),
     "differencing criterion": (), "criterion over": ("mean criterion, as estimated", "mean criterion"),
     "d' over": ("d'", "mean d', as estimated", "mean d'"), "detection threshold": (),
