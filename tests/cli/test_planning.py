@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner, Result
 
+from modaltouch.cli import planning
 from modaltouch.cli.commands import app
 from modaltouch.planning import power as planning_power
 from modaltouch.planning.experiments import Job, Study, run_job
@@ -172,6 +173,14 @@ def test_a_pilot_is_fitted_and_planned_with(tmp_path: Path) -> None:
     assert "not overwritten" in again.stderr
     planned = run("power", DEMO, "--observer", tmp_path / "fitted.yaml", "-n", 8, "--experiments", 5, "--json")
     assert json.loads(planned.stdout)["observer"]["name"] == "fitted"
+
+
+def test_sessions_that_are_not_kept_are_simulated_in_memory_if_there_is_room(tmp_path: Path, monkeypatch) -> None:
+    """Flushing each answer to a disk takes most of the time of a preregistration; 1e9 sessions have no room."""
+    monkeypatch.setattr(planning, "_IN_MEMORY", tmp_path)
+    assert planning._scratch(1) == tmp_path and planning._scratch(10**9) is None
+    monkeypatch.setattr(planning, "_IN_MEMORY", tmp_path / "none")
+    assert planning._scratch(1) is None
 
 
 def test_an_interrupted_preregistration_offers_no_session_to_resume(

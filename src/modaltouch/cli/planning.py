@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from itertools import groupby
@@ -18,6 +19,9 @@ from modaltouch.cli.output import INTERRUPTED, print_json, print_table, progress
 
 _FAMILIES_PER_TABLE = 4
 """Maximum number of test families per table, so that it fits 80 columns."""
+
+_IN_MEMORY, _SESSION_MB = Path("/dev/shm"), 4
+"""File system in memory, on Linux, and more than the size of a session's record [MB]."""
 
 _MOST_PARTICIPANTS, _MOST_ANSWERS = 1000, 10_000
 
@@ -242,6 +246,14 @@ def _cell(row: dict[str, Any]) -> str:
     return share if row["reachable"] else "never"
 
 
+def _scratch(n_sessions: int) -> Path | None:
+    """Return where to simulate sessions: in memory if there is room, since each answer is flushed to the disk."""
+    try:
+        return _IN_MEMORY if shutil.disk_usage(_IN_MEMORY).free > n_sessions * _SESSION_MB * 1e6 else None
+    except OSError:
+        return None
+
+
 def _simulate_study(
     checked: preflight.Preflight,
     population: planning.Observer,
@@ -252,7 +264,7 @@ def _simulate_study(
     """Simulate the sessions of a whole experiment and return the answers; the records are not kept."""
     schedule = checked.experiment.protocol.schedule
     due = [(who, nth) for who in range(1, n_participants + 1) for nth in range(1, schedule.n_sessions + 1)]
-    with TemporaryDirectory() as folder:
+    with TemporaryDirectory(dir=_scratch(len(due))) as folder:
         try:
             for who, nth in due:
                 session.simulate_session(
