@@ -139,11 +139,11 @@ def test_stimuli_are_compared_by_all_answers_together(rng) -> None:
     counts = rng.multinomial(4, [0.5, 0.3, 0.2], size=(7, 2))
     values = values_of(SHARES, counts[:, :, np.newaxis] / 4, ("A-C fast", "A-C slow"))
     *each, both = contrast_findings(values)
-    assert [row.family for row in each] == ["shares compared"] * 3
+    assert [row.family for row in each] == ["shares compared", "shares compared on average"] * 3
     assert (both.family, both.scope, both.n) == ("shares together", "one_hand A-C fast - A-C slow", 7)
     assert both.p == association_test(counts).p == pytest.approx(every_arrangement(counts), abs=0.03)
     two = [replace(measure, share_of="") for measure in SHARES[:1]]
-    assert len(list(contrast_findings(values_of(two, counts[:, :, np.newaxis] / 4, ("A-C fast", "A-C slow"))))) == 1
+    assert len(list(contrast_findings(values_of(two, counts[:, :, np.newaxis] / 4, ("A-C fast", "A-C slow"))))) == 2
 
 
 def test_groups_are_compared_by_all_answers_together() -> None:

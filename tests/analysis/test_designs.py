@@ -20,7 +20,7 @@ from modaltouch.analysis.designs import analyse_design
 from modaltouch.analysis.detection import CRITERION, D_PRIME, same_different
 from modaltouch.analysis.findings import Finding, correct
 from modaltouch.analysis.intervals import BoundedMean, Interval
-from modaltouch.analysis.measures import IndividualValue, Measure, contrast_findings, over_participants
+from modaltouch.analysis.measures import IndividualValue, Measure, contrast_findings, group_findings, over_participants
 from modaltouch.analysis.permutation import by_flips, by_ranks, friedman, group_test
 from modaltouch.analysis.pipeline import analyse
 from modaltouch.analysis.ratings import level_findings, power_law
@@ -495,6 +495,38 @@ def test_an_interval_that_ends_at_zero_beside_a_rejection_says_why() -> None:
     (found,) = contrast_findings(values)
     assert (found.p, found.low, found.high) == (2 / 2**6, 0, 1)
     assert "the interval ends at 0, which the test rejects" in found.note
+
+
+def test_a_sample_in_which_nobody_differs_does_not_show_that_nobody_does() -> None:
+    """Ten alike: the mean difference may be 1 - 0.025^(1/10), as for any score (`BoundedMean`); of d', anything."""
+
+    def compared(measure: Measure) -> list[Finding]:
+        both = product(range(10), ("A-C fast", "A-C slow"))
+        return [*contrast_findings(
+            IndividualValue(measure, f"p{who}", "one_hand", place, 80.0, Interval.point(1.0, 4), 4)
+            for who, place in both
+        )]  # fmt: skip
+
+    flips, mean = compared(Measure("P(C)", "P(C)", "shares"))
+    assert (flips.p, flips.low, flips.high) == (
+        1,
+        pytest.approx(math.nan, nan_ok=True),
+        pytest.approx(math.nan, nan_ok=True),
+    )
+    assert (mean.low, mean.high) == pytest.approx((-(1 - 0.025**0.1), 1 - 0.025**0.1))
+    assert (mean.p, mean.family) == (1, "shares compared on average")
+    (found,) = compared(Measure("d'", "sensitivity d'", "sensitivity", null=0.0))
+    assert (found.p, found.low, found.high) == (1, -math.inf, math.inf)
+    assert "without a difference, there is no interval" in found.note
+
+
+def test_groups_without_any_difference_have_no_interval() -> None:
+    """Two groups of five at the ceiling: nothing is known of a shift."""
+    values = [
+        IndividualValue(D_PRIME, f"p{who}", "one_hand", "A-C", 80.0, Interval.point(2.0, 9), 9) for who in range(10)
+    ]
+    (row,) = group_findings(values, values, {f"p{who}": "ab"[who > 4] for who in range(10)}, ("a", "b"))
+    assert (row.p, row.estimate, row.low, row.high) == (1, 0, -math.inf, math.inf)
 
 
 def test_equal_means_share_their_rank() -> None:

@@ -211,11 +211,15 @@ def test_stimuli_are_parts_and_compared_within_participants() -> None:
     found = analyse_parts(responses(both))
     assert [part.name for part in found.parts] == [f"{name} one_hand A-C at 80, 150 mm/s" for name in ("slow", "usual")]
     dominant = found.tests[found.tests["quantity"] == "difference of P(C)"].set_index("scope")
-    (row,) = dominant.loc[dominant["part"] == "all"].to_dict("records")
-    assert list(dominant.index[dominant["part"] == "all"]) == ["one_hand A-C slow - A-C usual"]
+    row, mean = dominant.loc[dominant["part"] == "all"].to_dict("records")
+    assert list(dominant.index[dominant["part"] == "all"]) == ["one_hand A-C slow - A-C usual"] * 2
     assert (row["estimate"], row["p"], row["family"], row["n"]) == (-1.0, 2 / 2**10, "shares compared", 10)
+    assert (mean["p"], mean["low"], mean["family"]) == (pytest.approx(2 / 2**10), -1, "shares compared on average")
     files = render_parts(replace(found, responses=replace(found.responses, notes=("Two sessions each",))))
     assert "<p>Two sessions each.</p>" in files["report.html"]
+    said = "the share of an answer differs between conditions"
+    assert f"{said} for at least one participant. " in files["report.html"]
+    assert f"{said} on average. " in files["report.html"]
     answers = pd.read_csv(StringIO(files["answers.csv"]))
     assert answers["stimulus"].value_counts().to_dict() == {"slow": 20, "usual": 20}
     assert "stimulus" in files["models.R"] and "The answers are to the stimuli slow, usual." in files["report.html"]
@@ -230,7 +234,7 @@ def test_kinds_of_session_are_compared_within_participants() -> None:
         if row["zone_left"] == "A"
     ]
     found = analyse_parts(responses(before_after))
-    (row,) = found.tests.query("part == 'all' and quantity == 'difference of P(C)'").to_dict("records")
+    row, _ = found.tests.query("part == 'all' and quantity == 'difference of P(C)'").to_dict("records")
     assert (row["scope"], row["family"]) == ("one_hand A-C post - A-C pre", "shares compared")
     assert (row["estimate"], row["p"], row["n"]) == (1.0, 2 / 2**10, 10)
     assert "; kinds of session are compared by each participant" in render_parts(found)["report.html"]

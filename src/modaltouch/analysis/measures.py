@@ -215,7 +215,7 @@ def contrast_findings(values: Sequence[IndividualValue]) -> Iterator[Finding]:
             scope = f"{a[0]} - {b[0]} {a[1]}".strip() if a[1] == b[1] else f"{a[0]} {a[1]} - {b[1]}"
             name = f"{measure.name} compared, {_RANKS if measure.is_ranked else _FLIPS}"
             gaps = np.array([np.mean([x - y for x, y in each]) for each in paired.values()])
-            yield _compared(measure, name, scope, gaps)
+            yield from _compared(measure, name, scope, gaps)
             if measure.share_of and paired:
                 shares = np.array([np.mean(each, axis=0) for each in paired.values()])
                 lists.setdefault((measure.question, measure.share_of, scope), []).append(shares)
@@ -245,19 +245,36 @@ def together(question: str, share_of: str, scope: str, shares: FloatArray, where
     )  # fmt: skip
 
 
-def _compared(measure: Measure, name: str, scope: str, numbers: FloatArray) -> Finding:
-    """Test the participants' differences between two conditions; without any difference, there is no test."""
-    quantity = f"{_difference(measure)} of {measure.quantity}"
+def _compared(measure: Measure, name: str, scope: str, numbers: FloatArray) -> Iterator[Finding]:
+    """Test the participants' differences between two conditions; without any difference, there is no test.
+
+    The mean difference of shares has a test of its own, since it may lie far from that of a sample in which hardly
+    anybody differs, which the interval of sign flips ignores.
+    """
+    quantity, family = f"{_difference(measure)} of {measure.quantity}", f"{measure.question} compared"
     if not numbers.size:
         notes = ["described, not tested: no participant has a value in both"]
-        return finding_of(measure.question, name, scope, None, quantity, Interval.point(math.nan, 0), 0, notes=notes)
+        yield finding_of(measure.question, name, scope, None, quantity, Interval.point(math.nan, 0), 0, notes=notes)
+        return
     test, interval = (by_ranks if measure.is_ranked else by_flips)(numbers)
     ends = measure.is_ranked and 0 in (interval.low, interval.high) and test.p <= ALPHA
     notes = ["the interval ends at 0, which the test rejects: zeros count only in the interval"] if ends else []
-    return finding_of(
-        measure.question, name, scope, test, quantity, from_linear(measure, interval), numbers.size,
-        family=f"{measure.question} compared", notes=notes,
+    if is_share := measure.question == "shares":
+        mean = BoundedMean(numbers)
+        interval = Interval.point(mean.estimate, numbers.size)
+    elif not numbers.any():
+        interval = replace(interval, low=-math.inf, high=math.inf)
+        notes = ["without a difference, there is no interval"]
+    yield finding_of(
+        measure.question, name, scope, test, quantity, from_linear(measure, interval), numbers.size, family=family,
+        notes=notes,
     )  # fmt: skip
+    if is_share:
+        name = f"{measure.name} compared, mean over participants, test and interval of a bounded mean"
+        yield finding_of(
+            measure.question, name, scope, mean.test(), quantity, mean.interval(), numbers.size,
+            family=f"{family} on average",
+        )  # fmt: skip
 
 
 def _factors(finger_condition: str, place: str) -> tuple[str, ...]:
@@ -293,6 +310,8 @@ def group_findings(
             yield finding_of("group", name, scope, None, quantity, Interval.point(math.nan, 0), 0, notes=[why])
             continue
         test, interval = group_test(first, second)
+        if not np.ptp([*first, *second]):
+            interval = replace(interval, low=-math.inf, high=math.inf)
         n_values = Counter(each.participant for each in compared[measure] if math.isfinite(linear(each)))
         n_part = sum(n < max(n_values.values()) for n in n_values.values())
         yield finding_of(

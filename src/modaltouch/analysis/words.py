@@ -126,6 +126,8 @@ def answer_question(own: Sequence[Finding], claim: str, answers: AnswerCounts) -
 
 # Claims of the families of tests of measures, by suffix of the family's name.
 _CLAIMS = {
+    " on average": "{claim} between conditions on average",
+    "shares compared": "{claim} between conditions for at least one participant",
     " compared": "{claim} between conditions",
     " together": "{claim} for at least one participant, in any of the answers",
     " over levels": "ratings or further answers change with the level",
