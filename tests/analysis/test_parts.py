@@ -225,6 +225,16 @@ def test_stimuli_are_parts_and_compared_within_participants() -> None:
     assert "stimulus" in files["models.R"] and "The answers are to the stimuli slow, usual." in files["report.html"]
 
 
+def test_who_missed_a_session_is_named() -> None:
+    """p10 was not there after training; a kind that the other group never has is no one's loss."""
+    both = [*rows(session_kind="pre"), *rows(PEOPLE[:-1], session_kind="post")]
+    found = analyse_parts(responses(both))
+    said = f"without trials of the kind of session post, and left out of its results: {PEOPLE[-1]}"
+    assert found.responses.notes == (said,) and found.as_dict()["notes"][0] == said
+    others = [{**row, "group": "b", "participant": f"q{row['participant']}"} for row in rows(session_kind="pre")]
+    assert analyse_parts(responses([{**row, "group": "a"} for row in both] + others)).responses.notes == (said,)
+
+
 def test_kinds_of_session_are_compared_within_participants() -> None:
     """By hand, as for stimuli: all answer left before and right after, so that of 2^10 sign flips two are as far."""
     before_after = [

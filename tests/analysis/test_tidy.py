@@ -7,6 +7,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from modaltouch.analysis.counts import count_answers
+from modaltouch.analysis.designs import analyse_design
 from modaltouch.analysis.parts import analyse_parts
 from modaltouch.analysis.reading import read_responses
 from modaltouch.analysis.responses import TableFormat
@@ -552,6 +553,22 @@ def test_a_time_out_is_no_rating(write_csv, paper_rows) -> None:
         paper_rows, ["time_out", "", *[3] * len(paper_rows)], strict=False)]  # fmt: skip
     read = read_responses(write_csv(rows), table_format=TableFormat(AnswerList.of(design["answers"]), design=design))
     assert read.frame["sure"].isna().sum() == 2 and read.frame["sure"].max() == 3
+
+
+def test_a_further_answer_that_was_not_offered_is_no_missing_one(write_csv, paper_rows) -> None:
+    """A misspelt word is refused at its line; a word for no answer, a time-out and an empty field are missing."""
+    design = {"answers": {**PROTOCOL["answers"], "then": {"feel": {"keys": {"smooth": ["f1"], "rough": ["f2"]}}}}}
+    form = TableFormat(AnswerList.of(design["answers"]), missing=("NA",), design=design)
+    rows = [row | {"value": 50, "response": "rated", "feel": "rough"} for row in paper_rows]
+    for row, word in zip(rows, ("NA", "time_out", ""), strict=False):
+        row["feel"] = word
+    read = read_responses(write_csv(rows), table_format=form)
+    assert (read.frame["feel"].isna().sum(), (read.frame["feel"] == "rough").sum()) == (3, len(rows) - 3)
+    said = f"Of {len(rows)} answers to feel, 3 are missing: its results are those of the others."
+    assert said in analyse_design(read).limits
+    rows[5]["feel"] = "smoth"
+    with pytest.raises(InputError, match=":7:.*feel: given 'smoth'; allowed: smooth, rough; write smooth, or leave it"):
+        read_responses(write_csv(rows), table_format=form)
 
 
 def test_the_protocol_tells_the_focus_of_a_table(write_csv, paper_rows) -> None:

@@ -132,7 +132,12 @@ def _shared(
 def _limits(responses: Responses, task: TrialTask, fits: Sequence[FittedCell]) -> tuple[str, ...]:
     """Return notes on what is not tested or estimated here, and on the files for other analyses."""
     frame = responses.frame
+    missing = {asked.column: int(asked.numbers(frame).isna().sum()) for asked in questions_of(responses.design, frame)}
     known = (
+        *(
+            (n, f"Of {len(frame)} answers to {column}, {n} are missing: its results are those of the others.")
+            for column, n in missing.items()
+        ),
         (
             task.n_intervals > 1 and not (task.named or task.different),
             "No answer says which interval it names, or same or different (answers.intervals), so neither d' nor a "

@@ -162,6 +162,7 @@ def analyse_parts(responses: Responses) -> PartsAnalysis:
     InputError
         If participants of one group have unequal numbers of trials in a cell.
     """
+    responses = replace(responses, notes=(*responses.notes, *_absent(responses)))
     given, responses = responses, responses.by_choice()
     parts, found = tuple(_find_parts(responses)), list[tuple[CrossedPart, Finding]]()
     for part in parts:
@@ -175,6 +176,17 @@ def analyse_parts(responses: Responses) -> PartsAnalysis:
         design = analyse_design(given)
     of_parts = tuple(zip((part for part, _ in found), corrected, strict=True))
     return PartsAnalysis(responses, parts, of_parts, design)
+
+
+def _absent(responses: Responses) -> Iterator[str]:
+    """Yield who has no trial of a kind of session, or with a stimulus, that others of the group have."""
+    scheduled = responses.scheduled
+    for name, what in (("session_kind", "of the kind of session"), ("stimulus", "with the stimulus")):
+        for _, own in () if scheduled is None else scheduled.groupby("group", observed=True):
+            met = pd.crosstab(own["participant"], own[name])
+            for value in met:
+                if absent := [*map(str, met.index[met[value] == 0])]:
+                    yield f"without trials {what} {value}, and left out of its results: {', '.join(absent)}"
 
 
 def _find_parts(responses: Responses) -> Iterator[CrossedPart]:

@@ -173,11 +173,10 @@ def _foci(frame: pd.DataFrame, design: Mapping[str, Any]) -> list[str]:
     return [str(own.get(name, {}).get("focus") or focal) for name in frame.get("stimulus", [""] * len(frame))]
 
 
-def _scales(design: Mapping[str, Any]) -> dict[str, ScaleSection]:
-    """Return the scale of each column of ratings, for the question of the trial and further questions."""
+def _questions(design: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Return the section of each question by column, for the question of the trial and further questions."""
     section = design.get("answers") or {}
-    asked = {"value": section, **(section.get("then") or {})}
-    return {name: ScaleSection.model_validate(each["scale"]) for name, each in asked.items() if each.get("scale")}
+    return {"value": {"scale": section.get("scale")}, **(section.get("then") or {})}
 
 
 def _frame_of(
@@ -204,15 +203,17 @@ def _frame_of(
     if answers is None:
         answers = AnswerList.of_words(("none",) if "none" in given else ())
         remedy += "; or name the protocol that offers other answers with --protocol"
-    frame["response"] = columns.answers(answers.ranked.names, remedy, table_format)
+    frame["response"] = columns.answers("response", answers.ranked.names, remedy, table_format)
     frame["n"] = columns.whole_numbers("n", 0, _MOST) if "n" in fields else 1
     if "repetition" in fields:
         frame["repetition"] = columns.whole_numbers("repetition", 1)
-    scales = _scales(table_format.design)
+    asked = _questions(table_format.design)
     for name in fields.columns.difference([*frame.columns, "catch", VELOCITY.column, OWN_THRESHOLD.column], sort=False):
-        if name in scales:
-            allowed, words = f"{scales[name].allowed}, or nothing", table_format.missing
-            frame[name] = columns.numbers(name, allowed, scales[name].takes, empty=True, missing=words)
+        if section := asked.get(name, {}).get("scale"):
+            scale, words = ScaleSection.model_validate(section), table_format.missing
+            frame[name] = columns.numbers(name, f"{scale.allowed}, or nothing", scale.takes, empty=True, missing=words)
+        elif listed := asked.get(name, {}).get("keys"):
+            frame[name] = columns.answers(name, tuple(listed), "leave it empty, or see --missing", table_format)
         elif name == "response_time":
             frame[name] = columns.times(name)
         elif name in NUMBERS:
@@ -276,8 +277,8 @@ class _Columns:
         self.problems += self._table.check_words(column, bool, "a word", lambda word: ("nothing", "fill it in"))
         return column
 
-    def answers(self, words: tuple[str, ...], remedy: str, table_format: TableFormat) -> pd.Series:
-        """Return the responses as a categorical of the answers, with missing values."""
+    def answers(self, name: str, words: tuple[str, ...], remedy: str, table_format: TableFormat) -> pd.Series:
+        """Return a column of words as a categorical of the answers to its question, with missing values."""
         missing = {*_EMPTY, TIME_OUT, *table_format.missing}
 
         def say(word: str) -> tuple[str, str]:
@@ -287,7 +288,7 @@ class _Columns:
         def is_sound(word: str) -> bool:
             return table_format.words.get(word, word) in words or word in missing
 
-        column = self._table.fields["response"]
+        column = self._table.fields[name]
         self.problems += self._table.check_words(column, is_sound, ", ".join(words), say)
         found = column.astype("str").map(lambda word: table_format.words.get(word, word))
         return pd.Series(pd.Categorical(found.where(found.isin(words)), list(words)), column.index)
