@@ -35,6 +35,8 @@ LEAST_DB = 0.5
 MANY = "its likelihood ratio follows the chi-squared distribution only for large numbers of trials"
 RUNS = "there are few trials, at levels that depend on earlier answers"
 BIASED = "thresholds from few trials are biased, and participants without a threshold are left out"
+SHRUNK = "the correction that keeps every d' and criterion finite biases their differences towards zero"
+SKEWED = "a few participants may use much larger numbers, which sign flips take for symmetric"
 REASONS = {
     "threshold of one": MANY, "PSE of one": MANY, "JND of one": MANY,
     "run of one, forced choice": RUNS, "run of one, felt": RUNS,
@@ -43,6 +45,8 @@ REASONS = {
     "mean JND": "spreads fitted to few trials are too small, which biases every JND downwards",
     "mean d'": "the correction that keeps every d' finite biases it towards zero, more so with fewer trials",
     "mean criterion": "the correction that keeps every criterion finite biases it towards zero",
+    "mean d' compared": SHRUNK, "mean criterion compared": SHRUNK,
+    "mean magnitude": SKEWED, "mean magnitude, as estimated": SKEWED,
     "exponent of one": "participants round their numbers, so the residuals are not normal",
 }  # fmt: skip
 """Why intervals err in more than 5 % of the experiments of a population beyond doubt, where they do."""
@@ -101,6 +105,8 @@ def errors_of_measures(number: int, participants: int, n: int) -> Errors:
     yield from _of_runs(task, rng, (n, participants))
     yield from _of_exponents(rng, (n, participants))
     yield from _of_criteria(task, np.random.default_rng([1910, number]), (n, participants))
+    yield from _of_compared(task, np.random.default_rng([1911, number]), (n, participants))
+    yield from _of_magnitudes(np.random.default_rng([1912, number]), (n, participants))
 
 
 def _of_tests(task: Task, rng: np.random.Generator, shape: tuple[int, int]) -> Errors:
@@ -144,6 +150,33 @@ def _of_criteria(task: Task, rng: np.random.Generator, shape: tuple[int, int]) -
     criterion = rng.normal(task.d_prime / 2, 0.4, shape[0])
     found = _each(yes_no, rng, task, (ndtr(own / 2 - criterion), ndtr(-own / 2 - criterion)))
     yield from _of_mean("criterion", rng, np.array([each.criterion.estimate for each in found]), criterion, shape, 0.05)
+
+
+def _of_compared(task: Task, rng: np.random.Generator, shape: tuple[int, int]) -> Errors:
+    """Yield sign flips of differences between two conditions.
+
+    Shares differ in neither direction, but the numbers of answers do; d' and criterion rise in most people.
+    """
+    rates = rng.beta(1, 4, (2, *shape))
+    shares = [rng.binomial(n, rate) / n for n, rate in zip((task.signals, task.noises), rates, strict=True)]
+    yield "shares compared", flip_test(shares[0] - shares[1]).quick_p <= ALPHA * TIES
+    truth = np.abs(rng.normal(task.d_prime, 0.5, shape[0])), rng.normal(0, 0.4, shape[0])
+    rise = rng.normal(0.5, 0.3, shape[0]), rng.normal(0.2, 0.2, shape[0])
+    found = []
+    for own, criterion in (truth, (truth[0] + rise[0], truth[1] + rise[1])):
+        told = _each(yes_no, rng, task, (ndtr(own / 2 - criterion), ndtr(-own / 2 - criterion)))
+        found.append(np.array([(each.d_prime.estimate, each.criterion.estimate) for each in told]).T)
+    for name, known, own in zip(("d' compared", "criterion compared"), found[1] - found[0], rise, strict=True):
+        yield from _of_mean(name, rng, known, own, shape, 0.05)
+
+
+def _of_magnitudes(rng: np.random.Generator, shape: tuple[int, int]) -> Errors:
+    """Yield geometric means of magnitudes, three each; a fifth of the people use numbers ten times as large."""
+    own = rng.normal(2, 0.5, shape[0]) + (rng.random(shape[0]) < 0.2) * math.log(10)
+    given = np.exp(own[:, None] + rng.normal(0, 0.25, (shape[0], 3)))
+    digit = 10.0 ** (np.floor(np.log10(given)) - 1)
+    known = np.log(np.maximum(np.rint(given / digit) * digit, digit)).mean(axis=1)
+    yield from _of_mean("magnitude", rng, known, own, shape, 0.02)
 
 
 _BOUNDS = ("estimate", "low", "high")

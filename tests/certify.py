@@ -45,6 +45,8 @@ LIMITS = {
     "together": "hold if a participant's levels, or finger conditions as a whole, are exchangeable",
     "group, friedman": "hold if groups, or a participant's ratings, are exchangeable",
     "of one, of runs, mean d' to mean exponent": "participants answer by the model that is fitted",
+    "compared": "hold if differences are symmetric about their mean; shares do not differ, but numbers of answers do",
+    "magnitude": "a fifth of the participants use numbers ten times as large; errs less without them",
     "as estimated": "the truth is the population mean of estimates from as many trials, including their bias",
     "all": "an interval that inverts a test errs as often; answers are missing by chance; mixed models have none",
 }

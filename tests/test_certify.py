@@ -42,6 +42,7 @@ def test_a_population_gives_a_row_for_each_family_of_tests(certify) -> None:
     assert set(STATISTICS) <= set(rows)
     assert set(rows) >= {"rank", "d'", "group", "friedman", "run of one, forced choice", "mean JND"}
     assert set(rows) >= {"mean JND, as estimated", "b together", "c together", "mean criterion"}
+    assert set(rows) >= {"shares compared", "mean d' compared", "mean criterion compared", "mean magnitude"}
     assert all(0 <= row["errors"] <= row["n"] <= 12 for row in rows.values())
 
 

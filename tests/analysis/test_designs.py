@@ -15,12 +15,20 @@ import pytest
 from scipy import stats
 from scipy.special import ndtr, ndtri
 
+from modaltouch.analysis.columns import VELOCITY
 from modaltouch.analysis.crossed import Analysis
 from modaltouch.analysis.designs import analyse_design
 from modaltouch.analysis.detection import CRITERION, D_PRIME, same_different
 from modaltouch.analysis.findings import Finding, correct
 from modaltouch.analysis.intervals import BoundedMean, Interval
-from modaltouch.analysis.measures import IndividualValue, Measure, contrast_findings, group_findings, over_participants
+from modaltouch.analysis.measures import (
+    IndividualValue,
+    Measure,
+    contrast_findings,
+    group_findings,
+    mean_findings,
+    over_participants,
+)
 from modaltouch.analysis.permutation import by_flips, by_ranks, friedman, group_test
 from modaltouch.analysis.pipeline import analyse
 from modaltouch.analysis.ratings import level_findings, power_law
@@ -518,6 +526,21 @@ def test_a_sample_in_which_nobody_differs_does_not_show_that_nobody_does() -> No
     (found,) = compared(Measure("d'", "sensitivity d'", "sensitivity", null=0.0))
     assert (found.p, found.low, found.high) == (1, -math.inf, math.inf)
     assert "without a difference, there is no interval" in found.note
+
+
+def test_an_interval_that_errs_too_often_says_so() -> None:
+    """That of magnitudes errs of any mean, by its certificates; that of d' only of the true mean."""
+    magnitude = Measure("magnitude", "magnitude", "rating", None, True)
+    for measure, said in (
+        (magnitude, "not a 95 % interval: a few participants may use much larger numbers"),
+        (D_PRIME, "; 95 % interval of the mean of such estimates, not of the true mean: the correction"),
+    ):
+        values = [
+            IndividualValue(measure, f"p{who}", "one_hand", "A-C", 80.0, Interval(who, who - 1.0, who + 1.0, 4), 4, "x")
+            for who in range(1, 9)
+        ]
+        (row,) = mean_findings(values, VELOCITY, {})
+        assert said in row.note
 
 
 def test_groups_without_any_difference_have_no_interval() -> None:

@@ -173,6 +173,8 @@ def mean_findings(values: Sequence[IndividualValue], scale: LevelScale, groups: 
         met = {groups.get(each.participant) for each in own}
         is_closed = math.isfinite(interval.low + interval.high)
         *_, why_not = certificates().get(f"mean {measure.name}", ("",)) if is_closed else ("",)
+        *_, is_odd = certificates().get(f"mean {measure.name}, as estimated", ("",))
+        of_estimates = "" if is_odd else " of the mean of such estimates, not of the true mean"
         notes = [
             f"met by {', '.join(name for name in names if name in met)} only" if len(met) < len(names) else "",
             "geometric mean" if measure.is_ratio else "",
@@ -183,7 +185,7 @@ def mean_findings(values: Sequence[IndividualValue], scale: LevelScale, groups: 
             "the rates reject zero, which the interval holds"
             if own[0].tested is not None and test.p <= ALPHA and interval.low <= 0 <= interval.high
             else "",
-            f"95 % interval of the mean of such estimates, not of the true mean: {why_not}" if why_not else "",
+            f"{'not a ' * bool(is_odd)}95 % interval{of_estimates}: {why_not}" if why_not else "",
         ]
         yield finding_of(
             measure.question, f"{measure.name} over participants, {'bounded mean' if measure.ends else way}", scope,
