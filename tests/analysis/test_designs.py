@@ -543,6 +543,19 @@ def test_an_interval_that_errs_too_often_says_so() -> None:
         assert said in row.note
 
 
+def test_a_mean_at_the_ceiling_is_known_no_better_than_each_value() -> None:
+    """Twelve people, 8 of 8 right each: their equal d' have no spread, yet each may be lower, down to its own bound."""
+    own = m_intervals((8, 8), 2)
+    values = [
+        IndividualValue(D_PRIME, f"p{who}", "one_hand", "A-C", 80.0, own.d_prime, 8, "", own.contrast)
+        for who in range(12)
+    ]
+    test, interval = over_participants(D_PRIME, values)
+    assert test.p == 2 / 2**12
+    assert (interval.low, interval.estimate, interval.high) == (own.d_prime.low, own.d_prime.estimate, math.inf)
+    assert own.d_prime.low < own.d_prime.estimate - 1
+
+
 def test_groups_without_any_difference_have_no_interval() -> None:
     """Two groups of five at the ceiling: nothing is known of a shift."""
     values = [
@@ -621,7 +634,7 @@ def test_people_who_all_reach_the_ceiling_give_no_upper_bound() -> None:
     design = {"answers": {"keys": {"felt": ["f1"], "nothing": ["f2"]}, "fingers": {"nothing": []}}}
     findings, _ = found(take(frame, design, catches=SILENT))
     d_prime = findings["d' over participants", "one_hand A-C 5 mm/s"]
-    assert d_prime.high == math.inf and d_prime.low == pytest.approx(d_prime.estimate, abs=1e-3)
+    assert d_prime.high == math.inf and d_prime.low == pytest.approx(yes_no((12, 12), (0, 12)).d_prime.low)
     assert "on one side: 8" in d_prime.note
 
 
