@@ -155,6 +155,8 @@ def test_designs_beyond_two_fingers_are_simulated_in_sessions(
     assert "--experiments 1 --observer" in text
     assert read_preregistration(file)["tests by family"] == families
     assert ("catch trials give the false alarms of d'" in text) is ("d'" in families)
+    assert ("could change a mean difference or slope at worst" in text) is ("b mean" in families)
+    assert "at random" not in text
     assert run("simulate", protocol, "-n", 3, "--results", results).exit_code == 0
     found = analyse(results, prereg=file)
     assert isinstance(found, Analysis)
@@ -177,7 +179,7 @@ def test_adaptive_runs_and_designs_that_are_not_crossed_are_simulated_in_session
     assert done.exit_code == 0, done.stderr
     text = file.read_text(encoding="utf-8")
     assert planned in text
-    assert ("No hypothesis is tested" in text) is ("trials a run" in text)
+    assert ("No hypothesis is tested" in text) is ("could change" not in text) is ("trials a run" in text)
     assert ("| mean threshold of | factor, median |" in text) is ("trials a run" in text)
     assert ("\n## Margins\n" in text) is ("trials a run" not in text)
     assert run("simulate", source, "-n", 2, "--results", results).exit_code == 0
@@ -208,6 +210,16 @@ def test_every_session_of_a_participant_is_planned(edit, tmp_path: Path, session
     assert run("prereg", source, "-n", 2, "--experiments", 1, "--out", file).exit_code == 0
     text = file.read_text(encoding="utf-8")
     assert all(line in text for line in planned) and "| trials per participant |" not in text
+
+
+def test_power_of_answers_at_random_is_said_to_be_none(edit, tmp_path: Path) -> None:
+    """Words that name neither a finger nor an interval: no observer knows their meaning."""
+    file, keys = tmp_path / "plan.md", "keys: {same: [f1], different: [f2], first: [f3]}\n  question: What was it like?"
+    source = edit("magnitude.yaml", ("scale: {kind: number}", keys))
+    assert run("prereg", source, "-n", 2, "--experiments", 1, "--out", file).exit_code == 0
+    assert "answer the first question at random.\nThe tests of its answers then show their rate of false claims" in (
+        file.read_text(encoding="utf-8")
+    )
 
 
 @pytest.mark.parametrize(

@@ -176,7 +176,7 @@ def answer_warnings(protocol: Protocol) -> Iterator[str]:
             f"the {n_catches} catch trials of a block cannot be answered correctly, since there is no answer none: "
             "they show what is guessed, not how often; add `none` to answers.keys"
         )
-    if not any(answer.fingers or answer.interval for answer in offered) and protocol.answers.scale is None:
+    if not offered.refers and protocol.answers.scale is None:
         nothing = offered.naming()
         which = "whatever it feels" if nothing is None else f"but {nothing.name} where it feels nothing"
         yield (

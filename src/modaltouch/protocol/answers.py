@@ -126,6 +126,11 @@ class AnswerList(tuple[Answer, ...]):
         return None not in (self.naming("left"), self.naming("right")) and not self.names_between
 
     @property
+    def refers(self) -> bool:
+        """Whether any answer names a finger or an interval; if none does, simulated participants answer at random."""
+        return any(answer.fingers or answer.interval for answer in self)
+
+    @property
     def names_between(self) -> bool:
         """Whether an answer names the middle one of three fingers."""
         return any("between" in (answer.fingers or ()) for answer in self)
