@@ -638,6 +638,19 @@ def test_people_who_all_reach_the_ceiling_give_no_upper_bound() -> None:
     assert "on one side: 8" in d_prime.note
 
 
+@pytest.mark.parametrize(("lowest", "is_magnitude"), [(-5, False), (0, False), (0.5, True)])
+def test_a_typed_number_may_be_zero_where_the_protocol_allows_it(lowest, is_magnitude) -> None:
+    """Two answers to each level, the lowest possible and 5: their mean counts both; above 0 it is the geometric one."""
+    frame = presented((5.0, 10.0), 2).assign(response="rated")
+    frame["value"] = np.where(frame["repetition"] == 1, lowest, 5.0)
+    design = {"answers": {"scale": {"kind": "number", "lowest": lowest, "highest": 5}}}
+    _, values = found(take(frame, design))
+    mean = math.sqrt(lowest * 5) if is_magnitude else (lowest + 5) / 2
+    name = "magnitude" if is_magnitude else "rating"
+    assert set(values) == {name} | ({"exponent of magnitude"} if is_magnitude else set())
+    assert list(values[name].values()) == pytest.approx([mean] * len(PEOPLE))
+
+
 def test_ratings_that_all_agree_still_have_an_interval() -> None:
     """The bounded mean of eight equal ratings of 4, of 1 to 7: those who may be missing could have rated otherwise."""
     frame = presented((5.0, 10.0), 2).assign(response="rated", value=4.0)

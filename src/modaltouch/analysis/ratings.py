@@ -59,7 +59,9 @@ class Question:
             return (cls(name, column),)
         scale = ScaleSection.model_validate(asked["scale"])
         ends = None if math.isinf(scale.high) else (scale.low, scale.high)
-        return (cls(name, column, scale.kind == "number", ends=ends),)
+        # Zero and negative numbers have no ratios.
+        is_magnitude = scale.kind == "number" and (scale.lowest is None or scale.lowest > 0)
+        return (cls("magnitude" if is_magnitude and column == "value" else name, column, is_magnitude, ends=ends),)
 
     @property
     def measure(self) -> Measure:
@@ -98,9 +100,7 @@ def questions_of(design: Mapping[str, Any], frame: pd.DataFrame) -> tuple[Questi
     section = design.get("answers") or {}
     known: list[Question] = []
     if "value" in frame.columns and pd.to_numeric(frame["value"], errors="coerce").notna().any():
-        scale = section.get("scale")
-        name = "magnitude" if scale and scale["kind"] == "number" else "rating"
-        known += Question.of(name, "value", {"scale": scale})
+        known += Question.of("rating", "value", {"scale": section.get("scale")})
     for name, asked in (section.get("then") or {}).items():
         known += Question.of(name, name, asked)
     return tuple(each for each in known if each.column in frame.columns)
