@@ -556,6 +556,23 @@ def test_a_mean_at_the_ceiling_is_known_no_better_than_each_value() -> None:
     assert own.d_prime.low < own.d_prime.estimate - 1
 
 
+@pytest.mark.parametrize(("after", "is_said"), [(12, False), (40, True)])
+def test_estimates_from_unequal_numbers_of_trials_are_said_to_be_biased_unequally(after, is_said) -> None:
+    """All right, before from 12 trials of either kind and after from so many: d' of 24 and more trials, corrected."""
+    before, later = (yes_no((n, n), (0, n)).d_prime for n in (12, after))
+    values = [
+        IndividualValue(D_PRIME, f"p{who}", "one_hand", place, 80.0, interval, int(interval.n_effective))
+        for who in range(8)
+        for place, interval in (("A-C before", before), ("A-C after", later))
+    ]
+    (row,) = contrast_findings(values)
+    said = f"from 24 against {2 * after} trials each, which bias the estimates unequally"
+    assert (said in row.note) is is_said
+    halves = [each for each in values if (each.participant in ("p0", "p1", "p2", "p3")) is (each.pair == "A-C after")]
+    (row,) = group_findings(halves, halves, {f"p{who}": "ba"[who < 4] for who in range(8)}, ("b", "a"))
+    assert (said in row.note) is is_said
+
+
 def test_groups_without_any_difference_have_no_interval() -> None:
     """Two groups of five at the ceiling: nothing is known of a shift."""
     values = [

@@ -208,6 +208,7 @@ def contrast_findings(values: Sequence[IndividualValue]) -> Iterator[Finding]:
         tables: dict[tuple[str, str], dict[tuple[str, str], float]] = {}
         for each in own:
             tables.setdefault((each.finger_condition, each.pair), {})[each.participant, str(each.level)] = linear(each)
+        places = {place: [each for each in own if (each.finger_condition, each.pair) == place] for place in tables}
         for (a, first), (b, second) in combinations(tables.items(), 2):
             differ = [x != y for x, y in zip(_factors(*a), _factors(*b), strict=True)]
             if sum(differ) != 1 or (measure.question == "shares" and any(differ[:2])):
@@ -221,7 +222,7 @@ def contrast_findings(values: Sequence[IndividualValue]) -> Iterator[Finding]:
             scope = f"{a[0]} - {b[0]} {a[1]}".strip() if a[1] == b[1] else f"{a[0]} {a[1]} - {b[1]}"
             name = f"{measure.name} compared, {_RANKS if measure.is_ranked else _FLIPS}"
             gaps = np.array([np.mean([x - y for x, y in each]) for each in paired.values()])
-            yield from _compared(measure, name, scope, gaps)
+            yield from _compared(measure, name, scope, gaps, _uneven(measure, places[a], places[b]))
             if measure.share_of and paired:
                 shares = np.array([np.mean(each, axis=0) for each in paired.values()])
                 lists.setdefault((measure.question, measure.share_of, scope), []).append(shares)
@@ -251,7 +252,21 @@ def together(question: str, share_of: str, scope: str, shares: FloatArray, where
     )  # fmt: skip
 
 
-def _compared(measure: Measure, name: str, scope: str, numbers: FloatArray) -> Iterator[Finding]:
+_ALIKE = 1.25
+"""Ratio of numbers of trials up to which the biases of two estimates are called equal."""
+
+
+def _uneven(measure: Measure, *compared: Sequence[IndividualValue]) -> list[str]:
+    """Return a note if estimates that the number of trials biases are compared between different numbers."""
+    n = [np.mean([max(each.n, each.interval.n_effective) for each in own]) for own in compared]
+    if measure.question not in ("sensitivity", "function") or max(n) <= _ALIKE * min(n):
+        return []
+    return [f"from {' against '.join(f'{each:.3g}' for each in n)} trials each, which bias the estimates unequally"]
+
+
+def _compared(
+    measure: Measure, name: str, scope: str, numbers: FloatArray, remarks: Sequence[str]
+) -> Iterator[Finding]:
     """Test the participants' differences between two conditions; without any difference, there is no test.
 
     The mean difference of shares has a test of its own, since it may lie far from that of a sample in which hardly
@@ -273,7 +288,7 @@ def _compared(measure: Measure, name: str, scope: str, numbers: FloatArray) -> I
         notes = ["without a difference, there is no interval"]
     yield finding_of(
         measure.question, name, scope, test, quantity, from_linear(measure, interval), numbers.size, family=family,
-        notes=notes,
+        notes=[*notes, *remarks],
     )  # fmt: skip
     if is_share:
         name = f"{measure.name} compared, mean over participants, test and interval of a bounded mean"
@@ -327,6 +342,8 @@ def group_findings(
                 f"{a}: {first.size}, {b}: {second.size} participants; interval of a shift",
                 "over the cells that both groups met" if shared is not values else "",
                 f"participants without a value in some cell, averaged over the others: {n_part}" if n_part else "",
+                *_uneven(measure, *([each for each in compared[measure] if groups.get(each.participant) == name]
+                                    for name in names)),
             ],
         )  # fmt: skip
         if measure.share_of:

@@ -226,19 +226,23 @@ def state_families(findings: Sequence[Finding]) -> str:
 
 # Certificates of findings outside families, by a substring of their name; the first match applies.
 #
-# Empty for findings without simulated error rates, such as sign flips of criteria or ratings.
+# Empty for findings without simulated error rates, such as sign flips of PSEs or JNDs.
 _OF_NAMES = {
-    " together between": (), " between groups": ("group",), " compared, sign flips": (),
+    " together between": (), " between groups": ("group",), "differencing criterion": (),
+    "d' compared": ("mean d' compared, as estimated", "mean d' compared"),
+    "criterion compared": ("mean criterion compared, as estimated", "mean criterion compared"),
+    ") compared, sign flips": ("shares compared",), " compared, sign flips": (),
     "signed ranks": ("rank", "rank interval"),
     "Friedman": ("friedman",), "leaning": ("leaning", "leaning share"), "agreement between": ("agreement",),
     "prevalence of": ("prevalence",), "share of answers": ("share",), "paired difference": ("paired difference",),
     "odds ratio": ("odds ratio",), "reaction times": ("time",), "false alarms,": ("share",), "misses,": ("share",),
     "together over levels": ("b together",), " together, shuffles": ("c together",),
     "share in a cell": ("a1 share",), "bounded mean": ("c mean",),
-    "differencing criterion": (), "criterion over": ("mean criterion, as estimated", "mean criterion"),
+    "criterion over": ("mean criterion, as estimated", "mean criterion"),
     "d' over": ("d'", "mean d', as estimated", "mean d'"), "detection threshold": (),
     "threshold over": ("mean threshold, as estimated", "mean threshold"),
     "PSE over": ("mean PSE",), "JND over": ("mean JND, as estimated", "mean JND"), "exponent of": ("mean exponent",),
+    "magnitude over participants": ("mean magnitude",),
 }  # fmt: skip
 
 
