@@ -274,3 +274,15 @@ def test_power_refuses_a_scale_in_its_place() -> None:
         match="answers.scale: given a scale, .* analyse those, as `modaltouch prereg` does",
     ):
         designs_for(examine("magnitude").require(), Observer.read("paper"))
+
+
+@pytest.mark.parametrize(("bounds", "numbers"), [
+    ({"lowest": -5, "highest": 5}, [-4.9, -2.5, 4.9]),
+    ({"lowest": 0, "highest": 100}, [1, 25, 99]),
+    ({}, [0.101, 3.33, 990]),
+])  # fmt: skip
+def test_a_simulated_number_reaches_every_part_of_its_scale(bounds, numbers) -> None:
+    """By hand: 1, 25 and 99 % of the way from lowest to highest; without bounds s / (1 - s), times a modulus of 10."""
+    scale = ScaleSection.model_validate({"kind": "number", **bounds})
+    assert [scale.at(share) for share in (0.01, 0.25, 0.99)] == pytest.approx(numbers)
+    assert all(scale.takes(scale.at(share)) for share in (1e-9, 1 - 1e-9))

@@ -191,7 +191,8 @@ class ScaleSection(Section):
         if self.points:
             return self.points[min(int(share * len(self.points)), len(self.points) - 1)]
         reach = share / (1 - share) * _MODULUS if math.isinf(self.high) else share * (self.high - self.low)
-        return min(max(float(f"{max(self.low + reach, 1e-3):.3g}"), self.low), self.high)
+        least = 1e-3 if self.lowest is None else self.low
+        return min(max(float(f"{self.low + reach:.3g}"), least), self.high)
 
 
 class AskedSection(Section):
