@@ -18,7 +18,7 @@ from scipy.special import ndtr, ndtri
 from modaltouch.analysis.columns import VELOCITY
 from modaltouch.analysis.crossed import Analysis
 from modaltouch.analysis.designs import analyse_design
-from modaltouch.analysis.detection import CRITERION, D_PRIME, same_different
+from modaltouch.analysis.detection import CRITERION, D_PRIME, m_intervals, same_different, yes_no
 from modaltouch.analysis.findings import Finding, correct
 from modaltouch.analysis.intervals import BoundedMean, Interval
 from modaltouch.analysis.measures import (

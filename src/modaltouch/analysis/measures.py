@@ -24,8 +24,8 @@ from modaltouch.analysis.permutation import (
     by_ranks,
     flip_test,
     group_test,
-    shuffle_conditions,
     shuffle_together,
+    together,
 )
 from modaltouch.analysis.sums import FloatArray
 from modaltouch.analysis.words import certificates
@@ -228,28 +228,6 @@ def contrast_findings(values: Sequence[IndividualValue]) -> Iterator[Finding]:
                 lists.setdefault((measure.question, measure.share_of, scope), []).append(shares)
     for (question, share_of, scope), parts in lists.items():
         yield together(question, share_of, scope, np.stack(parts, axis=-1))
-
-
-def together(question: str, share_of: str, scope: str, shares: FloatArray, where: str = "") -> Finding:
-    """Test all answers of a list together, by shuffling conditions within participants, as in `association_test`.
-
-    Parameters
-    ----------
-    question, share_of : str
-        Question of the report, and name of the list of answers.
-    scope, where : str
-        Scope of the test, and the conditions if the scope does not name them.
-    shares : (n_participants, n_conditions, n_answers) array
-        Mean shares.
-    """
-    deviations = shares - shares.mean(axis=1, keepdims=True)
-    weights = np.sqrt(shares.mean(axis=(0, 1)))
-    test = shuffle_conditions((deviations / np.where(weights > 0, weights, 1)).round(9))
-    name, n = f"{share_of} together{where}, shuffles within participants", len(shares)
-    return finding_of(
-        question, name, scope, test, f"shares of {share_of}", Interval.point(math.nan, n), n,
-        family=f"{question} together",
-    )  # fmt: skip
 
 
 _ALIKE = 1.25

@@ -24,6 +24,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from modaltouch.analysis.exact import ExactTest, sign_flip_test
+from modaltouch.analysis.findings import Finding, finding_of
 from modaltouch.analysis.intervals import CONFIDENCE, Interval, centre_interval
 from modaltouch.analysis.sums import FloatArray, IntArray
 
@@ -263,3 +264,25 @@ def friedman(rows: FloatArray) -> tuple[ExactTest, Any]:
         each.reshape(shape)[()] for each in (statistic, test.p, test.p_min, test.n_informative, concordance)
     ]
     return ExactTest(*found[:4]), found[4]
+
+
+def together(question: str, share_of: str, scope: str, shares: FloatArray, where: str = "") -> Finding:
+    """Test all answers of a list together, by shuffling conditions within participants, as in `association_test`.
+
+    Parameters
+    ----------
+    question, share_of : str
+        Question of the report, and name of the list of answers.
+    scope, where : str
+        Scope of the test, and the conditions if the scope does not name them.
+    shares : (n_participants, n_conditions, n_answers) array
+        Mean shares.
+    """
+    deviations = shares - shares.mean(axis=1, keepdims=True)
+    weights = np.sqrt(shares.mean(axis=(0, 1)))
+    test = shuffle_conditions((deviations / np.where(weights > 0, weights, 1)).round(9))
+    name, n = f"{share_of} together{where}, shuffles within participants", len(shares)
+    return finding_of(
+        question, name, scope, test, f"shares of {share_of}", Interval.point(math.nan, n), n,
+        family=f"{question} together",
+    )  # fmt: skip

@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike
 from modaltouch.analysis.columns import LevelScale, scale_of
 from modaltouch.analysis.findings import Finding, finding_of
 from modaltouch.analysis.intervals import Interval, student_quantile
-from modaltouch.analysis.measures import IndividualValue, Measure, cells, from_linear, linear, together
-from modaltouch.analysis.permutation import by_ranks, friedman
+from modaltouch.analysis.measures import IndividualValue, Measure, cells, from_linear, linear
+from modaltouch.analysis.permutation import by_ranks, friedman, together
 from modaltouch.analysis.responses import Responses
 from modaltouch.analysis.task import TrialTask
 from modaltouch.protocol import ScaleSection
