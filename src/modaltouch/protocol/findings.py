@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from modaltouch.protocol.apparatus import Apparatus, examine_apparatus
-from modaltouch.protocol.checks import check_fit, check_protocol
+from modaltouch.protocol.checks import check_alike, check_fit, check_protocol
 from modaltouch.protocol.intervals import presented_levels
 from modaltouch.protocol.reading import Reading, read, read_tree
 from modaltouch.protocol.schedule_section import LIMITS, Occasion, at_occasion, check_groups, occasions_of
@@ -326,10 +326,10 @@ class Findings:
             source = Source.find("protocol", path)
         except InputError as error:
             return cls(None, None, None, error.problems)
-        occasions = occasions_of(parse_tree(source)[0])
         about: dict[str, Any] = {"calibration": calibration, "uncalibrated": uncalibrated, "marked": marked}
-        first, *others = (cls._read(source, occasion, **about) for occasion in occasions)
-        problems = sorted(set(first.problems).union(*(each.problems for each in others)))
+        first, *others = (cls._read(source, occasion, **about) for occasion in occasions_of(parse_tree(source)[0]))
+        unlike = check_alike([(each.occasion, each.protocol) for each in (first, *others)])
+        problems = sorted(set(first.problems).union(unlike, *(each.problems for each in others)))
         return replace(first, problems=tuple(problems), others=tuple(others))
 
     @classmethod

@@ -243,6 +243,12 @@ class AskedSection(Section):
         return self.keys if self.scale is None else self.scale.actions
 
     @property
+    def asks(self) -> tuple[object, ...]:
+        """What is asked, in whatever words: the answers, or kind, ends and step of the scale."""
+        scale = self.scale
+        return tuple(sorted(self.keys)) if scale is None else (scale.kind, scale.low, scale.high, scale.step)
+
+    @property
     def allowed(self) -> str:
         """Description of the allowed answers, other than a time-out."""
         return ", ".join(self.keys) if self.scale is None else self.scale.allowed

@@ -106,6 +106,28 @@ def test_a_fault_of_one_group_or_kind_is_told_where_it_is_written(
     assert change[1].split()[-1] in text[fitting[0].line - 1] or change[1].split(":")[0] in text[fitting[0].line - 1]
 
 
+UNLIKE = "given other answers or questions for {}; allowed: the same ones for all that is analysed together"
+
+
+@pytest.mark.parametrize(
+    ("changes", "path", "told"),
+    [
+        ([("high: {cond", "high: {answers: {keys: {none: [down]}}, cond")], "groups.high", "high than for low"),
+        ([("high: {cond", "high: {answers: {then: {sure: {question: Sure?, scale: {kind: vas}}}}, cond")],
+         "groups.high", "high than for low"),
+        ([("times: 2", "answers: {keys: {none: [down]}}"), ("analysed: false", "analysed: true")],
+         "schedule.sessions", "test than for training"),
+        ([("high: {cond", "high: {answers: {keys: {left: [f1]}, time_out_s: 3, question: And now?}, cond"),
+          ("times: 2", "answers: {keys: {none: [down]}}")], "", ""),
+    ],
+)  # fmt: skip
+def test_what_is_analysed_together_is_asked_alike(read: Callable[..., Findings], changes, path, told) -> None:
+    """Another list, a scale or a further question of one group would be pooled with the others, or refused too late."""
+    found = read(("[up, down, num_8]", "[up, num_8]"), *changes).problems
+    assert [each.path for each in found] == [path] * bool(path)
+    assert all(UNLIKE.format(told) in each.message for each in found)
+
+
 def test_the_check_refuses_a_level_of_one_group_that_no_amplifier_reaches(edit: Callable[..., Path]) -> None:
     """Not that of the first group alone."""
     own = GROUPS.replace("{zone_pairs: [[A, C]]}", "{peak_velocities_mm_s: [400]}")
