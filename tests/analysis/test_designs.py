@@ -554,6 +554,8 @@ def test_a_mean_at_the_ceiling_is_known_no_better_than_each_value() -> None:
     assert test.p == 2 / 2**12
     assert (interval.low, interval.estimate, interval.high) == (own.d_prime.low, own.d_prime.estimate, math.inf)
     assert own.d_prime.low < own.d_prime.estimate - 1
+    _, alone = over_participants(D_PRIME, values[:1])
+    assert (alone.low, alone.high) == (-math.inf, math.inf)
 
 
 @pytest.mark.parametrize(("after", "is_said"), [(12, False), (40, True)])

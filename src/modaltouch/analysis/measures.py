@@ -153,7 +153,8 @@ def over_participants(measure: Measure, own: Sequence[IndividualValue]) -> Locat
     ends = [(each.interval.low, each.interval.high) for each in own if math.isfinite(each.interval.estimate)]
     if not (np.ptp(values) or measure.is_ratio or np.isnan(ends).any()):
         # Equal values, as at the ceiling: what is known of their mean is what is known of each.
-        interval = replace(interval, low=min(low for low, _ in ends), high=max(high for _, high in ends))
+        lows, highs = zip(*ends, strict=True)
+        interval = replace(interval, low=min(interval.low, *lows), high=max(interval.high, *highs))
     in_place = np.array([each.tested for each in own if each.tested is not None], dtype=float)
     if in_place.size:
         test = flip_test(in_place[np.isfinite(in_place)])
