@@ -228,7 +228,7 @@ def shuffle_conditions(values: NDArray[Any]) -> ExactTest:
     # reached in at least as many ways as the participant with the most distinct arrangements has.
     alike = (rows[:, :, :, np.newaxis] == rows[:, :, np.newaxis]).all(axis=-1)
     ways = math.lgamma(k + 1) - np.log(np.tril(alike).sum(axis=-1)).sum(axis=-1)  # log of the number
-    p_min = np.maximum(1 / (_SHUFFLES + 1), np.exp(ways.max(axis=-1) - ways.sum(axis=-1)))
+    p_min = np.maximum(1 / (_SHUFFLES + 1), np.exp((ways.max(axis=-1) - ways.sum(axis=-1)).round(12)))
     p = np.maximum((reached + 1) / (_SHUFFLES + 1), p_min)
     return ExactTest(*(each.reshape(shape)[()] for each in (observed, p, p_min, (ways > 1e-9).sum(axis=-1))))
 
