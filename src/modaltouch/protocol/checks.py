@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from itertools import pairwise
 from typing import Any
 
@@ -23,31 +23,6 @@ from modaltouch.protocol.trial import TIME_OUT
 
 TRIAL_LIMIT = 10_000
 """Largest number of trials of a session, about a day's worth."""
-
-
-def check_alike(readings: Sequence[tuple[Occasion, Reading[Protocol] | None]]) -> Iterator[Problem]:
-    """Yield a problem for each group and analysed kind of session that is asked something else than the first one."""
-    found = [(occasion, reading, reading.value) for occasion, reading in readings if reading and reading.value]
-    told: dict[Occasion, tuple[object, ...]] = {}
-    for occasion, reading, protocol in found if len(found) == len(readings) else ():
-        if occasion.kind in [kind.name for kind in protocol.schedule.session_kinds if not kind.analysed]:
-            continue
-        answers = protocol.answers
-        told[occasion] = (
-            answers.asks,
-            {each.name: (each.fingers, each.interval) for each in answers.offered},
-            {name: question.asks for name, question in answers.then.items()},
-        )
-        first = next(iter(told))
-        if told[occasion] != told[first]:
-            # If the first group is asked the same in this kind of session, the kind makes the difference.
-            named = int(told[occasion] == told[occasion._replace(group=first.group)])
-            yield reading.problem(
-                ("schedule", "sessions") if named else ("groups", occasion.group),
-                f"other answers or questions for {occasion[named]} than for {first[named]}",
-                "the same ones for all that is analysed together; wording, keys and time limits may differ",
-                "give the other a protocol of its own",
-            )
 
 
 def check_schedule(reading: Reading[Protocol]) -> Iterator[Problem]:

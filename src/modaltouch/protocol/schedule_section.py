@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import Field, Tag
 
-from modaltouch.protocol.reading import repeats
+from modaltouch.protocol.reading import Reading, repeats
 from modaltouch.protocol.section import NUMBER_OR_LIST, Count, NotNegative, Positive, Section, Word, described
 from modaltouch.protocol.source import Problem, Source
 from modaltouch.protocol.tree import Node
@@ -262,3 +262,28 @@ class ScheduleSection(Section):
     def kind_of(self, session: int) -> SessionKind | None:
         """Return the kind of a participant's session, from 1; the kind of the last session for higher numbers."""
         return self.session_kinds[: max(session, 1)][-1] if self.session_kinds else None
+
+
+def check_alike(readings: Sequence[tuple[Occasion, Reading[Any] | None]]) -> Iterator[Problem]:
+    """Yield a problem for each group and analysed kind of session that is asked something else than the first one."""
+    found = [(occasion, reading, reading.value) for occasion, reading in readings if reading and reading.value]
+    asked: dict[Occasion, tuple[object, ...]] = {}
+    for occasion, reading, protocol in found if len(found) == len(readings) else ():
+        if occasion.kind in [kind.name for kind in protocol.schedule.session_kinds if not kind.analysed]:
+            continue
+        answers = protocol.answers
+        asked[occasion] = (
+            answers.asks,
+            {each.name: (each.fingers, each.interval) for each in answers.offered},
+            {name: question.asks for name, question in answers.then.items()},
+        )
+        first = next(iter(asked))
+        if asked[occasion] != asked[first]:
+            # If the first group is asked the same in this kind of session, the kind makes the difference.
+            place = int(asked[occasion] == asked[occasion._replace(group=first.group)])
+            yield reading.problem(
+                ("schedule", "sessions") if place else ("groups", occasion.group),
+                f"other answers or questions for {occasion[place]} than for {first[place]}",
+                "the same ones for all that is analysed together; wording, keys and time limits may differ",
+                "give the other a protocol of its own",
+            )
