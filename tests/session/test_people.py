@@ -12,7 +12,7 @@ from outside import call
 
 from modaltouch.analysis import analyse
 from modaltouch.analysis.provenance import describe_record, take_facts
-from modaltouch.cli import prompts
+from modaltouch.cli import run
 from modaltouch.preflight import Preflight, examine
 from modaltouch.protocol import InputError
 from modaltouch.protocol.people import PersonField
@@ -127,11 +127,11 @@ def test_answers_are_asked_consent_first_until_they_are_answers(
 ) -> None:
     """A wrong word is asked again; after a no to a consent nothing is asked."""
     typed = iter(["maybe", "yes", "12", "24", "Female", ""])
-    monkeypatch.setattr(prompts, "_prompt", lambda words, **how: next(typed))
-    assert prompts.ask_people(asking.experiment.protocol.people, True) == ANSWERS
+    monkeypatch.setattr(run, "_prompt", lambda words, **how: next(typed))
+    assert run.ask_people(asking.experiment.protocol.people, True) == ANSWERS
     assert next(typed, "all asked") == "all asked"
     typed = iter(["no"])
-    assert prompts.ask_people(asking.experiment.protocol.people, True) == {"consent": "no"}
+    assert run.ask_people(asking.experiment.protocol.people, True) == {"consent": "no"}
 
 
 def test_a_file_of_answers_is_read_with_every_fault_in_its_place(asking: Preflight, tmp_path: Path) -> None:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -15,7 +16,7 @@ import typer
 from modaltouch import analysis, preflight, protocol, record, window
 from modaltouch import session as sessions
 from modaltouch.cli.options import CALIBRATION, JSON, PROTOCOL, RESULTS, SEED, WITH_MARKED
-from modaltouch.cli.output import print_json, progress, reporting
+from modaltouch.cli.output import INTERRUPTED, leave, print_json, progress, reporting
 
 AnswersChoice = Literal["window", "robot", "simulated"]
 """Source of the answers."""
@@ -135,8 +136,6 @@ def run(
     experimenter's console. Every answer is on disk before the next trial. If anything ends the session early, the
     outputs are off and `modaltouch resume` continues where it stopped.
     """
-    from modaltouch.cli.prompts import ask_participant, ask_rig, can_ask, wait_for_start
-
     may_ask = can_ask() and not yes and not json_output
     with reporting(json_output=json_output):
         if people is not None and answers != "window":
@@ -167,8 +166,6 @@ def run(
 
 def _with_people(setup: sessions.Setup, people: Path | None, may_ask: bool) -> sessions.Setup:
     """Return the setup with the answers to the questions about the participant, from a file or prompts."""
-    from modaltouch.cli.prompts import ask_people
-
     if not setup.to_ask:
         return setup
     protocol = setup.preflight.experiment.protocol
@@ -338,3 +335,96 @@ def _conduct(
         print_json({"session": str(folder), "complete": session.complete, "n_answered": session.n_answered})
     else:
         print(f"Done: {session.n_answered} answers in {folder}")
+
+
+def can_ask() -> bool:
+    """Return whether standard input is a terminal and prompts are visible."""
+    return sys.stdin.isatty() and (sys.stderr.isatty() or sys.stdout.isatty())
+
+
+def ask_rig(may_ask: bool) -> str:
+    """Prompt for the generator's VISA address, listing those visible to this machine; return it or ``simulated``."""
+    if not may_ask:
+        raise typer.BadParameter(
+            "a session needs a rig: give --rig with the generator's VISA address (`modaltouch rig list` shows what "
+            "this machine can see), or --rig simulated, where nothing vibrates"
+        )
+    from modaltouch.rig import RigError, find_instruments
+
+    try:
+        found = find_instruments()
+    except RigError as error:
+        found = ()
+        typer.secho(str(error), err=True, fg=typer.colors.YELLOW)
+    for number, address in enumerate(found, start=1):
+        typer.echo(f"{number}  {address}", err=True)
+    hint = "its number above" if found else "none is seen; one on the network answers at TCPIP::<its address>::INSTR"
+    while True:
+        given = str(
+            _prompt(f"Generator's VISA address ({hint}), or {sessions.SIMULATED}", default="", shown=False)
+        ).strip()
+        if given.isdecimal() and 1 <= int(given) <= len(found):
+            return found[int(given) - 1]
+        if given.casefold() == sessions.SIMULATED or "::" in given:
+            return given if "::" in given else sessions.SIMULATED
+        typer.secho(f"given {given!r}; allowed: a VISA address, or {sessions.SIMULATED}", err=True, fg=typer.colors.RED)
+
+
+def ask_participant(dataset: Path) -> str:
+    """Prompt for a participant id until it is valid in a file name, and return it."""
+    if not can_ask():
+        raise typer.BadParameter("a session needs a participant id: give it with -p, for example -p p01")
+    while True:
+        words = "Participant id (a code of letters and digits, never a name)"
+        participant = str(_prompt(words, default=sessions.propose_participant(dataset))).strip()
+        try:
+            return record.SessionFolder.check_participant(participant)
+        except record.RecordError as error:
+            typer.secho(str(error), err=True, fg=typer.colors.RED)
+
+
+def ask_people(fields: Mapping[str, Any], may_ask: bool) -> dict[str, Any]:
+    """Prompt for the answers to the protocol's questions, consents first; stop if a required consent is refused."""
+    if not may_ask:
+        listed = ", ".join(fields)
+        raise typer.BadParameter(f"the protocol asks each participant for {listed}: give a YAML file with --people")
+    answers: dict[str, Any] = {}
+    for name in sorted(fields, key=lambda name: str(fields[name].kind) != "consent"):
+        while name not in answers:
+            words = str(_prompt(f"{fields[name].question} ({fields[name].allowed})", default="", shown=False))
+            try:
+                answers[name] = fields[name].read(words)
+            except ValueError as error:
+                typer.secho(str(error), err=True, fg=typer.colors.RED)
+        if fields[name].kind == "consent" and fields[name].required and answers[name] == "no":
+            break
+    return answers
+
+
+def wait_for_start(setup: sessions.Setup, rig: str) -> None:
+    """Show a summary of the session and wait for ``start``; quitting records nothing."""
+    from modaltouch.cli.check import show
+
+    place = setup.place
+    show(setup.preflight)
+    if own := setup.facts.get("sensation_levels"):
+        said = f"found in {own['session']}" if own["found"] == "session" else "as given"
+        typer.echo(f"Levels calibrated by participant: threshold {own['threshold_mm_s']:g} mm/s, {said}")
+    kind = "" if place.mode == "real" else f" ({place.mode} data)"
+    typer.echo(f"Participant {place.participant}, session {place.session}, rig {rig}{kind}, to {place.folder}")
+    while True:
+        word = str(_prompt("Type start to begin, or q to leave", default="", shown=False)).strip().casefold()
+        if word == "start":
+            return
+        if word in ("q", "quit", "exit", "n", "no"):
+            leave(INTERRUPTED, "not started; nothing was recorded")
+
+
+def _prompt(words: str, *, default: object, shown: bool = True) -> object:
+    # Standard output is for the command's result, so prompt on standard error if it is a terminal.
+    try:
+        answer: object = typer.prompt(words, default=default, type=str, show_default=shown, err=sys.stderr.isatty())
+    except typer.Abort:
+        typer.echo("", err=True)
+        leave(INTERRUPTED, "not started; nothing was recorded")
+    return answer
