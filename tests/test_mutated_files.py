@@ -15,7 +15,7 @@ import pytest
 from typer.testing import CliRunner
 
 from modaltouch.analysis.counts import count_answers
-from modaltouch.analysis.reading import read_responses
+from modaltouch.analysis.pipeline import read_responses
 from modaltouch.analysis.statistics import find
 from modaltouch.cli.commands import app
 from modaltouch.planning.observer import Observer

@@ -15,8 +15,7 @@ from modaltouch.analysis.crossed import tabulate, zone_table
 from modaltouch.analysis.designs import analyse_design
 from modaltouch.analysis.detection import catch_findings, catch_rows
 from modaltouch.analysis.exact import multinomial_test
-from modaltouch.analysis.pipeline import analyse
-from modaltouch.analysis.reading import read_responses
+from modaltouch.analysis.pipeline import analyse, read_responses
 from modaltouch.analysis.statistics import family_findings
 from modaltouch.protocol.source import InputError
 

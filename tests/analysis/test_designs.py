@@ -30,9 +30,8 @@ from modaltouch.analysis.measures import (
     over_participants,
 )
 from modaltouch.analysis.permutation import by_flips, by_ranks, friedman, group_test
-from modaltouch.analysis.pipeline import analyse
+from modaltouch.analysis.pipeline import analyse, read_responses
 from modaltouch.analysis.ratings import level_findings, power_law
-from modaltouch.analysis.reading import read_responses
 from modaltouch.analysis.report import design_limits
 from modaltouch.analysis.responses import AnswerSource, Responses, TableFormat
 from modaltouch.protocol import AnswerList, InputError

@@ -10,7 +10,7 @@ import pytest
 
 from modaltouch.analysis import analyse
 from modaltouch.analysis.counts import count_answers
-from modaltouch.analysis.reading import read_responses
+from modaltouch.analysis.pipeline import read_responses
 from modaltouch.preflight import Preflight, examine
 from modaltouch.protocol.source import InputError
 from modaltouch.protocol.trial import Trial

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from modaltouch import analyse, simulate_session
-from modaltouch.analysis.reading import read_responses
+from modaltouch.analysis.pipeline import read_responses
 from modaltouch.analysis.responses import AnswerSource, Responses
 from modaltouch.protocol import InputError
 

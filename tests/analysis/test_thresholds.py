@@ -19,9 +19,8 @@ from scipy.special import ndtr
 from scipy.stats import binom
 
 from modaltouch.analysis.intervals import Interval
-from modaltouch.analysis.pipeline import analyse
+from modaltouch.analysis.pipeline import analyse, read_responses
 from modaltouch.analysis.psychometric import DROP, REGION, Psychometric, fit_psychometric
-from modaltouch.analysis.reading import read_responses
 from modaltouch.analysis.responses import AnswerSource, Responses
 from modaltouch.analysis.run_report import render_runs
 from modaltouch.analysis.runs import (

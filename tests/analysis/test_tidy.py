@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from modaltouch.analysis.counts import count_answers
 from modaltouch.analysis.designs import analyse_design
 from modaltouch.analysis.parts import analyse_parts
-from modaltouch.analysis.reading import read_responses
+from modaltouch.analysis.pipeline import read_responses
 from modaltouch.analysis.responses import TableFormat
 from modaltouch.protocol import AnswerList, InputError
 

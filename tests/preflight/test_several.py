@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from modaltouch.analysis.pipeline import analyse
-from modaltouch.analysis.reading import read_responses
+from modaltouch.analysis.pipeline import analyse, read_responses
 from modaltouch.analysis.runs import ThresholdAnalysis, over_participants
 from modaltouch.cli.commands import app
 from modaltouch.planning.design import designs_for

@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from modaltouch.analysis.reading import read_responses
+from modaltouch.analysis.pipeline import read_responses
 from modaltouch.protocol import InputError, Sources
 from modaltouch.protocol.findings import Findings
 from modaltouch.record.audit import audit_session, draw_again

@@ -62,7 +62,7 @@ def test_another_format_is_told_by_every_reader(rewritten, change, said):
     assert said in audit_session(Session.find(path)).problems[0]
     with pytest.raises(RecordError, match="format 3|does not say|is not an event"):
         wire_resume(path)
-    from modaltouch.analysis.reading import read_responses
+    from modaltouch.analysis.pipeline import read_responses
 
     with pytest.raises(InputError, match=r"damaged: .*(format 3|does not say|is not an event)"):
         read_responses(path.parent)

@@ -13,8 +13,7 @@ import pandas as pd
 import pytest
 
 from modaltouch.analysis.crossed import Analysis
-from modaltouch.analysis.pipeline import analyse
-from modaltouch.analysis.reading import read_responses
+from modaltouch.analysis.pipeline import analyse, read_responses
 from modaltouch.planning.design import designs_for
 from modaltouch.planning.fitting import fit_answers
 from modaltouch.planning.observer import Observer

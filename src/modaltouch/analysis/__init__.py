@@ -16,9 +16,8 @@ if TYPE_CHECKING:
     from modaltouch.analysis.counts import AnswerCounts, Pair
     from modaltouch.analysis.findings import ALPHA
     from modaltouch.analysis.intervals import wilson
-    from modaltouch.analysis.pipeline import analyse, analyse_responses
+    from modaltouch.analysis.pipeline import analyse, analyse_responses, read_responses
     from modaltouch.analysis.preregistration import terms_of
-    from modaltouch.analysis.reading import read_responses
     from modaltouch.analysis.responses import Responses, TableFormat
     from modaltouch.analysis.statistics import STATISTICS
     from modaltouch.analysis.words import scope_in_words
@@ -29,9 +28,8 @@ else:
             "counts": "AnswerCounts Pair",
             "findings": "ALPHA",
             "intervals": "wilson",
-            "pipeline": "analyse analyse_responses",
+            "pipeline": "analyse analyse_responses read_responses",
             "preregistration": "terms_of",
-            "reading": "read_responses",
             "responses": "TableFormat Responses",
             "statistics": "STATISTICS",
             "words": "scope_in_words",
