@@ -373,8 +373,6 @@ class FreeFree:
     ----------
     recognised : bool
         Whether the natural frequencies are those of a free-free beam.
-    first_frequency_Hz : float
-        Natural frequency of its first bending mode [Hz].
     bending_modes : tuple of (int or None)
         Bending mode of each natural frequency, from 1; None for other motions.
     shear : float
@@ -384,7 +382,6 @@ class FreeFree:
     """
 
     recognised: bool
-    first_frequency_Hz: float  # noqa: N815
     bending_modes: tuple[int | None, ...]
     shear: float
     deviation: float
@@ -433,7 +430,7 @@ def _fit(measured: FloatArray, first: int, mode: int, shear: float, square: Floa
     successive = len(set(found)) == len(found) and bool(found) and max(found) - min(found) + 1 <= len(found) + 1
     deviation = float(off[fits].max()) if fits.any() else 1.0
     recognised = successive and len(found) >= enough and 2 * len(found) > measured.size
-    return FreeFree(recognised, scale * float(course[0]), tuple(labels), shear, deviation)
+    return FreeFree(recognised, tuple(labels), shear, deviation)
 
 
 def _worth(tried: FreeFree) -> tuple[bool, int, float]:
