@@ -51,15 +51,12 @@ def _check_settling(reading: Reading[Protocol]) -> Iterator[Problem]:
         )
 
 
-def _stimuli(protocol: Reading[Protocol], key: str) -> Iterator[tuple[tuple[str, ...], float]]:
-    """Yield path and value of a key of the stimulus, and of each of several stimuli that overrides it."""
-    value = protocol.sound("stimulus", key)
-    if value is not None:
-        yield ("stimulus", key), value
-    for name in protocol.sound("stimuli") or ():
-        own = protocol.sound("stimuli", name, key)
-        if own is not None:
-            yield ("stimuli", name, key), own
+def _rates(protocol: Reading[Protocol]) -> Iterator[tuple[tuple[str, ...], float]]:
+    """Yield path and value of the repetition rate, and of each of several stimuli that overrides it."""
+    for section in (("stimulus",), *(("stimuli", name) for name in protocol.sound("stimuli") or ())):
+        path = (*section, "repetition_rate_Hz")
+        if (rate := protocol.sound(*path)) is not None:
+            yield path, rate
 
 
 def _check_durations(protocol: Reading[Protocol]) -> Iterator[Problem]:
@@ -68,7 +65,7 @@ def _check_durations(protocol: Reading[Protocol]) -> Iterator[Problem]:
         if seconds is None:
             continue
         own = protocol.sound("stimuli") or {}
-        for path, rate in _stimuli(protocol, "repetition_rate_Hz"):
+        for path, rate in _rates(protocol):
             shared = [name for name in own if protocol.sound("stimuli", name, "repetition_rate_Hz") is None]
             names = shared if path[0] == "stimulus" else [path[1]]
             counted = names and all(protocol.sound("stimuli", name, "presentation_bursts") for name in names)
@@ -92,7 +89,7 @@ def _check_durations(protocol: Reading[Protocol]) -> Iterator[Problem]:
 
 def _check_written_once(protocol: Reading[Protocol]) -> Iterator[Problem]:
     seconds, n_bursts = (protocol.sound("answers", f"presentation_{unit}") for unit in ("s", "bursts"))
-    rates = [rate for _, rate in _stimuli(protocol, "repetition_rate_Hz")]
+    rates = [rate for _, rate in _rates(protocol)]
     if seconds is None or n_bursts is None:
         return
     if any(whole_bursts(seconds, rate) != n_bursts for rate in rates):
