@@ -1,4 +1,4 @@
-"""``modaltouch run``, ``resume`` and ``demo``: sessions with one participant."""
+"""``modaltouch run``, ``resume`` and ``demo``: sessions with one participant, and the prompts before them."""
 
 from __future__ import annotations
 
