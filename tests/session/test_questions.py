@@ -267,6 +267,20 @@ def test_the_console_takes_the_keys_of_a_further_question() -> None:
     assert status.answer_by("7") is None
 
 
+def test_the_console_takes_a_further_question_again_after_a_pause() -> None:
+    """The window asks it again, so that the experimenter can still answer it; not while the session is paused."""
+    status = Status()
+    status.take({"event": "question_next", "keys": {"no": ["left"], "yes": ["right"]}, "rates": False})
+    status.take({"event": "pause", "by": "experimenter"})
+    assert status.answer_by("right") is None
+    status.take({"event": "continued"})
+    assert status.answer_by("right") == "yes"
+    status.take({"event": "form"})
+    for event in ("pause", "continued"):
+        status.take({"event": event})
+    assert status.answer_by("right") is None, "answered before that pause"
+
+
 def test_power_refuses_a_scale_in_its_place() -> None:
     """It simulates how two fingers are compared."""
     with pytest.raises(

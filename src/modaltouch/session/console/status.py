@@ -133,6 +133,7 @@ class Status:
         self._total = 0
         self._nothing: str | None = None
         self._keys: dict[str, list[str]] = {}
+        self._further: dict[str, Any] | None = None
         self._trials: dict[int, dict[str, Any]] = {}
         self._durations: list[float] = []
         self._answered_at: float | None = None
@@ -180,7 +181,8 @@ class Status:
                 facts |= {"state": "waiting", "trial": event["trial"], "nothing_to_repeat": False}
             case "question_next":
                 keys = event["keys"]
-                facts["question"] = {"open": True, "keys": typed_keys(keys, None if event["rates"] else tuple(keys))}
+                keys = typed_keys(keys, None if event["rates"] else tuple(keys))
+                facts["question"] = self._further = {"open": True, "keys": keys}
             case "discarded" if event.get("device"):
                 facts["too_early"] = str(event["key"])
             case "form":
@@ -191,14 +193,16 @@ class Status:
                 gone = set(event["lines"])
                 self._trials = {index: trial for index, trial in self._trials.items() if trial["n"] not in gone}
             case "pause" | "focus_lost":
+                further = self._further
                 self._cut()
+                self._further = further  # asked again after the pause
                 # A pause during a break returns to the break.
                 self._held = "break" if facts["state"] == "break" else "waiting"
                 usual = "participant" if name == "pause" else "lost focus"
                 facts |= {"state": "paused", "paused_by": str(event.get("by", usual))}
                 self._answered_at = None
             case "continued":
-                facts |= {"state": self._held, "paused_by": ""}
+                facts |= {"state": self._held, "paused_by": "", "question": self._further or facts["question"]}
             case "rest":
                 facts["state"], self._answered_at = "break", None
             case "experimenter":
@@ -265,7 +269,7 @@ class Status:
 
     def _ask(self, *, on: bool) -> None:
         """Enable or disable answers at the console."""
-        self._facts["too_early"] = ""
+        self._facts["too_early"], self._further = "", None
         if self._facts["question"] is not None:
             self._facts["question"] = {"keys": self._keys, "open": on}
 
