@@ -196,6 +196,28 @@ def test_a_session_sooner_than_its_kind_allows_is_refused(preflight: Preflight, 
         sit(preflight, tmp_path, "p03", session=2)
 
 
+def test_a_gap_is_counted_from_the_session_and_not_from_its_repair(
+    preflight: Preflight, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Killed at its end two days ago and mended today, the training delays the test no further."""
+
+    class TwoDaysAgo(datetime):
+        @classmethod
+        def now(cls, tz: Any = None) -> Any:
+            return datetime.now(tz) - timedelta(days=2)
+
+    with monkeypatch.context() as earlier:
+        earlier.setattr("modaltouch.record.log.datetime", TwoDaysAgo)
+        training = sit(preflight, tmp_path, "p01")
+    training.path.write_bytes(training.path.read_bytes()[:-20])
+    mended = resume(wire_resume(training.path))
+    assert (mended.complete, mended.events[-1]["event"]) == (True, "stop")
+    assert datetime.fromisoformat(survey_results(tmp_path)[0]["next"][0]["from"]) < datetime.now(UTC)
+    test = sit(preflight, tmp_path, "p01")
+    assert "begun 2.00 days after the previous session" in audit_session(test).lines
+    assert not [note for note in survey_results(tmp_path)[0]["notes"] if "p01 session 2" in note]
+
+
 def test_a_session_begun_anew_keeps_the_gap_of_the_one_it_replaces(preflight: Preflight, tmp_path: Path) -> None:
     """It begins minutes after that one, which is no session before it; to resume waits for nothing."""
     sit(preflight, tmp_path, "p01")

@@ -227,11 +227,12 @@ def _check_gap(session: Session, protocol: Protocol, place: str) -> tuple[bool, 
     kind, begun = protocol.schedule.kind_of(session.drawn_as), session.start["time"]
     logs = SessionFolder.logs_of(session.path.absolute().parents[2])
     before = [log for log in logs if SessionFolder.number_of(log) < int(session.start["session"])]
-    times = [event["time"] for event in Session.find(before[-1]).events if event["time"] <= begun] if before else []
+    events = tuple(each for each in Session.find(before[-1]).events if each["time"] <= begun) if before else ()
+    ended = Session(session.path, events).ended
     # A restarted session replaces the previous one, to which the minimum time applied.
-    if kind is None or not kind.min_gap_days or not times or "begins_anew" in session.start:
+    if kind is None or not kind.min_gap_days or ended is None or "begins_anew" in session.start:
         return True, ""
-    days = (datetime.fromisoformat(begun) - datetime.fromisoformat(times[-1])) / timedelta(days=1)
+    days = (datetime.fromisoformat(begun) - datetime.fromisoformat(ended)) / timedelta(days=1)
     sentence = f"begun {days:.2f} days after the previous session"
     if days >= kind.min_gap_days:
         return True, sentence

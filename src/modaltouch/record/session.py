@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 from modaltouch.record.chain import Chain, UnreadableLineError, read_chain, read_object
 from modaltouch.record.files import is_locked
@@ -74,6 +74,9 @@ class Session:
     events: tuple[dict[str, Any], ...]
     chain: Chain = Chain()
 
+    REPAIRS: ClassVar = ("stop", "closed", "recovered")
+    """Events that may be written long after a sitting, when a record is repaired."""
+
     @classmethod
     def find(cls, path: Path) -> Session:
         """Read the session at a path: its log, its folder, or any folder with a single log.
@@ -125,6 +128,11 @@ class Session:
     def start(self) -> dict[str, Any]:
         """The start record; empty if the log does not begin with one."""
         return self.events[0] if self.events and self.events[0].get("event") == "start" else {}
+
+    @property
+    def ended(self) -> str | None:
+        """Time of the last event, without those of a later repair; None if there is none."""
+        return next((e.get("time") for e in reversed(self.events) if e.get("event") not in self.REPAIRS), None)
 
     @property
     def mode(self) -> str:

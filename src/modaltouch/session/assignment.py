@@ -111,10 +111,10 @@ def is_early(place: SessionFolder, protocol: Protocol, drawn_as: int, now: datet
             f"{len(logs)}; allowed: session {len(logs) + 1}; leave --session out, or begin it anyway with --any-gap, "
             f"which is then recorded"
         )
-    events = read_session(logs[-1]).events if kind is not None and kind.min_gap_days and logs else ()
-    if kind is None or not events:
+    last = read_session(logs[-1]).ended if kind is not None and kind.min_gap_days and logs else None
+    if kind is None or last is None:
         return ""
-    ended = datetime.fromisoformat(str(events[-1]["time"]))
+    ended = datetime.fromisoformat(last)
     due = ended + timedelta(days=kind.min_gap_days)
     return (
         ""

@@ -149,7 +149,7 @@ def _survey_session(log: Path) -> tuple[dict[str, Any], Session]:
         "session": SessionFolder.number_of(log),
         **(_named(*session.occasion) if isinstance(session.start.get("schedule"), dict) else {}),
         "begun": session.start.get("time"),
-        "ended": session.events[-1].get("time") if session.events else None,
+        "ended": session.ended,
         "duration_min": round(sum(sittings) / 60, 1),
         "n_sittings": len(sittings),
         "n_answered": session.n_answered if is_readable else None,
@@ -178,9 +178,7 @@ def _sittings(session: Session) -> list[float]:
     """Return the duration of each sitting of a session [s]; a reboot resets the clock."""
     begins = [place for place, event in enumerate(session.events) if event.get("event") in ("start", "resume")]
     parts = (session.events[begin:end] for begin, end in pairwise([*begins, None]))
-    # Such events may be written long after a sitting, when a record is repaired.
-    late = ("stop", "closed", "recovered")
-    read = ([e.get("clock") for e in part if e.get("event") not in late] for part in parts)
+    read = ([e.get("clock") for e in part if e.get("event") not in Session.REPAIRS] for part in parts)
     clocks = ([clock for clock in each if isinstance(clock, (int, float))] for each in read)
     return [each[-1] - each[0] if each else 0.0 for each in clocks]
 
