@@ -361,6 +361,14 @@ def test_why_a_session_is_not_analysed_is_said():
     assert Session(path, (start, trial)).unfit == ""
 
 
+def test_a_running_session_is_not_to_be_resumed(tmp_path):
+    """It is left out, and said to run, until its program ends."""
+    path = tmp_path / "session.jsonl"
+    with SessionLog.create(path, "start", schedule={"n_trials": 1}):
+        assert read_session(path).unfit == "running: 0 of 1 trials answered"
+    assert read_session(path).unfit.endswith("(continue with `modaltouch resume`)")
+
+
 def test_only_confirmed_answers_to_scheduled_trials_complete_a_session():
     """Practice, withdrawn and unconfirmed answers do not count; the trials they were for are asked again."""
 

@@ -301,6 +301,8 @@ class Session:
         if not self.complete and self.started_over_as is not None:
             return f"closed: started over as session {self.started_over_as}"
         total = self.start.get("schedule", {}).get("n_trials", 0)
+        if not self.complete and self.is_running:
+            return f"running: {self.n_answered} of {total} trials answered"
         if not self.complete and not self.lacks_trials:
             return "incomplete: the form at the end is not filled in (continue with `modaltouch resume`)"
         if not self.complete:
