@@ -123,11 +123,13 @@ def test_a_number_is_entered_by_clicks(
 
 
 def test_a_scale_times_out_without_a_number(paper_room: Callable[..., Any], trial: Trial) -> None:
-    """What was entered and not confirmed is no answer."""
+    """What was entered and not confirmed is no answer, but is in the record."""
     room = paper_room(answers=scale(VAS) | {"time_out_s": 1.0})
     room.script = [("question", 0.2, press(room, "right"))]
     response = rate(room, trial)
+    room.window.confirm(response)
     assert (response.answer, response.value, response.device) == ("time_out", None, "none")
+    assert room.events("discarded") == [{"when": "not confirmed in time", "trial": trial.index, "entered": "50"}]
     assert "value" not in response.as_dict()
 
 

@@ -274,6 +274,9 @@ class AskedQuestion:
             if entry.take(*done):
                 return (self.pictures.answers.offered[0].name, done[1]), entry.value
             show()
+        if entry.text:
+            number = trial.index if trial else None
+            self._loop.note("discarded", when="not confirmed in time", trial=number, entered=entry.text)
         return None, None
 
     def respond(self, taken: Taken, value: float | None, since: float, answered_by: str) -> Response:
