@@ -301,7 +301,7 @@ def test_coherence_that_is_none_is_refused(tmp_path: Path, frequency: np.ndarray
     """In percent, or where nothing was measured."""
     arrays = {"response": accelerance(frequency, RESIDUES[0])[None, None], "coherence": coherence}
     np.savez(tmp_path / "a.npz", frequency=frequency, sets=["v"], quantity="acceleration", **arrays)
-    with pytest.raises(ValueError, match="the coherence of the response to v 1 is not between 0 and 1 throughout"):
+    with pytest.raises(ValueError, match="the response to v 1 has a coherence that is not between 0 and 1 throughout"):
         read_responses([tmp_path / "a.npz"], ResponseFormat(n_averages=4))
 
 

@@ -175,7 +175,7 @@ def read_responses(paths: Sequence[Path], how: ResponseFormat | None = None) -> 
     how = how or ResponseFormat()
     if not paths:
         raise ValueError("no file is given: give at least one")
-    parts = [(path, _read(path, how)) for path in paths]
+    parts = [(path, _with_even_axis(path, _read(path, how))) for path in paths]
     first_path, first = parts[0]
     n_bins = min(part.frequency.size for _, part in parts)
     frequency = first.frequency[:n_bins]
@@ -253,20 +253,19 @@ def _assemble(
     """Assemble one repeat: sets by positions if all sets were measured at all places, else one set per response."""
     response = {key: repeats[repeat].values for key, repeats in found.items()}
     coherence = {key: repeats[repeat].coherence for key, repeats in found.items()}
-    frequency = _even_axis(path, frequency)
     usable = frequency > 0
     for (name, place), values in response.items():
-        where = "" if place is None else f" at {place}"
+        which = f"{path}: the response to {name}" + ("" if place is None else f" at {place}")
         if not np.isfinite([*values[usable], *(place or ())]).all():
-            raise ValueError(
-                f"{path}: the response to {name}{where} contains a value that is not finite; measure it again"
-            )
+            raise ValueError(f"{which} contains a value that is not finite; measure it again")
+        if not values[usable].any():
+            raise ValueError(f"{which} is zero throughout; measure it again")
         certainty = coherence[name, place]
         # An excess of a thousandth is rounding.
         if certainty is not None and not ((certainty >= 0) & (certainty <= 1.001))[usable].all():
             raise ValueError(
-                f"{path}: the coherence of the response to {name}{where} is not between 0 and 1 throughout; export it "
-                "as a share of 1, or leave it out"
+                f"{which} has a coherence that is not between 0 and 1 throughout; export it as a share of 1, or leave "
+                "it out"
             )
     sets = tuple(dict.fromkeys(name for name, _ in response))
     places = sorted({place for _, place in response if place is not None})
@@ -291,15 +290,16 @@ def _assemble(
     )
 
 
-def _even_axis(path: Path, frequency: FloatArray) -> FloatArray:
-    """Return evenly spaced frequencies with their rounding removed; refuse others."""
+def _with_even_axis(path: Path, part: Part) -> Part:
+    """Return the responses with the rounding of their evenly spaced frequencies removed; refuse other frequencies."""
+    frequency = part.frequency
     if frequency.size < 32:
         raise ValueError(f"{path}: it has {frequency.size} bins; at least 32 are needed")
     even = np.linspace(frequency[0], frequency[-1], frequency.size)
     off, step = np.abs(frequency - even).max(), even[1] - even[0]
     if not off < step / 4:
         raise ValueError(f"{path}: its frequencies are not evenly spaced and increasing; export them that way")
-    return even if off > 1e-3 * step else frequency
+    return part._replace(frequency=even if off > 1e-3 * step else frequency)
 
 
 def _read(path: Path, how: ResponseFormat) -> Part:
@@ -322,6 +322,8 @@ def _read(path: Path, how: ResponseFormat) -> Part:
         return reader(path, how)
     except UnicodeDecodeError as error:
         raise ValueError(f"{path}: is not text in UTF-8 (byte {error.start}); export it again") from None
+    except (csv.Error, IndexError, KeyError) as error:
+        raise ValueError(f"{path}: is damaged or incomplete ({error}); export it again") from None
 
 
 def _read_csv(path: Path, how: ResponseFormat) -> Part:
@@ -332,6 +334,8 @@ def _read_csv(path: Path, how: ResponseFormat) -> Part:
     missing = [name for name in needed if name not in header]
     if missing:
         raise ValueError(f"{path}:1: the column {missing[0]} is missing; it needs {', '.join(needed)}")
+    if len(set(header)) < len(header):
+        raise ValueError(f"{path}:1: a column appears twice in {', '.join(header)}; export each once")
     read: dict[Key, list[tuple[float, complex, float]]] = {}
     for line, row in enumerate(rows[1:], start=2):
         if not row:
@@ -342,7 +346,10 @@ def _read_csv(path: Path, how: ResponseFormat) -> Part:
             key = (cells["set"], Place(*place) if cells["position_mm"] else None)
             number = complex(float(cells[needed[3]]), float(cells[needed[4]]))
             certain = float(cells["coherence"]) if "coherence" in cells else math.nan
-            read.setdefault(key, []).append((float(cells[needed[0]]), number, certain))
+            at = float(cells[needed[0]])
+            if not math.isfinite(at):
+                raise ValueError
+            read.setdefault(key, []).append((at, number, certain))
         except (ValueError, IndexError):
             raise ValueError(
                 f"{path}:{line}: {','.join(row)!r} does not give a number for each column of the header"

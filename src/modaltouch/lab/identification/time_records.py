@@ -104,12 +104,14 @@ def read_lvm(path: Path, how: ResponseFormat) -> Part:
         rows: list[list[float]] = []
         for line, cells in enumerate((row.split("\t") for row in piece.splitlines()), start=first_line):
             wanted = [cell for cell in cells[1 : len(units) + 1] if cell.strip()]
-            if len(wanted) != len(units) or wanted[0][:1].isalpha() or cells[0][:1].isalpha():
+            heading = not wanted or cells[0][:1].isalpha() or cells[0].startswith("*")
+            if heading or (not rows and (len(wanted) != len(units) or wanted[0][:1].isalpha())):
                 continue
+            # A line that is left out would shift all later samples.
             try:
-                rows.append([number(cell) for cell in wanted])
+                rows.append([number(cell) for cell, _ in zip(wanted, units, strict=True)])
             except ValueError:
-                raise ValueError(f"{path}:{line}: {wanted} are not numbers") from None
+                raise ValueError(f"{path}:{line}: {wanted} are not numbers of all {len(units)} channels") from None
         first_line += piece.count("\n")
         record = np.array(rows).T if rows else np.zeros((len(units), 0))
         driven = record[drive[0]] * DRIVES[units[drive[0]].casefold()]
@@ -192,7 +194,7 @@ def _spoilt(name: str, drive: FloatArray, motion: FloatArray) -> list[str]:
 
 
 def _refuse_unusable(path: Path, drive: FloatArray, motion: FloatArray) -> None:
-    """Refuse a record that is too short, is not finite, or has a constant excitation."""
+    """Refuse a record that is too short, is not finite, has a constant channel, or begins within its excitation."""
     if not FEWEST_SAMPLES <= drive.size == motion.size:
         raise ValueError(
             f"{path}: it has {drive.size} samples of the excitation and {motion.size} of the motion; both need "
@@ -200,8 +202,14 @@ def _refuse_unusable(path: Path, drive: FloatArray, motion: FloatArray) -> None:
         )
     if not np.isfinite([drive, motion]).all():
         raise ValueError(f"{path}: its excitation or motion has a value that is not a finite number; measure it again")
-    if not np.ptp(drive) > 0:
-        raise ValueError(f"{path}: its excitation is constant; measure it again")
+    for name, row in (("excitation", drive), ("motion", motion)):
+        if not np.ptp(row) > 0:
+            raise ValueError(f"{path}: its {name} is constant; measure it again")
+    size = np.abs(drive - np.median(drive))
+    if size[0] > HIT * size.max() and (size > HIT * size.max()).mean() <= IMPULSIVE:
+        raise ValueError(
+            f"{path}: its record begins within an impact, whose start is missing: set a pre-trigger, and measure again"
+        )
 
 
 def impacts(drive: FloatArray, motion: FloatArray) -> tuple[list[slice] | None, int]:
@@ -280,7 +288,7 @@ def transfer(motion: FloatArray, drive: FloatArray, step: float) -> tuple[FloatA
     Parameters
     ----------
     motion, drive : (n_samples,) array
-        Time series; the mean of their first samples, before the impact, is subtracted.
+        Time series; the mean of the first samples of the motion and the median of the drive are subtracted.
     step : float
         Time between samples [s].
 
@@ -293,7 +301,8 @@ def transfer(motion: FloatArray, drive: FloatArray, step: float) -> tuple[FloatA
         Spectrum of the motion over that of the drive.
     """
     quiet = _quiet(motion)
-    motion, drive = motion - motion[:quiet].mean(), drive - drive[:quiet].mean()
+    # An impact may begin with the record.
+    motion, drive = motion - motion[:quiet].mean(), drive - np.median(drive)
     spectrum = np.fft.rfft(drive)
     frequency = np.fft.rfftfreq(drive.size, step)
     level = np.convolve(np.abs(spectrum), np.ones(25) / 25, "same")

@@ -1,0 +1,112 @@
+"""Files with faults that would shift or hide numbers: each is refused with its line or its cause."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from modaltouch.lab.identification.files import ResponseFormat, read_responses
+
+VELOCITY = ResponseFormat("velocity", spacing=1.0)
+OVER_TIME, RATE = "time_s,set,position_mm,drive,motion", 20e3
+OVER_FREQUENCY = "frequency_Hz,set,position_mm,real,imag"
+HEAD = "***End_of_Header***\nY_Unit_Label\tm/s^2\tN\nDelta_X\t5E-5\t5E-5\n***End_of_Header***\nX_Value\ta\tf\n"
+
+
+def blow(start: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return an impact of three samples from `start` on, and the decay of a resonance at 500 Hz after it."""
+    time = np.arange(4000) / RATE
+    drive = np.zeros(time.size)
+    drive[max(start, 0) : start + 3] = [0.5, 1.0, 0.7][max(-start, 0) :]
+    since = time - start / RATE
+    return drive, np.where(since > 0, np.exp(-60 * since) * np.sin(2 * np.pi * 500 * since), 0.0)
+
+
+def write_times(path: Path, drive: np.ndarray, motion: np.ndarray) -> Path:
+    """Write a record as CSV."""
+    lines = (f"{n / RATE:.6f},hammer,0,{a:.6g},{b:.6g}" for n, (a, b) in enumerate(zip(drive, motion, strict=True)))
+    path.write_text("\n".join([OVER_TIME, *lines]))
+    return path
+
+
+@pytest.mark.parametrize(("line", "cells"), [("\tnan\t0", None), ("\t0.1", "'0.1'"), ("\t0.1\tx", "'0.1', 'x'")])
+def test_a_faulty_line_of_a_labview_file_is_not_skipped(tmp_path: Path, line: str, cells: str | None) -> None:
+    """A sample that is left out brings all later ones forward by one, which no residual shows."""
+    rows = [f"\t{motion:.6g}\t{drive:.6g}" for drive, motion in zip(*blow(200), strict=True)]
+    path = tmp_path / "a.lvm"
+    path.write_text(HEAD + "\n".join(rows))
+    assert read_responses([path]).response.shape[1] == 1
+    path.write_text(HEAD + "\n".join([*rows[:300], line, *rows[301:]]))
+    words = "a value that is not a finite" if cells is None else rf"a.lvm:306: \[{cells}\] are not numbers of all 2"
+    with pytest.raises(ValueError, match=words):
+        read_responses([path])
+
+
+def test_a_record_that_begins_within_an_impact_is_refused(tmp_path: Path) -> None:
+    """Without the start of the impact the ratio of the spectra is no response; an impact at the start is one."""
+    late, early = (read_responses([write_times(tmp_path / "a.csv", *blow(at))], VELOCITY) for at in (200, 1))
+    n_bins = min(late.frequency.size, early.frequency.size)
+    assert n_bins > 1000
+    assert np.abs(early.response - late.response)[..., :n_bins].max() < 0.02 * np.abs(late.response).max()
+    with pytest.raises(
+        ValueError, match=r"a.csv: its record begins within an impact, whose start is missing: set a pr"
+    ):
+        read_responses([write_times(tmp_path / "a.csv", *blow(-1))], VELOCITY)
+
+
+def test_a_motion_of_zeros_is_refused(tmp_path: Path) -> None:
+    """A sensor that is not connected."""
+    with pytest.raises(ValueError, match="a.csv: its motion is constant; measure it again"):
+        read_responses([write_times(tmp_path / "a.csv", blow(200)[0], np.zeros(4000))], VELOCITY)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (f'{OVER_FREQUENCY}\n"{"x" * 200_000}"', r"a.csv: is damaged or incomplete \(field larger"),
+        (f"{OVER_FREQUENCY},real\n1,s,0,1,2,3", "a.csv:1: a column appears twice in frequency_Hz, set, position_mm"),
+        (f"{OVER_FREQUENCY}\n1,s,0,1,2\nnan,s,0,1,2", "a.csv:3: 'nan,s,0,1,2' does not give a number for each column"),
+        (f"{OVER_FREQUENCY}\n1,s,0,1,2", "a.csv: it has 1 bins; at least 32 are needed"),
+    ],
+)
+def test_faulty_tables_are_named(tmp_path: Path, text: str, words: str) -> None:
+    """A quotation mark that never ends; two columns of one name; a frequency that is none; a single bin."""
+    (tmp_path / "a.csv").write_text(text)
+    with pytest.raises(ValueError, match=words):
+        read_responses([tmp_path / "a.csv"], VELOCITY)
+
+
+def test_an_axis_with_no_number_is_not_one_of_another_file(tmp_path: Path) -> None:
+    """A single file cannot differ from itself."""
+    frequency = np.where(np.arange(40) == 7, np.nan, np.arange(40.0))
+    response = np.random.default_rng(1).standard_normal((1, 1, 40)) + 1j
+    np.savez(tmp_path / "a.npz", frequency=frequency, response=response, sets=["v"], quantity="velocity")
+    with pytest.raises(ValueError, match="a.npz: its frequencies are not evenly spaced and increasing"):
+        read_responses([tmp_path / "a.npz"])
+    (tmp_path / "a.txt").write_text("")
+    with pytest.raises(ValueError, match="a.txt: it has 0 bins"):
+        read_responses([tmp_path / "a.txt"], VELOCITY)
+
+
+def test_a_universal_file_with_too_few_coordinates_is_damaged(tmp_path: Path) -> None:
+    """Two nodes, but coordinates of one, as a lost line leaves them."""
+    sets = [{"type": 15, "node_nums": [1, 2], "x": [0.0], "y": [0.0], "z": [0.0]}]
+    response = {"type": 58, "func_type": 4, "rsp_dir": 3, "ref_node": 1, "x": np.arange(40.0), "data": np.ones(40) * 1j}
+    sets += [response | {"rsp_node": node} for node in (1, 2)]
+    (tmp_path / "a.uff").write_text("")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("modaltouch.lab.identification.files._read_sets", lambda path: sets)
+        with pytest.raises(ValueError, match=r"a.uff: is damaged or incomplete \(list index out of range\)"):
+            read_responses([tmp_path / "a.uff"], VELOCITY)
+
+
+def test_a_response_of_zeros_is_named_by_its_place(tmp_path: Path) -> None:
+    """An empty column has no noise either, so nothing else would tell it from a node."""
+    response = np.random.default_rng(1).standard_normal((2, 8, 400)) + 1j
+    response[1, 3] = 0
+    arrays = {"frequency": np.arange(400.0), "sets": ["centre", "side"], "quantity": "velocity"}
+    np.savez(tmp_path / "a.npz", response=response, positions=np.linspace(-0.04, 0.03, 8), **arrays)
+    with pytest.raises(ValueError, match="a.npz: the response to side at -10 mm is zero throughout; measure it again"):
+        read_responses([tmp_path / "a.npz"])
