@@ -34,6 +34,8 @@ from modaltouch.system import Interrupted, commit, versions
 
 SCHEMA = "modaltouch scan 1"
 DESCRIPTION = "scan.json"
+NEEDED = {"mode", "begun", "settings"}, {"about", "burst", "velocity_mm_s", "positions_mm", "acquisition", "scope"}
+"""Keys of the description, and of its settings, that every scan has."""
 
 LARGEST_SHIFT = 20e-9
 """Largest difference between sampling instants that count as equal [s]."""
@@ -193,6 +195,10 @@ def read_facts(folder: Path) -> dict[str, Any]:
         raise RecordError(f"{path}: cannot be read ({error}); restore it, or scan again into another folder") from None
     if not isinstance(facts, dict) or facts.get("schema") != SCHEMA:
         raise RecordError(f"{path}: it does not describe a scan ('{SCHEMA}'); give a scan's folder")
+    for kept, needed in zip((facts, facts.get("settings")), NEEDED, strict=True):
+        missing = sorted(needed - kept.keys()) if isinstance(kept, dict) else ["settings"]
+        if missing:
+            raise RecordError(f"{path}: {missing[0]} is missing; restore it, or scan again into another folder")
     return facts
 
 

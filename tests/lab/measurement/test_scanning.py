@@ -188,6 +188,10 @@ def test_damage_is_told(laboratory: Laboratory, tmp_path: Path) -> None:
     (folder / "scan.json").write_text(json.dumps({"schema": "modaltouch scan 99"}))
     with pytest.raises(RecordError, match="does not describe a scan"):
         read_scan(folder)
+    for kept, missing in ({}, "begun"), ({"mode": "", "begun": "", "settings": {"about": {}}}, "acquisition"):
+        (folder / "scan.json").write_text(json.dumps({"schema": "modaltouch scan 1", **kept}))
+        with pytest.raises(RecordError, match=f"scan.json: {missing} is missing; restore it, or scan again"):
+            read_scan(folder)
     with pytest.raises(RecordInputError, match=r"there is no scan here \(scan.json is missing\)"):
         read_scan(tmp_path)
 
