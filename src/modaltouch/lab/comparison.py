@@ -209,7 +209,8 @@ def draw_price(rows: Sequence[Row], limit: float) -> Figure:
         for row, marker in zip(rows, MARKERS * 2, strict=False):
             look = {"marker": marker, "s": 46, "color": DARK if row["method"] == "exact" else MIDDLE, "edgecolor": INK}
             left.scatter(row["peak_voltage_V"], row["rms_error_mm_s"], linewidth=0.7, label=row["name"], **look)
-            right.scatter(row["energy_V2_s"], row[pairs[0]], linewidth=0.7, **look)
+            # An infinite contrast is kept as None, and has no place in the figure.
+            right.scatter(row["energy_V2_s"], np.array(row[pairs[0]], dtype=float), linewidth=0.7, **look)
         left.axvline(limit, color=INK, linestyle="--", linewidth=0.8)
         left.text(limit, 0.5, "limit ", ha="right", fontsize=7, transform=left.get_xaxis_transform())
         left.set(yscale="log", xlabel="peak voltage [V]", ylabel="distance from the target\nfield, rms [mm/s]")
@@ -219,7 +220,7 @@ def draw_price(rows: Sequence[Row], limit: float) -> Figure:
             axes.set_xscale("log")
             axes.margins(0.12)
             quiet_grid(axes)
-        right.set_ylim(0, 1.15 * max(row[pairs[0]] for row in rows))
+        right.set_ylim(bottom=0)
         handles, names = left.get_legend_handles_labels()
         figure.legend(handles, names, loc="outside upper center", ncols=3, frameon=False)
     return figure
@@ -238,7 +239,7 @@ def draw_robustness(contest: Contest) -> Figure:
         for axes, (label, key) in zip(panels, columns, strict=True):
             for place, (verdict, changed) in enumerate(zip(contest.verdicts, contest.changed, strict=True)):
                 shaken = place + 0.22 * np.cos(np.arange(len(changed)) * 2.4)
-                others = [each.row[key] for each in changed]
+                others = np.array([each.row[key] for each in changed], dtype=float)
                 axes.scatter(others, shaken, s=9, color=MIDDLE, edgecolor=INK, linewidth=0.3)
                 axes.plot([verdict.row[key]] * 2, [place - 0.36, place + 0.36], color=DARK, linewidth=2)
             axes.set_xlabel(label)

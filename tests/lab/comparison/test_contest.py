@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from modaltouch.cli.commands import app
-from modaltouch.lab.comparison import Criterion, criteria, rows_of, write_comparison
+from modaltouch.lab.comparison import Criterion, criteria, draw_price, draw_robustness, rows_of, write_comparison
 from modaltouch.lab.contest import run_contest, true_delay, without_mismatch
 from modaltouch.lab.output import title_of
 from modaltouch.preflight import examine
@@ -120,6 +120,15 @@ def test_without_other_beams_there_is_no_robustness_to_show(found):
     """Expected: dashes instead of numbers."""
     alone = rows_of(replace(found, changed=tuple(() for _ in found.designed)))
     assert alone[0]["changed_drift_mm_s"] is None
+
+
+def test_an_infinite_contrast_has_no_place_in_the_figures(found, rows):
+    """A zone at rest: the contrast is None in JSON; the other methods and beams are drawn."""
+    pair = "contrast_{}_{}".format(*found.preflight.experiment.protocol.conditions.pairs[0])
+    still = [row | {key: None for key in row if key.startswith("contrast_")} for row in rows[:1]] + rows[1:]
+    draw_price(still, 250.0).canvas.draw()
+    rest = replace(found.changed[0][0], row=found.changed[0][0].row | {pair: None})
+    draw_robustness(replace(found, changed=((rest, *found.changed[0][1:]), *found.changed[1:]))).canvas.draw()
 
 
 @pytest.mark.parametrize(
