@@ -287,8 +287,7 @@ def take_scan(
     plan : ScanPlan
         Burst, positions and scope settings.
     folder : Path, optional
-        Folder in which each position is saved at once, and from which an interrupted scan is resumed; nothing is
-        written if not given.
+        Folder in which each position is saved at once, and from which an interrupted scan is resumed.
     source : Source, optional
         The apparatus file, kept in the description.
     reduction : callable
