@@ -17,7 +17,7 @@ from modaltouch.lab.identification.responses import FrequencyResponses, Place
 from modaltouch.lab.identification.shapes import in_two_units
 from modaltouch.lab.identification.verdict import check_gains, check_modes, misfit_verdict, warnings
 from modaltouch.protocol.apparatus import Apparatus
-from modaltouch.rig.simulator.true_beam import TrueBeam
+from modaltouch.rig.simulator.true_beam import TrueBeam, true_beam
 from modaltouch.stimulus import mode_shapes
 
 
@@ -310,3 +310,42 @@ def test_points_read_too_high_in_all_modes_are_told(clean: FrequencyResponses) -
     check_modes(found, spoilt.LABELS)
     (told,) = warnings(found)
     assert re.search(r"the points differ by 2\.\d% \(rms\) in all modes alike", told)
+
+
+@pytest.mark.parametrize("fault", ["conjugated", "late"])
+def test_a_point_without_the_modes_of_the_others_is_not_called_inverted(clean: FrequencyResponses, fault: str) -> None:
+    """Its phase rises, or it is 50 us late: no factor makes it fit, unlike a sensor that is turned or scaled."""
+    response = clean.response.copy()
+    late = np.exp(-2j * np.pi * clean.frequency * 50e-6)
+    response[:, 7] = response[:, 7].conj() if fault == "conjugated" else response[:, 7] * late
+    with pytest.raises(
+        ValueError, match=r"of the response at -15 mm is not in the modes .* trigger and the sign of its"
+    ):
+        identify(replace(clean, response=response), 0.1)
+
+
+def test_responses_of_which_half_are_conjugated_are_refused(apparatus: Apparatus) -> None:
+    """No pole is left within the band for all of them; there was an error of an index instead of a message."""
+    frequency, response = spoilt.response_of(true_beam(apparatus, 1798679648))
+    response[:, 10:] = response[:, 10:].conj()
+    with pytest.raises(ValueError, match="with one sign of the phase|gain and sign of the phase"):
+        check_modes(identify(spoilt.measured(frequency, response, 2), 0.1), spoilt.LABELS)
+
+
+def test_a_point_of_another_beam_is_no_drift(clean: FrequencyResponses, apparatus: Apparatus) -> None:
+    """One file of another specimen: two close resonances, but the residual is at one point."""
+    response = clean.response.copy()
+    response[:, 1] = spoilt.response_of(true_beam(apparatus, 7))[1][:, 1]
+    told = warnings(identify(replace(clean, response=response), 0.1))
+    assert "most of the residual is at -45 mm: check that it is of the same beam" in " ".join(told)
+    assert "drift" not in " ".join(told)
+
+
+def test_a_tone_at_a_resonance_is_no_noise(clean: FrequencyResponses, beam: TrueBeam) -> None:
+    """A fan at one frequency, as high as the resonance of mode 3: averaging does not remove it."""
+    rng, response = np.random.default_rng(0), clean.response.copy()
+    own = beam.table.natural_frequency[beam.table.label.index(3)]
+    at = int(np.abs(clean.frequency - own).argmin())
+    response[:, :, at] += np.abs(response[:, :, at]).max() * np.exp(2j * np.pi * rng.random((2, 21)))
+    with pytest.raises(ValueError, match=r"at one frequency, 255\d\.\d+ Hz: look for a disturbance, such"):
+        check_modes(identify(replace(clean, response=response), 0.1), spoilt.LABELS)

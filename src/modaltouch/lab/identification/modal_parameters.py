@@ -61,6 +61,8 @@ REMEDIES = {
     "drift": "let the beam warm up, and scan again",
     "a missing mode": "measure with finer bins or at more points, or leave that band out",
     "nonlinearity or a missing mode": "drive at half the voltage, and compare, or measure with finer bins",
+    "a strange point": "check that it is of the same beam, its trigger and the sign of its phase; measure it again, or "
+    "leave it out with --leave-out",
 }
 """Remedies, by cause."""
 
@@ -291,6 +293,7 @@ class ModalParameters:
         places, n_modes = self.responses.places, self.fit.n_modes
         if self.length is None or len(places) < 3:
             return [None] * n_modes, [None] * n_modes, np.full(n_modes, np.nan)
+        self._refuse_strange_points()
         scaled = residue / np.sqrt(self._level)[None, :, None]
         # Only the sum of two poles within one width is certain; poles beyond the band are not modes.
         own = self.fit.poles.natural_frequency[self._inside]
@@ -302,6 +305,28 @@ class ModalParameters:
         labels, likeness = label_shapes(common, places, self.length)
         torsion, twisted = label_torsion(common, labels, places, self.length)
         return labels, torsion, np.where([order is None for order in torsion], likeness, twisted)
+
+    def _refuse_strange_points(self) -> None:
+        """Refuse responses that have no mode in common, or points at which most of the response is not fitted."""
+        if not self._inside.any():
+            raise ValueError(
+                "no resonance is common to the responses: check that all of them are of one beam, with one sign of the "
+                "phase and one trigger, or choose another band"
+            )
+        n_bins = len(self.fit.left)
+        of_point = n_bins, *self.responses.response.shape[:2]
+        left, power = (
+            (np.abs(each.reshape(of_point)) ** 2).sum(axis=(0, 1))
+            for each in (self.fit.left, self.fit.problem.response)
+        )
+        share = np.maximum(left - 2 * n_bins * of_point[1], 0.0) / np.maximum(power, 1e-300)
+        strange = (share > STRANGE) & (share > 3 * np.median(share))
+        if strange.any() and 3 * strange.sum() < strange.size:
+            named = ", ".join(str(self.responses.places[point]) for point in np.flatnonzero(strange))
+            raise ValueError(
+                f"up to {share[strange].max():.0%} of the power of the response at {named} is not in the modes of the "
+                f"other points: {REMEDIES['a strange point']}"
+            )
 
     def _gain_deviation(self, k: int, shape: FloatArray) -> FloatArray:
         """Return the standard deviation of a mode's gains, from its residues and their dependence on the poles."""
@@ -346,6 +371,9 @@ class ModalParameters:
         bin_ = int(np.abs(self.responses.frequency - frequency).argmin())
         return float(np.median(self.responses.coherence[driver, :, bin_]))
 
+
+STRANGE = 0.3
+"""Residual power of a point, relative to that of its responses, above which other points do not explain it [1]."""
 
 SMOOTH = 0.5
 """Correlation of the residual between neighbouring bins above which it is not noise [1]."""

@@ -354,7 +354,7 @@ def in_two_units(shapes: FloatArray, places: Sequence[Place], length: float) -> 
     factor = np.median(size[high]) / np.median(size[low])
     return (
         f"the responses at {named} are about {factor:.3g} times as large as those at the other points: check whether "
-        "all points have the same units, range and gain"
+        "all points have the same units, range, gain and sign of the phase"
     )
 
 

@@ -159,8 +159,8 @@ def _implausible_modes(modes: Sequence[IdentifiedMode], missing: Sequence[int]) 
     if not strange:
         return ""
     return (
-        f"the shape at {', '.join(strange)} is not that of a mode: check the positions of the points (two may be "
-        "exchanged) and the length of the beam"
+        f"the shape at {', '.join(strange)} is not that of a mode: check the positions and the signs of the points "
+        "(two may be exchanged) and the length of the beam"
     )
 
 
@@ -325,7 +325,7 @@ MAINS, FEW = (50.0, 60.0), 0.4
 
 
 def _hum(identification: Identification) -> str:
-    """Describe mains hum if most of the residual lies at multiples of a mains frequency; else empty."""
+    """Describe a disturbance if most of the residual is at one frequency or at multiples of a mains frequency."""
     responses = identification.responses
     left = (np.abs(responses.response - identification.fitted) ** 2 / responses.noise[:, None] - 1).sum(axis=(0, 1))
     for mains in MAINS:
@@ -336,8 +336,17 @@ def _hum(identification: Identification) -> str:
                 f"the most probable cause is mains hum: most of the residual lies at multiples of {mains:g} Hz; "
                 "connect all instruments to one earth, keep cables away from transformers, and measure again"
             )
+    at = int(left.argmax())
+    if left[at] > max(STRAY, OF_ALL * left.sum()):
+        return (
+            f"most of the residual is at one frequency, {responses.frequency[at]:.6g} Hz: look for a disturbance, "
+            "such as a fan or a switching power supply, and measure again"
+        )
     return ""
 
+
+FEWEST_PLACES = 6
+"""Minimum number of points for most of the residual at one of them to be remarkable."""
 
 OF_ALL, STRAY = 0.5, 100.0
 """Minimum fraction of the residual in excess of the noise for a single value to explain it, and its minimum square in
@@ -345,17 +354,20 @@ units of the noise [1]."""
 
 
 def _digit(identification: Identification) -> str:
-    """Describe a single value that accounts for most of the residual; empty if there is none."""
+    """Describe a single value, or a point, that accounts for most of the residual; empty if there is none."""
     responses = identification.responses
-    left = np.abs(responses.response - identification.fitted) ** 2 / responses.noise[:, None]
+    left = np.abs(responses.response - identification.fitted) ** 2 / responses.noise[:, None] - 1
     most = np.unravel_index(int(left.argmax()), left.shape)
-    if not left[most] > max(STRAY, OF_ALL * (left.sum() - left.size)):
-        return ""
     where = f" at {responses.places[most[1]]}" if responses.places else ""
-    return (
-        f"most of the residual is in one value, the response to {responses.sets[most[0]]}{where} at "
-        f"{responses.frequency[most[2]]:.6g} Hz: look for a wrong digit in the file, or measure that point again"
-    )
+    if left[most] > max(STRAY, OF_ALL * left.sum()):
+        return (
+            f"most of the residual is in one value, the response to {responses.sets[most[0]]}{where} at "
+            f"{responses.frequency[most[2]]:.6g} Hz: look for a wrong digit in the file, or measure that point again"
+        )
+    by_point = left.sum(axis=(0, 2))
+    if where and by_point.size >= FEWEST_PLACES and by_point.max() > OF_ALL * by_point.sum() > STRAY:
+        return f"most of the residual is at {responses.places[by_point.argmax()]}: {REMEDIES['a strange point']}"
+    return ""
 
 
 def _cause(modes: Sequence[IdentifiedMode]) -> str:
