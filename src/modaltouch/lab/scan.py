@@ -34,7 +34,7 @@ from modaltouch.system import Interrupted, commit, versions
 
 SCHEMA = "modaltouch scan 1"
 DESCRIPTION = "scan.json"
-NEEDED = {"mode", "begun", "settings"}, {"about", "burst", "velocity_mm_s", "positions_mm", "acquisition", "scope"}
+NEEDED = {"mode", "begun", "settings"}, {"about", "burst", "velocity_mm_s", "positions_mm", "acquisition", "generator"}
 """Keys of the description, and of its settings, that every scan has."""
 
 LARGEST_SHIFT = 20e-9

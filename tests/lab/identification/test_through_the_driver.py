@@ -160,6 +160,18 @@ def test_scans_at_other_positions_do_not_go_together(laboratory: Laboratory) -> 
         responses_of({"centre": one, "side": other})
 
 
+def test_scans_of_other_spectra_or_without_drive_give_no_responses(laboratory: Laboratory) -> None:
+    """One set of other lines or averages would be read on the axis of the first; without drive nothing is divided."""
+    one = small(positions=(0.0,)).scan(laboratory, Source.load(APPARATUS), None)["centre"]
+    (kept,) = one.arrays
+    for change in ({"frequency": 1.01 * kept["frequency"]}, {"n_records": np.array(7)}):
+        with pytest.raises(RecordInputError, match="number of records of the set side at 0 mm differ .* same options"):
+            responses_of({"centre": one, "side": replace(one, arrays=({**kept, **change},))})
+    silent = replace(one, arrays=({**kept, "drive_power": 0 * kept["drive_power"]},))
+    with pytest.raises(RecordInputError, match="the drive of the set centre at 0 mm is zero.* check the probe"):
+        responses_of({"centre": silent})
+
+
 def test_drive_that_does_not_arrive_is_told(laboratory: Laboratory, tmp_path: Path) -> None:
     """An amplifier that has tripped: refused before any position is measured, and nothing is written."""
     assert laboratory.simulator is not None

@@ -314,11 +314,13 @@ def responses_of(scans: Mapping[str, Scan], bandwidth: float | None = None) -> F
     Raises
     ------
     RecordInputError
-        If a scan is incomplete, contains overloaded records, or has different positions from the first.
+        If a scan is incomplete, contains overloaded records or no drive, or has different positions, frequencies or
+        numbers of records from the first.
     """
     response: list[ComplexArray] = []
     coherence: list[FloatArray] = []
     positions, across = next(iter(scans.values())).positions, next(iter(scans.values())).across
+    first = next(iter(scans.values())).arrays[0]
     for name, scan in scans.items():
         scan.require_complete().refuse_overloaded()
         if (
@@ -329,11 +331,22 @@ def responses_of(scans: Mapping[str, Scan], bandwidth: float | None = None) -> F
             raise RecordInputError(
                 f"the positions in the scan of the set {name} differ from those of the first: scan it again"
             )
+        for position, each in zip(positions, scan.arrays, strict=True):
+            if any(not np.array_equal(each.get(key, ()), first[key]) for key in ("frequency", "n_records")):
+                raise RecordInputError(
+                    f"frequencies or number of records of the set {name} at {position * 1e3:g} mm differ from those of "
+                    "the first scan: scan all sets with the same options"
+                )
         drive, velocity = scan.stacked("drive_power"), scan.stacked("velocity_power")
         cross = np.stack([np.asarray(each["cross_power"], dtype=complex) for each in scan.arrays])
+        faulty = ~(np.isfinite(cross) & np.isfinite(velocity) & (drive > 0)).all(axis=-1)
+        if faulty.any():
+            raise RecordInputError(
+                f"the drive of the set {name} at {positions[faulty.argmax()] * 1e3:g} mm is zero, or a value is not "
+                "finite: check the probe at the amplifier's output, and scan again into another folder"
+            )
         response.append(np.asarray(cross / drive, dtype=complex))
         coherence.append(np.abs(cross) ** 2 / (drive * velocity))
-    first = next(iter(scans.values())).arrays[0]
     n_averages = int(first["n_records"])
     order = np.argsort(positions)
     return FrequencyResponses(
