@@ -204,8 +204,18 @@ def test_finger_that_moves_is_said(beam):
     still = [measured(beam.touched(TRUE), seed) for seed in (5, 6)]
     assert Probe.averaged(still).deviation == pytest.approx(still[0].deviation / np.sqrt(2))
     moved = replace(TRUE[0], position=TRUE[0].position + 1e-3)
-    with pytest.raises(ValueError, match=r"differ by \d+ times the variance of their noise, .*: something moved"):
+    with pytest.raises(
+        ValueError, match=r"differ by \d+ times the variance of their noise, .*: something moved, or there is mains hum"
+    ):
         Probe.averaged([still[0], measured(beam.touched((moved, TRUE[1])), 7)])
+
+
+def test_a_vibrometer_that_is_off_is_said(beam):
+    """A signal of zeros has no noise, by which lines could be weighted."""
+    still = measured(beam, 5)
+    silent = replace(still, response=0 * still.response, deviation=0 * still.deviation)
+    with pytest.raises(ValueError, match="the velocity is zero throughout: check that the vibrometer is on"):
+        Probe.averaged([silent, silent])
 
 
 def test_what_is_no_finger_is_refused(beam, free, monkeypatch):

@@ -196,15 +196,21 @@ class Probe:
         Raises
         ------
         ValueError
-            If they differ by more than their noise, for instance because a finger moved.
+            If they differ by more than their noise, for instance because a finger moved, or hold no velocity.
         """
+        if not probes[0].deviation.all():
+            raise ValueError(
+                "the velocity is zero throughout: check that the vibrometer is on and its signal reaches the scope, "
+                "and probe again"
+            )
         response = np.array([probe.response for probe in probes])
         mean, n = response.mean(axis=0), len(probes)
         scatter = float((np.abs(response - mean) ** 2 / probes[0].deviation ** 2).mean()) * n / (n - 1) / 2
         if scatter > _MOVED:
             raise ValueError(
                 f"the records of the probe differ by {scatter:.0f} times the variance of their noise, at most "
-                f"{_MOVED:g} is allowed: something moved; keep the fingers still, or off, and probe again"
+                f"{_MOVED:g} is allowed: something moved, or there is mains hum; keep the fingers still, or off, check "
+                "the earth of the instruments, and probe again"
             )
         return replace(probes[0], response=mean, deviation=probes[0].deviation / np.sqrt(n))
 
@@ -290,8 +296,9 @@ class Probe:
         if found.misfit > _WORST:
             raise ValueError(
                 f"no combination of mass, damper and springs describes the fingers: misfit {found.misfit:.1f}, at "
-                f"most {_WORST:g} is allowed; check that each finger lies on its zone and nothing else touches the "
-                "beam, and probe again"
+                f"most {_WORST:g} is allowed; check that each finger lies on its zone, that nothing else touches the "
+                "beam, and that spot, range and trigger of the vibrometer are those of the probe with hands off; probe "
+                "again"
             )
         for expected, finger in zip(fingers, found.model.fingers, strict=True):
             others = tuple(each for each in found.model.fingers if each is not finger)
