@@ -1,5 +1,7 @@
 """What the recordings show, against what the twin really did."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -53,8 +55,6 @@ def test_intervals_know_how_many_records_there_were(evidences):
 
 
 def _first_record_only(observation: Observation) -> Observation:
-    from dataclasses import replace
-
     arrays = tuple({**each, "velocity": each["velocity"][:1]} for each in observation.field.arrays)
     return replace(observation, field=replace(observation.field, arrays=arrays))
 
@@ -77,9 +77,23 @@ def test_scans_of_another_stimulus_are_refused(edit, kept, evidences):
 
 def test_recordings_unlike_the_prediction_are_refused(evidences):
     """Wires exchanged, a wrong trigger: no delay makes it fit, which is said instead of fitted."""
-    from dataclasses import replace
-
     observation = evidences[0].observation
     late = replace(observation.field, arrays=tuple({**a, "time": a["time"] + 60e-6} for a in observation.field.arrays))
     with pytest.raises(RecordInputError, match="do not match the predictions at any delay from -5 to"):
         evaluate([replace(observation, field=late)])
+
+
+@pytest.mark.parametrize(
+    ("point", "factor", "said"), [(slice(None), 9.81, "^the beam"), (6, -1.0, "^at .* mm the beam")]
+)
+def test_velocities_that_are_a_multiple_of_the_predicted_are_refused(point, factor, said, evidences):
+    """Units of g taken for m/s^2, or one inverted point: the page would show figures of no beam."""
+    observation = evidences[0].observation
+    times = np.ones(observation.field.positions.size)
+    times[point] = factor
+    arrays = [
+        {**each, "velocity": by * each["velocity"]} for each, by in zip(observation.field.arrays, times, strict=True)
+    ]
+    wrong = replace(observation, field=replace(observation.field, arrays=tuple(arrays)))
+    with pytest.raises(RecordInputError, match=rf"{said}.* times as fast as predicted: allowed 0.5 to 2"):
+        evaluate([wrong])

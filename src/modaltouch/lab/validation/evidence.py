@@ -168,6 +168,32 @@ def measurement_delay(observations: Sequence[Observation], predictions: Sequence
     return float(LAGS[best] + (LAGS[1] - LAGS[0]) * (before - after) / (2 * (before - 2 * at + after)))
 
 
+PLAUSIBLE = (0.5, 2.0)
+"""Range of measured over predicted velocity [1]; outside, a setting differs from the apparatus file."""
+
+
+def refuse_implausible_speeds(
+    observations: Sequence[Observation], predictions: Sequence[Prediction], delay: float
+) -> None:
+    """Refuse velocities that differ from the predicted ones by a factor, at all points or at one."""
+    for observation, prediction in zip(observations, predictions, strict=True):
+        scan, (low, high) = observation.field, PLAUSIBLE
+        near = np.abs(scan.time - observation.stimulus.timing.focusing_instant) < 0.25e-3
+        measured, instants = mean_velocity(scan)[:, near], scan.time[near] - delay
+        predicted = prediction.around(instants[0] - LAGS[-1], instants[-1] + LAGS[-1])(instants)
+        shared, power = (measured * predicted).sum(axis=1), np.square(predicted).sum(axis=1)
+        common, factor = shared.sum() / power.sum(), shared / power
+        # Near a node the velocity is mostly that of modes which are not predicted.
+        odd = (power > 0.5 * np.median(power)) & ~((low < factor / common) & (factor / common < high))
+        where = f"at {scan.positions[odd.argmax()] * 1e3:g} mm " if odd.any() else ""
+        if odd.any() or not low < common < high:
+            raise RecordInputError(
+                f"{where}the beam moves {factor[odd.argmax()] if where else common:.2f} times as fast as predicted: "
+                f"allowed {low:g} to {high:g}; check the unit, the sensitivity, the range and the sign of the velocity "
+                "there, and the gain of the amplifier, and measure again"
+            )
+
+
 FINE = 401
 """Number of points at which smooth fields are drawn and their widths evaluated."""
 
@@ -397,8 +423,9 @@ def evaluate(observations: Sequence[Observation]) -> list[Evidence]:
     Raises
     ------
     RecordInputError
-        If the recordings do not match the predictions at any delay.
+        If the recordings do not match the predictions at any delay, or are a multiple of them.
     """
     predictions = [Prediction.of(each) for each in observations]
     lag = measurement_delay(observations, predictions)
+    refuse_implausible_speeds(observations, predictions, lag)
     return [Evidence(each, its, lag) for each, its in zip(observations, predictions, strict=True)]
