@@ -236,7 +236,6 @@ def _figures(asked: Collection[str]) -> Collection[str]:
 def render_files(analysis: Analysis, figures: Collection[str] = ()) -> dict[str, Any]:
     """Render all files of an analysis, by name, for `write_files`."""
     from modaltouch.analysis.crossed import figure_names, zone_table
-    from modaltouch.analysis.figures import draw_bars
     from modaltouch.analysis.findings import plain_row
     from modaltouch.analysis.models import model_files, tidy_files
     from modaltouch.analysis.report import report_files
@@ -253,6 +252,9 @@ def render_files(analysis: Analysis, figures: Collection[str] = ()) -> dict[str,
     files |= {"tests.csv": tests, "tests.json": [plain_row(row) for row in tests]}
     by_zone = analysis.answers.compares
     files |= model_files(analysis.answers, analysis.responses) if by_zone else tidy_files(analysis.responses)
+    # Matplotlib is loaded only now, since the tables above take much memory until they are written as text.
+    from modaltouch.analysis.figures import draw_bars
+
     pictures = draw_bars(analysis.answers)
     if figures:
         from modaltouch.analysis.optional_figures import draw_optional
