@@ -57,8 +57,8 @@ def main(arguments: list[str] | None = None) -> None:
             raise
         # What could not be printed would be tried again at the exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
-        told = f"the output cannot be written ({error.strerror}); free some space, or give it another place"
-        sys.exit(1 if error.errno == errno.EPIPE else told)  # `head` leaves once it has what it wants
+        text = f"the output cannot be written ({error.strerror}); free some space, or give it another place"
+        sys.exit(1 if error.errno == errno.EPIPE else text)  # `head` leaves once it has what it wants
 
 
 def _open_streams() -> None:

@@ -41,7 +41,7 @@ def test_other_sizes_change_nothing(study: Study) -> None:
 def test_an_interruption_keeps_what_is_done(study: Study) -> None:
     """Expected: two jobs of six done, so two sizes with all their 40 experiments, and not complete."""
     done: list[int] = []
-    found = plan(study, SIZES, 40, on_progress=lambda n, total: done.append(n), told_to_stop=lambda: len(done) >= 2)
+    found = plan(study, SIZES, 40, on_progress=lambda n, total: done.append(n), should_stop=lambda: len(done) >= 2)
     assert done == [1, 2]
     assert not found.complete
     assert {size: tallies["a2"].n_experiments for size, tallies in found.tallies.items()} == {(6, 1): 40, (10, 1): 40}
@@ -57,7 +57,7 @@ def test_an_interruption_of_processes_keeps_what_is_done(study: Study) -> None:
         20,
         n_processes=2,
         on_progress=lambda n, total: done.append(n),
-        told_to_stop=lambda: len(done) >= 1,
+        should_stop=lambda: len(done) >= 1,
     )
     assert found.tallies
     whole = plan(study, list(found.tallies), 20)

@@ -92,8 +92,8 @@ def _measured_levels(table: Table, frame: pd.DataFrame, column: str) -> Problem:
 def doubling_notes(table: Table) -> list[str]:
     """Return a note if every row of a table is duplicated, which is rarely due to repetitions."""
     times = math.gcd(*pd.util.hash_pandas_object(table.fields, index=False).value_counts().tolist())
-    said = f"every row occurs {times} times, taken as repetitions: if the table was pasted together, remove the copies"
-    return [said] * (times > 1)
+    note = f"every row occurs {times} times, taken as repetitions: if the table was pasted together, remove the copies"
+    return [note] * (times > 1)
 
 
 def check_unit(table: Table, frame: pd.DataFrame, design: Mapping[str, Any]) -> list[Problem]:
@@ -109,9 +109,9 @@ def check_unit(table: Table, frame: pd.DataFrame, design: Mapping[str, Any]) -> 
 
 def _doubled(table: Table, frame: pd.DataFrame) -> list[Problem]:
     """Report duplicate rows of a repetition or a count."""
-    told = [name for name, column in (("repetition", "repetition"), ("response", "n")) if column in table.fields]
-    keys = [*keys_of(frame.columns), *told, *({"session"} & set(frame.columns) if told else ())]
-    again = frame[frame.duplicated(keys, keep=False)] if told else frame[:0]
+    counted = [name for name, column in (("repetition", "repetition"), ("response", "n")) if column in table.fields]
+    keys = [*keys_of(frame.columns), *counted, *({"session"} & set(frame.columns) if counted else ())]
+    again = frame[frame.duplicated(keys, keep=False)] if counted else frame[:0]
 
     def problem(lines: pd.Index) -> Problem:
         row, cell = frame.loc[lines[1]], cell_of(frame.columns)
@@ -142,9 +142,9 @@ def _copied(table: Table, frame: pd.DataFrame) -> list[Problem]:
             )
             problems.append(table.problem(int(own.index[-1]), "participant", given, "each once", "remove the copies"))
     numbered = frame.dropna(subset=["trial"]) if "trial" in frame and not problems else frame[:0]
-    told = [name for name in ("trial", "block", "repetition", "session") if name in frame]
+    marked = [name for name in ("trial", "block", "repetition", "session") if name in frame]
     for participant, own in numbered.groupby("participant", sort=False, observed=True):
-        if math.gcd(*own.value_counts([*cell_of(own.columns), "response", *told], dropna=False).tolist()) > 1:
+        if math.gcd(*own.value_counts([*cell_of(own.columns), "response", *marked], dropna=False).tolist()) > 1:
             given, remedy = f"every trial of {participant} twice", "remove the copies, or number sessions under session"
             problems.append(table.problem(int(own.index[-1]), "participant", given, "each once", remedy))
     return problems

@@ -42,8 +42,8 @@ def consistency_findings(answers: AnswerCounts) -> Iterator[Finding]:
     for f, q, scope in answers.pair_cells:
         pair, own = answers.pairs[q], answers.counts[:, f, q]
         agreement = float(agreement_between(own, np.ones((1, n)))[0][0])
-        said = "" if math.isnan(agreement) else f"pairwise agreement {agreement:.2f}"
-        yield finding_of("e", AGREEMENT, scope, None, "Gwet AC1", ac1_interval(own), n, notes=[said])
+        note = "" if math.isnan(agreement) else f"pairwise agreement {agreement:.2f}"
+        yield finding_of("e", AGREEMENT, scope, None, "Gwet AC1", ac1_interval(own), n, notes=[note])
         if answers.compares:
             first, second = (
                 own[..., place(pair)].sum(axis=1) for place in (answers.dominant_place, answers.other_place)

@@ -216,8 +216,8 @@ def signs_of(contrast: Contrast) -> FamilyResult:
             return [*contrast.notes(place)]
         p = sign_flip_test(_drawn_differences(contrast, place, 200).sum(axis=-1)).quick_p
         low, high = np.quantile(p, [0.05, 0.95])
-        said = f"{n} answers left out of the test, drawn at random to have equal numbers at each level; nine in ten"
-        return [*contrast.notes(place), f"{said} other draws give p from {low:.2g} to {high:.2g}"]
+        note = f"{n} answers left out of the test, drawn at random to have equal numbers at each level; nine in ten"
+        return [*contrast.notes(place), f"{note} other draws give p from {low:.2g} to {high:.2g}"]
 
     test, interval = sign_flip_test(score.sum(axis=-1)), Interval.point(mean.estimate, mean.n)
     return FamilyResult(contrast.scopes, contrast.quantities, test, interval, notes=notes)

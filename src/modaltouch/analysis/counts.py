@@ -60,7 +60,7 @@ class Pair:
         return "-".join(self.zones)
 
     @property
-    def said(self) -> str:
+    def in_words(self) -> str:
         """All zones in words, as in ``A and C``."""
         return zones_in_words(self.zones)
 

@@ -81,8 +81,8 @@ class DesignAnalysis:
     def certified(self) -> str:
         """Simulated error rates of the reported individual intervals, in words."""
         bounded = (each for each in self.values if not math.isnan(each.interval.low))
-        told = dict.fromkeys(f"{each.note} {each.measure.name}" for each in bounded)
-        names = (next((name for part, name in _CERTIFICATES.items() if part in each), "") for each in told)
+        described = dict.fromkeys(f"{each.note} {each.measure.name}" for each in bounded)
+        names = (next((name for part, name in _CERTIFICATES.items() if part in each), "") for each in described)
         return certificates_in_words(dict.fromkeys(names))
 
 

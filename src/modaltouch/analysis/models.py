@@ -189,8 +189,8 @@ def _separation(predictors: NDArray[np.float64], chosen: NDArray[np.int64], name
     found = linprog(-signed.sum(axis=0), A_ub=-signed, b_ub=np.zeros(len(signed)), bounds=(-1, 1))
     if -found.fun < 1e-6:
         return ""
-    told = [name for name, value in zip(names[1:], found.x[1:], strict=True) if abs(value) > 1e-6]
-    return f"separation: the answers are split by {', '.join(told)}"
+    separating = [name for name, value in zip(names[1:], found.x[1:], strict=True) if abs(value) > 1e-6]
+    return f"separation: the answers are split by {', '.join(separating)}"
 
 
 def _fit(
@@ -201,12 +201,12 @@ def _fit(
 
     known, who = np.unique(participants, return_inverse=True)
     own = np.eye(len(known))[who]
-    with warnings.catch_warnings(record=True) as said:
+    with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         model = BinomialBayesMixedGLM(
             chosen, predictors, own, np.zeros(len(known), dtype=int), vcp_p=PRIOR_SPREAD, fe_p=PRIOR_EFFECT
         )
         fitted = model.fit_map(rng=1)
-    if any("converge" in str(each.message) for each in said) or not np.isfinite(fitted.fe_sd).all():
+    if any("converge" in str(each.message) for each in caught) or not np.isfinite(fitted.fe_sd).all():
         return None
     return fitted.fe_mean.tolist(), fitted.fe_sd.tolist(), float(np.exp(fitted.vcp_mean[0]))

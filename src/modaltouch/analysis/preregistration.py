@@ -89,10 +89,10 @@ class RegisteredAnalysis(ABC):
             _, counts, first = rows[0]
             scopes = []
             for part, own, row in rows:
-                said = scope_in_words(row.scope, own.finger_conditions, own.pairs)
+                labelled = scope_in_words(row.scope, own.finger_conditions, own.pairs)
                 # The most frequent answer depends on the data.
                 quantity = "P(most frequent answer)" if name == "a1" else row.quantity
-                scopes.append((part, row.scope.replace("_", " ") if part == ALL_PARTS else said, quantity))
+                scopes.append((part, row.scope.replace("_", " ") if part == ALL_PARTS else labelled, quantity))
             described.append(
                 {
                     "name": name,
@@ -114,7 +114,7 @@ class RegisteredAnalysis(ABC):
             known = {"protocol (SHA-256)": start["sources"]["protocol"]["sha256"], "equivalence margin": margin}
         counted = {*STATISTICS, *terms.get("tests by family", ())}
         analysed = self.terms(Counter(row.family for *_, row in self.confirmatory if row.family in counted)) | known
-        said = [
+        departures = [
             f"{name}: {term_in_words(terms.get(name))} preregistered, {term_in_words(analysed[name])} analysed"
             for name in analysed
             if analysed[name] != terms.get(name)
@@ -122,8 +122,10 @@ class RegisteredAnalysis(ABC):
         early = [each.name for each in self.responses.sessions if each.day < str(terms.get("date", ""))]
         if early:
             n = len(self.responses.sessions)
-            said.append(f"{len(early)} of {n} sessions began before the day of the preregistration, {terms['date']}")
-        return tuple(said)
+            departures.append(
+                f"{len(early)} of {n} sessions began before the day of the preregistration, {terms['date']}"
+            )
+        return tuple(departures)
 
 
 def terms_of(answers: AnswerCounts, tests: Mapping[str, int]) -> dict[str, Any]:

@@ -153,8 +153,8 @@ def _describe_people(sessions: Sequence[SessionFacts]) -> Iterator[str]:
         values = list({each.participant: each.people[name] for each in sessions if name in each.people}.values())
         counted = ", ".join(f"{n} {value}" for value, n in Counter(values).most_common())
         numbers = [value for value in values if not isinstance(value, str)]
-        said = f"mean {fmean(numbers):.1f}, range {min(numbers):g} to {max(numbers):g}" if numbers else counted
-        yield f"{name}: {said} (n = {len(values)})"
+        summary = f"mean {fmean(numbers):.1f}, range {min(numbers):g} to {max(numbers):g}" if numbers else counted
+        yield f"{name}: {summary} (n = {len(values)})"
 
 
 def form_files(sessions: Sequence[SessionFacts]) -> dict[str, list[dict[str, Any]]]:
@@ -163,7 +163,7 @@ def form_files(sessions: Sequence[SessionFacts]) -> dict[str, list[dict[str, Any
     rows = [
         {"participant": each.participant, "session": each.number, "group": each.occasion[0],
          "session_kind": each.occasion[1]}
-        | {name: said if (said := each.form.get(name)) != TIME_OUT else None for name in names}
+        | {name: answer if (answer := each.form.get(name)) != TIME_OUT else None for name in names}
         for each in sessions
     ]  # fmt: skip
     return {"form.csv": rows} if names else {}
@@ -175,13 +175,13 @@ def summarise_form(sessions: Sequence[SessionFacts]) -> Iterator[dict[str, Any]]
     Groups and kinds of session are summarised separately. Numbers are averaged over a participant's sessions of a kind;
     words are counted in every session.
     """
-    told: dict[tuple[str, str, str], dict[str, list[float | str]]] = {}
+    by_question: dict[tuple[str, str, str], dict[str, list[float | str]]] = {}
     for session in sessions:
-        for name, said in session.form.items():
-            if said != TIME_OUT:
-                told.setdefault((name, *session.occasion), {}).setdefault(session.participant, []).append(said)
-    for (name, group, kind), own in told.items():
-        words = Counter(said for given in own.values() for said in given if isinstance(said, str))
+        for name, answer in session.form.items():
+            if answer != TIME_OUT:
+                by_question.setdefault((name, *session.occasion), {}).setdefault(session.participant, []).append(answer)
+    for (name, group, kind), own in by_question.items():
+        words = Counter(answer for given in own.values() for answer in given if isinstance(answer, str))
         quartiles: list[float] | list[None] = [None] * 3
         if not words:
             numbers = [fmean(map(float, given)) for given in own.values()]
@@ -194,11 +194,17 @@ def summarise_form(sessions: Sequence[SessionFacts]) -> Iterator[dict[str, Any]]
 
 
 def _presentation(event: dict[str, Any], multiples: dict[float, float]) -> Presented:
-    condition, told = event["trial"]["condition"], event.get("confirmed", {})
+    condition, confirmed = event["trial"]["condition"], event.get("confirmed", {})
     velocity = float(condition["velocity_mm_s"])
     sent = tuple(event.get("commanded", {}).get("amplitude_Vpp", ()))
-    read = tuple(told.get("confirmed_amplitude", ()))
-    return condition["finger_condition"], multiples.get(velocity, velocity), sent, read, bool(told.get("confirmed"))
+    read = tuple(confirmed.get("confirmed_amplitude", ()))
+    return (
+        condition["finger_condition"],
+        multiples.get(velocity, velocity),
+        sent,
+        read,
+        bool(confirmed.get("confirmed")),
+    )
 
 
 def _presented(sessions: Sequence[SessionFacts]) -> Iterator[dict[str, Any]]:
@@ -230,8 +236,8 @@ def _kinds_of_fault(event: dict[str, Any]) -> Iterator[str]:
     if kind in RIG_TROUBLES or any(exchange.get("what") in RIG_TROUBLES for exchange in event.get("exchanges", ())):
         yield "rig"
     # A stop event ends every run of a session; only one before the last trial is a fault.
-    told = ("trial_cut", "unconfirmed", "resume", "masking_lost")
-    if kind in told or (kind == "stop" and not event.get("complete")):
+    faults = ("trial_cut", "unconfirmed", "resume", "masking_lost")
+    if kind in faults or (kind == "stop" and not event.get("complete")):
         yield kind
     delivered = event.get("delivered", {})
     yield from ["drifted"] * delivered.get("drifted", False) + ["unheard"] * ("refused" in delivered)
@@ -284,5 +290,5 @@ def _unanimous(values: Sequence[object]) -> str:
     known = Counter(str(value) for value in values if value not in (None, ""))
     if len(known) <= 1 and known.total() in (0, len(values)):
         return next(iter(known), "")
-    told = [f"{value} (sessions: {n})" for value, n in known.most_common(4)]
-    return "; ".join([*told, *[f"{len(known) - 4} others"] * (len(known) > 4)])
+    listed = [f"{value} (sessions: {n})" for value, n in known.most_common(4)]
+    return "; ".join([*listed, *[f"{len(known) - 4} others"] * (len(known) > 4)])

@@ -223,10 +223,10 @@ def _ranges(frame: pd.DataFrame, columns: list[str]) -> list[dict[str, Any]]:
     """Return one row per pair of zones, with the ranges of the columns at each level."""
     *pair, level = cell_of(frame.columns)
     bounds = frame.dropna(subset=columns).groupby([*pair, level], observed=True)[columns].agg(["min", "max"])
-    said = bounds.round().astype(int).astype(str).apply(
+    labels = bounds.round().astype(int).astype(str).apply(
         lambda row: " | ".join("–".join(dict.fromkeys(row[column])) for column in columns), axis=1
     )  # fmt: skip
-    rows = said.unstack(level, fill_value="").reindex(columns=sorted(frame[level].unique()), fill_value="")
+    rows = labels.unstack(level, fill_value="").reindex(columns=sorted(frame[level].unique()), fill_value="")
     return [
         {"finger_condition": condition_in_words(condition), "pair": zones_in_words(zones), "cells": list(cells)}
         for (condition, *zones), cells in zip(rows.index, rows.to_numpy(), strict=True)

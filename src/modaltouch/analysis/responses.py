@@ -91,11 +91,11 @@ def missing_answer_notes(asked: pd.DataFrame, given: pd.DataFrame) -> tuple[str,
         (CELL[0], *zones_of(asked.columns)): lambda condition, *zones: f"{condition} {'-'.join(filter(None, zones))}",
         (scale.column,): scale.say,
     }
-    told = []
+    notes = []
     for names, say in words.items():
         every, answered = (dict.fromkeys(zip(*map(frame.get, names), strict=True)) for frame in (asked, given))
-        told += [say(*each) for each in every if each not in answered]
-    return (f"Left out, since there is no answer at all: {', '.join(told)}",) if told else ()
+        notes += [say(*each) for each in every if each not in answered]
+    return (f"Left out, since there is no answer at all: {', '.join(notes)}",) if notes else ()
 
 
 @dataclass(frozen=True)
@@ -126,10 +126,10 @@ class TableFormat:
     def asked(self) -> tuple[str, ...]:
         """Columns required by the protocol; without them, the analysis could silently assume a different design."""
         answers = self.design.get("answers") or {}
-        told = {"interval": self.design.get("intervals"), "value": answers.get("scale"),
+        sections = {"interval": self.design.get("intervals"), "value": answers.get("scale"),
                 "stimulus": self.design.get("stimuli"), "group": self.design.get("groups"),
                 "session_kind": len(kinds_of(self.design)) > 1}  # fmt: skip
-        return (*(name for name, section in told.items() if section), *(answers.get("then") or {}))
+        return (*(name for name, section in sections.items() if section), *(answers.get("then") or {}))
 
 
 @dataclass(frozen=True)
@@ -284,14 +284,14 @@ class Responses:
         """Group of each participant, in the order of the protocol; empty unless there are several groups."""
         if "group" not in self.frame.columns or self.frame["group"].nunique() < 2:
             return {}
-        told = self.frame[["participant", "group"]].drop_duplicates().sort_values("group", kind="stable")
-        return dict(zip(told["participant"].astype(str), told["group"].astype(str), strict=True))
+        members = self.frame[["participant", "group"]].drop_duplicates().sort_values("group", kind="stable")
+        return dict(zip(members["participant"].astype(str), members["group"].astype(str), strict=True))
 
     def of_groups(self, groups: Collection[str]) -> Responses:
         """Return the answers of some groups in the cells common to all of them."""
         own = self.frame[self.frame["group"].isin(groups)]
-        told = [name for name in (*cell_of(own), "stimulus", "session_kind", "focus") if name in own.columns]
-        n_met = own.groupby(told, observed=True)["group"].transform("nunique")
+        kept = [name for name in (*cell_of(own), "stimulus", "session_kind", "focus") if name in own.columns]
+        n_met = own.groupby(kept, observed=True)["group"].transform("nunique")
         return replace(self, frame=own[n_met == len(groups)])
 
     @property
@@ -352,16 +352,16 @@ class Responses:
         if column != VELOCITY.column or not set(sides) <= set(self.frame) or self.frame[sides].isna().to_numpy().any():
             given = "answers without the speeds predicted under the fingers in mm/s"
             raise InputError.of(self.source.path, given, "recorded sessions of levels in mm/s", "take --speed nominal")
-        told, scale = self.frame[sides].max(axis=1), PREDICTED
+        speeds, scale = self.frame[sides].max(axis=1), PREDICTED
         if speed == "delivered":
             if "delivered_mm_s" not in self.frame:
                 given = "answers without a delivered speed"
                 allowed = "sessions with `stimulus.fingers: measured`"
                 raise InputError.of(self.source.path, given, allowed, "take --speed predicted")
-            told, scale = self.frame["delivered_mm_s"].fillna(told), DELIVERED
+            speeds, scale = self.frame["delivered_mm_s"].fillna(speeds), DELIVERED
         if not self.is_adaptive:
-            told = told.groupby(self.frame[column]).transform("mean")
-        return replace(self, frame=self.frame.drop(columns=column).assign(**{scale.column: told.round(3)}))
+            speeds = speeds.groupby(self.frame[column]).transform("mean")
+        return replace(self, frame=self.frame.drop(columns=column).assign(**{scale.column: speeds.round(3)}))
 
     @property
     def in_multiples(self) -> bool:
@@ -397,10 +397,10 @@ def refuse_unequal(place: Path, frame: pd.DataFrame) -> None:
     raise InputError.of(place, given, "the same conditions, equally often, for every participant", remedy)
 
 
-def sum_catches(told: Iterable[tuple[str, str, str, str, int]]) -> dict[tuple[str, str, str], Counter[str]]:
+def sum_catches(counted: Iterable[tuple[str, str, str, str, int]]) -> dict[tuple[str, str, str], Counter[str]]:
     """Sum the counts of answers to catch trials by participant, finger condition and kind of session."""
     catches: dict[tuple[str, str, str], Counter[str]] = {}
-    for participant, finger_condition, kind, word, n in told:
+    for participant, finger_condition, kind, word, n in counted:
         catches.setdefault((str(participant), str(finger_condition), str(kind)), Counter())[str(word)] += int(n)
     return catches
 

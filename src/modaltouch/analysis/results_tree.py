@@ -216,8 +216,10 @@ def _names(design: Mapping[str, Any]) -> Iterator[str]:
 
 def _in_time(whole: pd.DataFrame, answers: AnswerList, *, keep: bool) -> pd.DataFrame:
     """Drop the trials that timed out or, with `keep`, set their answers to missing."""
-    told = pd.Categorical(whole["response"].where(in_time := whole["response"] != TIME_OUT), list(answers.ranked.names))
-    return whole.assign(response=told)[in_time | keep].reset_index(drop=True)
+    responses = pd.Categorical(
+        whole["response"].where(in_time := whole["response"] != TIME_OUT), list(answers.ranked.names)
+    )
+    return whole.assign(response=responses)[in_time | keep].reset_index(drop=True)
 
 
 def read_tree(place: Path, *further: Path, mode: str | None = None, stimulus: str | None = None) -> Responses:

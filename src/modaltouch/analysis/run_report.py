@@ -91,8 +91,8 @@ def _mark_levels(axis: Axis) -> None:
 
 def _in_mm_s(threshold: Interval, bounds: tuple[float, float]) -> tuple[float, float, float]:
     """Return the lower bound, value and upper bound of a threshold [mm/s]; infinite bounds lie outside the figure."""
-    told = threshold.changed(lambda level: float(np.clip(10 ** (level / 20), bounds[0] / 10, bounds[1] * 10)))
-    return told.low, told.estimate, told.high
+    bounded = threshold.changed(lambda level: float(np.clip(10 ** (level / 20), bounds[0] / 10, bounds[1] * 10)))
+    return bounded.low, bounded.estimate, bounded.high
 
 
 def _band(

@@ -72,8 +72,8 @@ class Run:
     @property
     def kind(self) -> str:
         """Factors in words, common to runs of different participants."""
-        told = self.factors | {"finger_condition": self.finger_condition.replace("_", " ")}
-        return " ".join(told.values())
+        factors = self.factors | {"finger_condition": self.finger_condition.replace("_", " ")}
+        return " ".join(factors.values())
 
     @property
     def factors(self) -> dict[str, str]:

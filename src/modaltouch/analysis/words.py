@@ -73,7 +73,7 @@ def scope_in_words(scope: str, finger_conditions: Sequence[str], pairs: Sequence
         Finger conditions and pairs that may occur in the scope.
     """
     names = {name: condition_in_words(name) for name in finger_conditions}
-    names |= {pair.label: pair.said for pair in pairs}
+    names |= {pair.label: pair.in_words for pair in pairs}
     longest_first = "|".join(re.escape(name) for name in sorted(names, key=len, reverse=True))
     known = re.compile(rf"(?<![\w-])({longest_first})(?![\w-])")
     sides = ([names.get(part, part.strip(" ,")) for part in known.split(side)] for side in scope.split(" - "))
@@ -177,15 +177,15 @@ def _estimate(own: Sequence[Finding], answers: AnswerCounts) -> str:
     # Shares of different answers are not comparable; of two zones, the dominant one defines the effect.
     dominant = {f"P({pair.dominant})" for pair in answers.pairs} & alike.keys() if answers.compares else set()
     ranges = "; ".join(_range(alike[each], answers) for each in alike if each in (dominant or alike))
-    said = [ranges or "not estimable: see the notes"]
+    parts = [ranges or "not estimable: see the notes"]
     tested = [row for row in own if row.p == row.p]
     if tested:
         n_low = sum(row.p <= ALPHA for row in tested)
-        said.append(
+        parts.append(
             f"Exploratory: p ≤ {ALPHA:g} in {n_low} of {len(tested)} uncorrected tests, where chance alone would "
             f"give {ALPHA * len(tested):.2g} on average"
         )
-    return ". ".join(words[:1].upper() + words[1:] for words in said) + "."
+    return ". ".join(words[:1].upper() + words[1:] for words in parts) + "."
 
 
 def _range(rows: Sequence[Finding], answers: AnswerCounts) -> str:

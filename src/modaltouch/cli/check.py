@@ -143,8 +143,8 @@ def show(
             _show_touched(rows, whose)
     if any("touched" in each for each in stimuli):
         say(f"[dim]{_PULL}[/]")
-    elif fingers is None and (said := checked.untouched_warning()):
-        say(f"[yellow]{escape(said)}[/]")
+    elif fingers is None and (untouched := checked.untouched_warning()):
+        say(f"[yellow]{escape(untouched)}[/]")
     if (highest := max(stimuli, key=lambda each: each["velocity_mm_s"]))["release"] == "free":
         say(
             f"Released freely, at {highest['velocity_mm_s']:g} mm/s the first burst misses a mode by "

@@ -249,7 +249,7 @@ def _show_comparison(values: dict[str, Any]) -> None:
         ("method", *(COLUMNS[line["key"]] for line in shown)),
         rows,
     )
-    print("\n".join(f"Identification: {said}" for said in values["identification"]))
+    print("\n".join(f"Identification: {text}" for text in values["identification"]))
     print(values["files"]["comparison.html"])
 
 

@@ -93,7 +93,7 @@ def power(
                         experiments,
                         n_processes=jobs,
                         on_progress=on_progress,
-                        told_to_stop=lambda: bool(interruption.pending),
+                        should_stop=lambda: bool(interruption.pending),
                     )
                 found.append(planned)
                 if not planned.complete:

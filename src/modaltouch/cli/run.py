@@ -408,8 +408,8 @@ def wait_for_start(setup: sessions.Setup, rig: str) -> None:
     place = setup.place
     show(setup.preflight)
     if own := setup.facts.get("sensation_levels"):
-        said = f"found in {own['session']}" if own["found"] == "session" else "as given"
-        typer.echo(f"Levels calibrated by participant: threshold {own['threshold_mm_s']:g} mm/s, {said}")
+        source = f"found in {own['session']}" if own["found"] == "session" else "as given"
+        typer.echo(f"Levels calibrated by participant: threshold {own['threshold_mm_s']:g} mm/s, {source}")
     kind = "" if place.mode == "real" else f" ({place.mode} data)"
     typer.echo(f"Participant {place.participant}, session {place.session}, rig {rig}{kind}, to {place.folder}")
     while True:

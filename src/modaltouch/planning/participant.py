@@ -219,13 +219,13 @@ class Participant:
         named = {answer.interval: answer.name for answer in answers}
         numbers = sorted((n for n in named if isinstance(n, int)), key=lambda n: weight[n - 1])
         difference = float(apart.max()) - self.criterion
-        said: int | str = "different" if difference > 0 else "same"
+        chosen: int | str = "different" if difference > 0 else "same"
         if numbers:
-            said, difference = numbers[-1], float(weight[numbers[-1] - 1] - weight[numbers[-2:][0] - 1])
+            chosen, difference = numbers[-1], float(weight[numbers[-1] - 1] - weight[numbers[-2:][0] - 1])
         reaction_time = self._reaction_time(abs(difference), noise, pace)
-        if lapse < self.lapse_rate or said not in named:
+        if lapse < self.lapse_rate or chosen not in named:
             return answers[int(guess * len(answers))].name, reaction_time
-        return named[said], reaction_time
+        return named[chosen], reaction_time
 
     def _reaction_time(self, margin: float, noise: float, pace: float) -> float:
         difficulty = math.exp(-margin / max(noise, _LEAST_FLOOR))

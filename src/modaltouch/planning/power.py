@@ -197,7 +197,7 @@ def plan(
     *,
     n_processes: int = 1,
     on_progress: Callable[[int, int], None] | None = None,
-    told_to_stop: Callable[[], bool] | None = None,
+    should_stop: Callable[[], bool] | None = None,
 ) -> Power:
     """Estimate the power of a study at several sizes.
 
@@ -215,7 +215,7 @@ def plan(
         Number of worker processes.
     on_progress : callable, optional
         Called with (jobs done, total jobs).
-    told_to_stop : callable, optional
+    should_stop : callable, optional
         Called between jobs; the results so far are returned once it returns True.
 
     Returns
@@ -224,9 +224,9 @@ def plan(
         Not `complete` if stopped early.
     """
     jobs = divide(study.design, sizes, n_experiments)
-    told = told_to_stop or (lambda: False)
+    should_stop = should_stop or (lambda: False)
     done: dict[Job, Tallies] = {}
-    for job, tallies in _run_all(study, jobs, told, min(n_processes, len(jobs))):
+    for job, tallies in _run_all(study, jobs, should_stop, min(n_processes, len(jobs))):
         done[job] = tallies
         if on_progress is not None:
             on_progress(len(done), len(jobs))
@@ -240,14 +240,14 @@ def plan(
 
 
 def _run_all(
-    study: Study, jobs: Sequence[Job], told_to_stop: Callable[[], bool], n_processes: int
+    study: Study, jobs: Sequence[Job], should_stop: Callable[[], bool], n_processes: int
 ) -> Iterator[tuple[Job, Tallies]]:
     import joblib
 
     with joblib.parallel_config("loky", n_jobs=n_processes, inner_max_num_threads=1, initializer=_ignore_interrupts):
         # Queue only a few jobs per process: with thousands, progress reports and stopping would lag.
         parallel = joblib.Parallel(return_as="generator_unordered", batch_size=1, pre_dispatch="2 * n_jobs")
-        yield from parallel(joblib.delayed(_run)(study, job) for job in takewhile(lambda _: not told_to_stop(), jobs))
+        yield from parallel(joblib.delayed(_run)(study, job) for job in takewhile(lambda _: not should_stop(), jobs))
 
 
 def _run(study: Study, job: Job) -> tuple[Job, Tallies]:

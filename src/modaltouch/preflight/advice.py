@@ -53,10 +53,10 @@ def placement_warnings(designs: Mapping[str, DesignInputs]) -> list[str]:
     band = next(iter(designs.values())).section.equalise_band_Hz
     if band is None:
         return []
-    told = ", ".join(f"{name} {inputs.share:g}" for name, inputs in designs.items())
+    shares = ", ".join(f"{name} {inputs.share:g}" for name, inputs in designs.items())
     return [
         f"the velocity from {band[0]:g} to {band[1]:g} Hz at the focus is made the same at every placement: levels are "
-        f"multiplied by {told}"
+        f"multiplied by {shares}"
     ]
 
 
@@ -65,8 +65,8 @@ def contact_warnings(findings: Findings) -> list[str]:
     placed = {} if findings.placements is None else findings.placements.all()
     widest = max((finger.width * 1e3 for laid in placed.values() for finger in laid), default=0.0)
     narrowest = min(zone.width_mm for zone in findings.experiment().apparatus.zones.values())
-    said = f"a finger's contact is {widest:g} mm wide, a zone only {narrowest:g}; a fingertip touches about 10 mm"
-    return [f"{said}: check contact_width_mm"] if widest > narrowest else []
+    warning = f"a finger's contact is {widest:g} mm wide, a zone only {narrowest:g}; a fingertip touches about 10 mm"
+    return [f"{warning}: check contact_width_mm"] if widest > narrowest else []
 
 
 def stimulus_warnings(inputs: DesignInputs, stimulus: Stimulus, figures: list[dict[str, Any]]) -> Iterator[str]:
@@ -216,14 +216,14 @@ def default_warnings(taken: list[dict[str, Any]]) -> list[str]:
 
     The schema and the list of all defaults contain the others.
     """
-    told = ", ".join(
+    listed = ", ".join(
         f"{each['key']} {_in_words(each['value'])}"
         for each in taken
         # The priority matters only at the amplifier's limit.
         if each["key"].startswith(_PRESENTED) and each["key"] != "stimulus.priority"
         if each["value"] not in (None, False, "", "none", {}, [])
     )
-    return [f"taken by default: {told}"] if told else []
+    return [f"taken by default: {listed}"] if listed else []
 
 
 def _in_words(value: Any) -> str:

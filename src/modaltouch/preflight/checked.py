@@ -326,13 +326,13 @@ class Preflight:
     def _stimulus_warnings(self) -> list[str]:
         from modaltouch.preflight.advice import field_warnings, stimulus_warnings
 
-        said: list[tuple[str, list[str]]] = []
+        warnings: list[tuple[str, list[str]]] = []
         for name, part in self.parts.items():
             inputs, stimulus = part.sound
             own = [*field_warnings(inputs, stimulus, part.stimuli), *stimulus_warnings(inputs, stimulus, part.stimuli)]
-            said.append((name, own))
-        shared = [each for each in said[0][1] if all(each in own for _, own in said)]
-        return [*shared, *(f"stimulus {name}: {each}" for name, own in said for each in own if each not in shared)]
+            warnings.append((name, own))
+        shared = [each for each in warnings[0][1] if all(each in own for _, own in warnings)]
+        return [*shared, *(f"stimulus {name}: {each}" for name, own in warnings for each in own if each not in shared)]
 
     def _contrasts(self) -> list[dict[str, Any]]:
         protocol = self.experiment.protocol

@@ -160,11 +160,11 @@ def _speeds_when_lifted(
     points, unit, n = _zone_points(inputs).ravel(), stimulus.volts_per_code(level * 1e-3), len(inputs.fingers)
     touched = stimulus.touched(inputs.fingers)
     for left in (left for n_left in range(n) for left in combinations(inputs.fingers, n_left)):
-        said = (
+        text = (
             f" once {('a finger is', 'two fingers are')[n - len(left) - 1] if left else 'all fingers are'} taken away"
         )
         found = touched.peak_when_lifted(stimulus.touched(left), points, unit, floor)
-        speeds[said] = np.maximum(speeds.get(said, 0.0), found)
+        speeds[text] = np.maximum(speeds.get(text, 0.0), found)
     return speeds
 
 
@@ -206,16 +206,16 @@ def _check_safety(
     most = limit * (1 + 1e-3)
     speeds = {"": stimulus.peak_velocity(points.ravel(), level * 1e-3)}
     speeds |= _speeds_when_lifted(inputs, stimulus, level, most * 1e-3 - float(error.max()))
-    said = max(speeds, key=lambda each: float((speeds[each] + error).max()))
-    highest = speeds[said] + error
+    worst = max(speeds, key=lambda each: float((speeds[each] + error).max()))
+    highest = speeds[worst] + error
     speed = float(highest.max()) * 1e3
     if speed > most:
         fastest = int(highest.argmax()) // points.shape[1]
         if error.any():
-            said += f", up to {error.max() * 1e3:.3g} mm/s of it by the intervals of the gains"
+            worst += f", up to {error.max() * 1e3:.3g} mm/s of it by the intervals of the gains"
         yield findings.problem(
             path,
-            f"{level:g} mm/s, which moves zone {list(zones)[fastest]} at {speed:.0f} mm/s{said}",
+            f"{level:g} mm/s, which moves zone {list(zones)[fastest]} at {speed:.0f} mm/s{worst}",
             f"at most {limit:g} mm/s anywhere in a zone ({_rounded(level * limit / speed)} mm/s)",
             "lower the level; the limit is set in the section safety of the apparatus",
         )

@@ -252,12 +252,12 @@ def untouched_warning(findings: Findings, inputs: DesignInputs, stimulus: Stimul
     """Return a warning with the highest level under typical fingers, for a stimulus for the untouched beam."""
     placements, level = findings.under("typical").placements, max(inputs.levels.values())
     unit, focus = stimulus.volts_per_code(level * 1e-3), [inputs.centre_mm * 1e-3]
-    said = [
+    levels = [
         f"{stimulus.touched(laid).velocity_at_focus(focus, unit)[0] * 1e3:.0f} ({name})"
         for name, laid in ({} if placements is None else placements.all()).items()
     ]
     return (
-        f"untouched beam: with typical fingers the level at {inputs.section.focus} would be {', '.join(said)} mm/s "
+        f"untouched beam: with typical fingers the level at {inputs.section.focus} would be {', '.join(levels)} mm/s "
         f"instead of {level:g}; `--fingers typical` shows all levels, `stimulus.fingers` designs for them"
     )
 

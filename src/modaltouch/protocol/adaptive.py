@@ -254,8 +254,8 @@ def _check_success(reading: Reading[Any]) -> Iterator[Problem]:
 
 def _check_correct(reading: Reading[Any], offered: AnswerList) -> Iterator[Problem]:
     """Yield a problem if success cannot be `correct`: no answer names an interval, or the guess rate does not fit."""
-    said = [answer.interval for answer in offered if answer.interval is not None]
-    if reading.keys("intervals") is None or not said:
+    intervals = [answer.interval for answer in offered if answer.interval is not None]
+    if reading.keys("intervals") is None or not intervals:
         yield reading.problem(
             ("adaptive", "success"),
             "correct, but no answer refers to intervals",
@@ -264,11 +264,11 @@ def _check_correct(reading: Reading[Any], offered: AnswerList) -> Iterator[Probl
         )
         return
     guess_rate, rule = (reading.sound("adaptive", name) for name in ("guess_rate", "staircase"))
-    chance = 1 / len(said)
-    if guess_rate is not None and isinstance(said[0], int) and abs(guess_rate - chance) > 0.01:
+    chance = 1 / len(intervals)
+    if guess_rate is not None and isinstance(intervals[0], int) and abs(guess_rate - chance) > 0.01:
         yield reading.problem(
             ("adaptive", "guess_rate"),
-            f"{guess_rate:g}, but one of {len(said)} intervals is named",
+            f"{guess_rate:g}, but one of {len(intervals)} intervals is named",
             f"{chance:.4g}",
             f"write `guess_rate: {chance:.4g}`",
         )

@@ -171,7 +171,7 @@ class ConditionsSection(Section):
         return sorted({finger for each in laid for finger in self.fingers_of(each)})
 
 
-_SAID = {1: "one finger", 2: "two fingers", 3: "three fingers"}
+_NUMBERS_OF_FINGERS = {1: "one finger", 2: "two fingers", 3: "three fingers"}
 _SHIPPED = tuple(dict.fromkeys(name for name, _ in FINGERS))
 _FROM_LEFT: tuple[str, ...] = get_args(FingerName)
 
@@ -202,39 +202,41 @@ def _check_zones(reading: Reading[Any]) -> Iterator[Problem]:
     given = [key for key in ("zones", "zone_pairs") if reading.find(("conditions", key)) is not None]
     is_listed = any(reading.find(("conditions", key)) is not None for key in ("cells", "table"))
     if len(given) != 1 and not is_listed and reading.find(("conditions",)) is not None:
-        said = "both zones and zone_pairs" if given else "neither zones nor zone_pairs"
+        what = "both zones and zone_pairs" if given else "neither zones nor zone_pairs"
         yield reading.problem(
             ("conditions", *given[:1]),
-            said,
+            what,
             "one of the two",
             "remove one" if given else "add `zone_pairs: [[A, C]]`, or `zones` for one finger or three",
         )
     seen: dict[tuple[str, frozenset[str]], int] = {}
     for path, listed in contacts(reading):
-        zones, said, n = (path[1], frozenset(listed)), f"[{', '.join(listed)}]", len(listed)
+        zones, what, n = (path[1], frozenset(listed)), f"[{', '.join(listed)}]", len(listed)
         if len(zones[1]) < n:
             who = "both fingers" if n == 2 else "several fingers"
-            yield reading.problem(path, f"{said}, the same zone for {who}", f"{_SAID[n].split()[0]} different zones")
+            yield reading.problem(
+                path, f"{what}, the same zone for {who}", f"{_NUMBERS_OF_FINGERS[n].split()[0]} different zones"
+            )
         elif zones in seen and not is_listed:
             noun = "pair" if path[1] == "zone_pairs" else "zones"
-            said += f", the same {noun} as {path[1]}[{seen[zones]}]"
-            yield reading.problem(path, said, f"each {noun} once", "remove it; for more trials raise repetitions")
+            what += f", the same {noun} as {path[1]}[{seen[zones]}]"
+            yield reading.problem(path, what, f"each {noun} once", "remove it; for more trials raise repetitions")
         seen.setdefault(zones, path[2])
 
 
 def _check_fingers(reading: Reading[Any], name: str) -> Iterator[Problem]:
     """Yield a problem for a reserved name, a repeated finger, or fingers of a hand out of anatomical order."""
     path, fingers = ("conditions", "fingers", name), reading.sound("conditions", "fingers", name) or ()
-    said = f"[{', '.join(fingers)}]"
+    listed = f"[{', '.join(fingers)}]"
     in_order = {hand: [each for each in _FROM_LEFT if each in fingers and each.startswith(hand)] for hand in ("l", "r")}
     if name in _SHIPPED:
         yield reading.problem(path, f"{name}, a built-in condition", "a new name", "choose another", at_key=True)
     elif len(set(fingers)) < len(fingers):
-        yield reading.problem(path, said, "each finger once", "remove the second")
+        yield reading.problem(path, listed, "each finger once", "remove the second")
     elif any([each for each in fingers if each.startswith(hand)] != own for hand, own in in_order.items()):
         yield reading.problem(
             path,
-            said,
+            listed,
             f"the fingers of a hand as they lie, palms down, from the left: {', '.join(sum(in_order.values(), []))}",
             "put them in that order",
         )
@@ -253,7 +255,7 @@ def _check_number(reading: Reading[Any], used: dict[str, int]) -> Iterator[Probl
             like = " and ".join(name for name in names if used.get(name) == number)
             yield reading.problem(
                 path,
-                f"[{', '.join(zones)}] for the {_SAID[number]} of {like}",
+                f"[{', '.join(zones)}] for the {_NUMBERS_OF_FINGERS[number]} of {like}",
                 "as many zones as fingers",
                 "change the number of zones, or of fingers under conditions.fingers",
             )
@@ -281,7 +283,7 @@ def _check_answers(reading: Reading[Any], names: list[str], number: int) -> Iter
         at = ("answers", "fingers" if reading.find(("answers", "fingers", odd)) else "keys", odd)
         remedy += f"; remove its entry under {at[1]}" if number == 1 else ""
         yield reading.problem(
-            at, f"'{odd}' for the {_SAID[number]} of {' and '.join(names)}", allowed, remedy, at_key=True
+            at, f"'{odd}' for the {_NUMBERS_OF_FINGERS[number]} of {' and '.join(names)}", allowed, remedy, at_key=True
         )
 
 

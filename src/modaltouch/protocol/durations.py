@@ -134,8 +134,8 @@ def _check_catch_trials(protocol: Reading[Protocol], apparatus: Reading[Apparatu
         silent["schedule", "catch_trials"] = f"{n_catch}"
     if protocol.sound(*STANDARD_LEVEL) == 0:
         silent[STANDARD_LEVEL] = "silence"
-    for path, said in silent.items() if repetition in ("continuous", "wired") else ():
-        given = f"{said}, but the generator's repetition is {repetition}"
-        allowed = "none" if said == "silence" else "0"
+    for path, reason in silent.items() if repetition in ("continuous", "wired") else ():
+        given = f"{reason}, but the generator's repetition is {repetition}"
+        allowed = "none" if reason == "silence" else "0"
         allowed += ": only bursts triggered by command can be held back while the outputs are on"
         yield protocol.problem(path, given, allowed, "set generator.repetition to single")

@@ -274,7 +274,7 @@ class Schedule:
         try:
             return cls.draw(findings.experiment().protocol, participant, seed, session, given=given, **how)
         except NoOrderError as error:
-            raise InputError([findings.problem(("schedule", error.key), *error.said)]) from error
+            raise InputError([findings.problem(("schedule", error.key), *error.parts)]) from error
 
     @classmethod
     def check(cls, findings: Findings) -> tuple[Problem, ...]:

@@ -92,10 +92,10 @@ def check_groups(source: Source, root: Node) -> Iterator[Problem]:
     of_kind = "sessions of one kind", "none", "write `times`, or another kind"
     parts = [(f"groups.{name}", group, of_group) for name, group in groups.items()]
     parts += [(f"schedule.sessions[{index}]", kind, of_kind) for index, kind in enumerate(kinds)]
-    for path, node, said in parts:
+    for path, node, what in parts:
         schedule = node.child("schedule")
         if schedule is not None and "sessions" in schedule.keys:
-            yield Problem(file, *schedule.keys["sessions"], f"{path}.schedule.sessions", *said)
+            yield Problem(file, *schedule.keys["sessions"], f"{path}.schedule.sessions", *what)
     named = [((index, name), name.text) for index, kind in enumerate(kinds) if (name := kind.child("name")) is not None]
     for (index, name), word, _ in repeats(named):
         path = f"schedule.sessions[{index}].name"
@@ -149,7 +149,7 @@ class NoOrderError(ValueError):
 
     def __init__(self, key: str, given: str, allowed: str, remedy: str) -> None:
         super().__init__(f"schedule.{key}: given {given}; {allowed or remedy}")
-        self.key, self.said = key, (given, allowed, remedy)
+        self.key, self.parts = key, (given, allowed, remedy)
 
 
 class ResumeSection(Section):

@@ -158,8 +158,8 @@ class AnswersSection(AskedSection):
     @property
     def offered(self) -> AnswerList:
         """The answers in screen order."""
-        said = ("keys", "fingers", "below", "intervals", "scale")
-        return AnswerList.of({name: getattr(self, name) for name in said})
+        keys = ("keys", "fingers", "below", "intervals", "scale")
+        return AnswerList.of({name: getattr(self, name) for name in keys})
 
     @property
     def further(self) -> dict[str, AnswersSection]:

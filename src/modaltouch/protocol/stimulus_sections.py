@@ -293,13 +293,13 @@ def check_masking(protocol: Reading[Any], apparatus: Reading[Apparatus]) -> Iter
     if any(problem.path.startswith("masking.level") for problem in protocol.problems):
         return
     if len(given) != 1:
-        said = " and ".join(given) or "no level"
-        yield protocol.problem(("masking",), said, "one of level_dB_FS and level_dB_SPL", "give the noise one level")
+        listed = " and ".join(given) or "no level"
+        yield protocol.problem(("masking",), listed, "one of level_dB_FS and level_dB_SPL", "give the noise one level")
     elif given == ["level_dB_SPL"] and apparatus.sound("sound", "full_scale_dB_SPL") is None:
-        said = f"{protocol.sound('masking', 'level_dB_SPL'):g} dB SPL, but the loudspeaker is not calibrated"
+        listed = f"{protocol.sound('masking', 'level_dB_SPL'):g} dB SPL, but the loudspeaker is not calibrated"
         yield protocol.problem(
             ("masking", "level_dB_SPL"),
-            said,
+            listed,
             "only if the apparatus has sound.full_scale_dB_SPL",
             "measure the level of a full-scale sine at the ear, or give level_dB_FS",
         )
