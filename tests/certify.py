@@ -372,37 +372,37 @@ def check_workers(client, address: str) -> None:
 
 def judge(parts):
     """Return the certificates: errors of every population, the worst rate, and how many populations fail."""
-    told: dict[str, dict] = {}
+    certificates: dict[str, dict] = {}
     for part in parts:
         for row in part["rows"]:
-            each = told.setdefault(row["certificate"], {"experiments": [], "errors": [], "half_width": []})
+            each = certificates.setdefault(row["certificate"], {"experiments": [], "errors": [], "half_width": []})
             each["experiments"].append(row["n"])
             each["errors"].append(row["errors"])
             each["half_width"] += [row["half_width"]] if "half_width" in row else []
-    level = 1 - 2 * ALPHA / sum(len(each["errors"]) for each in told.values())
-    for each in told.values():
+    level = 1 - 2 * ALPHA / sum(len(each["errors"]) for each in certificates.values())
+    for each in certificates.values():
         errors, n = np.array(each["errors"]), np.array(each["experiments"])
         fails, rates = clopper_pearson(errors, n, level).low > ALPHA, errors / n
         each |= {"mean_rate": round(float(rates.mean()), 5), "worst_rate": round(float(rates.max()), 5)}
         each |= {"worst_population": int(rates.argmax()), "fails": np.flatnonzero(fails).tolist()}
         if (n == n[0]).all():
             each["experiments"] = int(n[0])
-    return told
+    return certificates
 
 
-def draw(told, place):
+def draw(certificates, place):
     """Write the picture: the error rate of every test and interval in every population."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(7, 0.27 * len(told) + 1.1), layout="constrained")
+    figure = Figure(figsize=(7, 0.27 * len(certificates) + 1.1), layout="constrained")
     axes, rng = figure.subplots(), np.random.default_rng(1)
-    for y, each in enumerate(told.values()):
+    for y, each in enumerate(certificates.values()):
         rates = np.array(each["errors"]) / np.array(each["experiments"])
         colours = ["#b3261e" if number in each["fails"] else "#0b3c8c" for number in range(len(rates))]
         axes.scatter(rates, y + rng.uniform(-0.25, 0.25, len(rates)), s=5, c=colours, alpha=0.6)
     axes.axvline(ALPHA, color="#444444", linewidth=0.8, linestyle=":")
-    axes.set_yticks(range(len(told)), list(told))
-    axes.invert_yaxis()
+    axes.set_yticks(range(len(certificates)), list(certificates))
+    axes.set_ylim(len(certificates) - 0.3, -0.7)
     axes.set_xlim(left=-0.001)
     axes.set_xlabel("rate of errors: a true null rejected,\nor the truth outside the 95 % interval")
     axes.set_title("Each dot a population; red: above 0.05 beyond doubt", fontsize=9)
@@ -425,14 +425,15 @@ def main() -> None:
     else:
         work = (joblib.delayed(certify)(number, asked.experiments) for number in range(asked.populations))
         parts = joblib.Parallel(n_jobs=asked.jobs, verbose=1)(work)
-    told = judge(parts)
+    certificates = judge(parts)
     minutes = (time.perf_counter() - began) / 60
     populations = [part["population"] for part in parts]
     about = {"version": version(), "minutes": round(minutes, 1), "limits": LIMITS}
-    asked.out.write_text(compact(about, told, populations) + "\n", encoding="utf-8")
-    draw(told, asked.out.with_suffix(".png"))
-    asked.brief.write_text("{\n" + ",\n".join(map(brief_of, told, told.values())) + "\n}\n", encoding="utf-8")
-    for name, each in told.items():
+    asked.out.write_text(compact(about, certificates, populations) + "\n", encoding="utf-8")
+    draw(certificates, asked.out.with_suffix(".png"))
+    brief = ",\n".join(map(brief_of, certificates, certificates.values()))
+    asked.brief.write_text("{\n" + brief + "\n}\n", encoding="utf-8")
+    for name, each in certificates.items():
         print(f"{name:20} worst {each['worst_rate']:.4f}  mean {each['mean_rate']:.4f}  fails {len(each['fails'])}")
 
 
@@ -442,10 +443,10 @@ def brief_of(name, each):
     return f"{json.dumps(name)}: {json.dumps([each['mean_rate'], each['worst_rate'], why])}"
 
 
-def compact(about, told, populations):
+def compact(about, certificates, populations):
     """Return everything as JSON, a certificate or a population a line."""
     parts = [f'"{key}": {json.dumps(value)}' for key, value in about.items()]
-    lines = ",\n".join(f"{json.dumps(name)}: {json.dumps(each)}" for name, each in told.items())
+    lines = ",\n".join(f"{json.dumps(name)}: {json.dumps(each)}" for name, each in certificates.items())
     parts.append('"certificates": {\n' + lines + "\n}")
     parts.append('"populations": [\n' + ",\n".join(map(json.dumps, populations)) + "\n]")
     return "{\n" + ",\n".join(parts) + "\n}"
