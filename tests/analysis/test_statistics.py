@@ -103,6 +103,12 @@ class TestPaperLikeAnswers:
         row = rows(tests, "f", "paired difference", "A-C 100 mm/s").iloc[0]
         assert (row["low"], row["high"]) == pytest.approx((-0.3085, 0.3085), abs=5e-5)
 
+    def test_a_paired_cell_counts_whoever_answered_in_both(self, tests) -> None:
+        """(C, E), 80 mm/s: all ten answered; the seventh chose C with two hands only."""
+        row = rows(tests, "f", "paired difference", "C-E 80 mm/s").iloc[0]
+        assert (row["estimate"], row["n"]) == (pytest.approx(-0.1), 10)
+        assert row["note"] == "0 chose C only in the first, 1 only in the second"
+
     def test_no_interval_disagrees_with_the_p_beside_it(self, tests) -> None:
         """P above 0.05 and the interval holding zero are one, wherever both are printed for a mean."""
         both = tests[tests["name"].str.contains("bounded mean") & tests["p"].notna() & tests["low"].notna()]
