@@ -274,7 +274,7 @@ def main() -> int:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     for package in ("numpy", "pandas", "scipy.stats", "scipy.optimize", "scipy.signal", "pydantic", "ruamel.yaml"):
         import_module(package)  # once, for all children
-    hypothesis.settings.register_profile("mutation", database=None, derandomize=True, phases=PHASES)
+    hypothesis.settings.register_profile("mutation", database=None, derandomize=True, deadline=None, phases=PHASES)
     plan = tomllib.loads((ROOT / "tests" / "mutation.toml").read_text(encoding="utf-8"))
     if unknown := set(given.only or ()) - plan.keys():
         parser.error(f"{', '.join(sorted(unknown))}: no module of tests/mutation.toml, so nothing would be examined")
