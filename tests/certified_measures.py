@@ -8,15 +8,16 @@ estimated" against the mean of the estimates from as many trials over all of the
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from itertools import islice
 
 import numpy as np
-from scipy.special import ndtr
+from scipy.special import ncfdtr, ndtr
 
-from modaltouch.analysis.detection import same_different, yes_no
-from modaltouch.analysis.intervals import Interval, student_interval
-from modaltouch.analysis.permutation import by_ranks, flip_test, friedman, rank_test, shuffle_test
+from modaltouch.analysis.detection import m_intervals, odd_of_three, same_different, share_correct, yes_no
+from modaltouch.analysis.intervals import BoundedMean, Interval, student_interval
+from modaltouch.analysis.permutation import by_ranks, flip_test, friedman, rank_test, shuffle_test, shuffle_together
 from modaltouch.analysis.psychometric import JND_OF_SPREAD, MOST_LAPSE, Fits, fit_counts
 from modaltouch.analysis.ratings import power_law
 from modaltouch.protocol.adaptive import StaircaseSection
@@ -107,6 +108,12 @@ def errors_of_measures(number: int, participants: int, n: int) -> Errors:
     yield from _of_criteria(task, np.random.default_rng([1910, number]), (n, participants))
     yield from _of_compared(task, np.random.default_rng([1911, number]), (n, participants))
     yield from _of_magnitudes(np.random.default_rng([1912, number]), (n, participants))
+    yield from _of_fits_compared(task, np.random.default_rng([1913, number]), (n, participants))
+    yield from _of_exponents_compared(np.random.default_rng([1914, number]), (n, participants))
+    yield from _of_differences(task, np.random.default_rng([1915, number]), (n, participants))
+    yield from _of_alternatives(task, np.random.default_rng([1918, number]), (n, participants))
+    yield from _of_ratings(task, np.random.default_rng([1916, number]), (n, participants))
+    yield from _of_groups_together(task, np.random.default_rng([1917, number]), (n, participants))
 
 
 def _of_tests(task: Task, rng: np.random.Generator, shape: tuple[int, int]) -> Errors:
@@ -132,16 +139,14 @@ def _of_sensitivity(task: Task, rng: np.random.Generator, shape: tuple[int, int]
     criterion = rng.normal(0, 0.4, shape[0])
     chances = ndtr(own / 2 - criterion), ndtr(-own / 2 - criterion)
     found = _each(yes_no, rng, task, chances)
-    d_primes = Interval(*(np.array([getattr(each.d_prime, name) for each in found]) for name in _BOUNDS), shape[0])
-    criteria = Interval(*(np.array([getattr(each.criterion, name) for each in found]) for name in _BOUNDS), shape[0])
+    d_primes, criteria = (_stacked(getattr(each, name) for each in found) for name in ("d_prime", "criterion"))
     yield "d' of one", _missed(d_primes, own)
     yield "criterion of one", _missed(criteria, criterion)
     yield from _of_mean("d'", rng, d_primes.estimate, own, shape, 0.05)
     apart = rng.uniform(1.0, 2.0, shape[0])
     chances = ndtr((own - apart) / math.sqrt(2)) + ndtr((-own - apart) / math.sqrt(2)), 2 * ndtr(-apart / math.sqrt(2))
-    differing = [each.d_prime for each in _each(same_different, rng, task, chances)]
-    bounds = (np.array([getattr(each, name) for each in differing]) for name in _BOUNDS)
-    yield "same and different of one", _missed(Interval(*bounds, shape[0]), own)
+    differing = _stacked(each.d_prime for each in _each(same_different, rng, task, chances))
+    yield "same and different of one", _missed(differing, own)
 
 
 def _of_criteria(task: Task, rng: np.random.Generator, shape: tuple[int, int]) -> Errors:
@@ -179,7 +184,149 @@ def _of_magnitudes(rng: np.random.Generator, shape: tuple[int, int]) -> Errors:
     yield from _of_mean("magnitude", rng, known, own, shape, 0.02)
 
 
-_BOUNDS = ("estimate", "low", "high")
+FITTED = 500
+"""People whose functions are fitted twice: fits take long. Experiments draw their participants from these."""
+
+FIXED_DB = np.arange(-9.0, 9.5, 3.0)
+"""Fixed levels, about the middle of the population [dB]."""
+
+
+def _of_fits_compared(task: Task, rng: np.random.Generator, shape: tuple[int, int]) -> Errors:
+    """Yield sign flips of differences of fitted values between two conditions, and detection thresholds alone.
+
+    In the second condition, thresholds are 1 dB higher in most people, and spreads a tenth larger.
+    """
+    n = min(shape[0], FITTED)
+    own, spread = _people(task, rng, n)
+    rise, wider = rng.normal(1, 0.5, n), np.exp(rng.normal(0.1, 0.1, n))
+    people = (own, spread), (own + rise, spread * wider)
+    forced, choice, felt = ([fit(task, rng, *each) for each in people] for fit in (_forced, _choice, _felt))
+    runs = {name: [_run_of(task, rng, *each, name) for each in people] for name in ("forced choice", "felt")}
+    compared = {"threshold compared": forced, "PSE compared": choice, "detection threshold compared": felt}
+    compared |= {f"of runs compared, {name}": each for name, each in runs.items()}
+    for name, (first, second) in compared.items():
+        gaps = _known(second, second.threshold) - _known(first, first.threshold)
+        yield from _of_mean(name, rng, gaps, rise, shape, LEAST_DB)
+    gaps = JND_OF_SPREAD * (_known(choice[1], choice[1].spread) - _known(choice[0], choice[0].spread))
+    yield from _of_mean("JND compared", rng, gaps, JND_OF_SPREAD * spread * (wider - 1), shape, LEAST_DB / 5)
+    yield "detection threshold of one", _missed(felt[0].threshold, own)[felt[0].is_determined]
+    yield from _of_mean("detection threshold", rng, _known(felt[0], felt[0].threshold), own, shape, LEAST_DB)
+
+
+def _forced(task: Task, rng: np.random.Generator, own: np.ndarray, spread: np.ndarray) -> Fits:
+    """Return the fits of a forced choice at fixed levels."""
+    rising, guess = ndtr((FIXED_DB - own[:, None]) / spread[:, None]), 1 / task.alternatives
+    hits = rng.binomial(task.tries, guess + (1 - guess - task.lapse) * rising).astype(float)
+    return fit_counts(FIXED_DB, hits, np.full_like(rising, task.tries), guess_rate=guess, most_lapse=MOST_LAPSE)
+
+
+def _choice(task: Task, rng: np.random.Generator, own: np.ndarray, spread: np.ndarray) -> Fits:
+    """Return the fits of choices between a comparison at fixed levels and a standard."""
+    rising, guesses = ndtr((FIXED_DB - own[:, None]) / spread[:, None]), np.linspace(0, MOST_LAPSE, 3)
+    hits = rng.binomial(task.tries, task.lapse + (1 - 2 * task.lapse) * rising).astype(float)
+    return fit_counts(FIXED_DB, hits, np.full_like(rising, task.tries), guess_rate=guesses, most_lapse=MOST_LAPSE)
+
+
+def _felt(task: Task, rng: np.random.Generator, own: np.ndarray, spread: np.ndarray) -> Fits:
+    """Return the fits of what is felt at fixed levels, with catch trials; each person has a false-alarm rate."""
+    guess, n = rng.beta(1, 12, own.size), min(task.noises, 20)
+    false = rng.binomial(n, guess)
+    rising = ndtr((FIXED_DB - own[:, None]) / spread[:, None])
+    hits = rng.binomial(task.tries, guess[:, None] + (1 - guess[:, None] - task.lapse) * rising).astype(float)
+    parts = {
+        k: fit_counts(
+            FIXED_DB, hits[false == k], np.full_like(hits[false == k], task.tries), guess_rate=0.0,
+            most_lapse=MOST_LAPSE, n_catch=n, n_false=k,
+        )
+        for k in np.unique(false).tolist()
+    }  # fmt: skip
+    order = np.argsort(np.concatenate([np.flatnonzero(false == k) for k in parts]))
+
+    def joined(values):
+        return np.concatenate(list(values))[order]
+
+    bounds = (joined(getattr(part.threshold, name) for part in parts.values()) for name in ("estimate", "low", "high"))
+    first = next(iter(parts.values()))
+    return replace(first, threshold=Interval(*bounds, own.size),
+                   is_determined=joined(part.is_determined for part in parts.values()))  # fmt: skip
+
+
+def _of_exponents_compared(rng: np.random.Generator, shape: tuple[int, int]) -> Errors:
+    """Yield sign flips of differences of exponents between two conditions, a tenth steeper in the second."""
+    own, rise = rng.normal(0.6, 0.2, shape[0]), rng.normal(0.1, 0.1, shape[0])
+    first, second = (_exponents(rng, each).estimate for each in (own, own + rise))
+    yield from _of_mean("exponent compared", rng, second - first, rise, shape, 0.02)
+
+
+def _of_differences(task: Task, rng: np.random.Generator, shape: tuple[int, int]) -> Errors:
+    """Yield d' and criteria of same and different: the criterion of one, means, and differences of two conditions."""
+    own, apart = np.abs(rng.normal(task.d_prime, 0.5, shape[0])), rng.uniform(1.0, 2.0, shape[0])
+    rise, later, found = rng.normal(0.5, 0.3, shape[0]), rng.normal(0.3, 0.2, shape[0]), []
+    for d_prime, criterion in ((own, apart), (own + rise, apart + later)):
+        chances = ndtr((d_prime - criterion) / math.sqrt(2)) + ndtr((-d_prime - criterion) / math.sqrt(2))
+        found.append(_each(same_different, rng, task, (chances, 2 * ndtr(-criterion / math.sqrt(2)))))
+    yield "differencing criterion of one", _missed(_stacked(each.criterion for each in found[0]), apart)
+    for name, part, truth, risen in (
+        ("d'", "d_prime", own, rise),
+        ("differencing criterion", "criterion", apart, later),
+    ):
+        first, second = (_stacked(getattr(each, part) for each in own).estimate for own in found)
+        of = ", same and different" * (name == "d'")
+        yield from _of_mean(f"{name}{of}", rng, first, truth, shape, 0.05)
+        yield from _of_mean(f"{name} compared{of}", rng, second - first, risen, shape, 0.05)
+
+
+def _of_alternatives(task: Task, rng: np.random.Generator, shape: tuple[int, int]) -> Errors:
+    """Yield d' of one of three alternatives and of the odd one of three: null, means, and differences."""
+    own = np.abs(rng.normal(task.d_prime, 0.5, shape[0]))
+    rise, n = rng.normal(0.5, 0.3, shape[0]), task.signals
+    guessed = rng.binomial(n, 1 / 3, shape) / n - 1 / 3
+    yield "d', of three", flip_test(guessed).quick_p <= ALPHA * TIES
+    models = {
+        "of three": (lambda given: m_intervals(given, 3), lambda d: share_correct(d, 3)),
+        "odd of three": (odd_of_three, lambda d: 1 - ncfdtr(1, 1, 2 * d**2 / 3, 3)),
+    }
+    for name, (model, chance) in models.items():
+        counts = [rng.binomial(n, chance(np.maximum(each, 0))) for each in (own, own + rise)]
+        told = {k: model((k, n)).d_prime.estimate for k in np.unique(counts).tolist()}
+        first, second = (np.array([told[k] for k in each.tolist()]) for each in counts)
+        yield from _of_mean(f"d', {name}", rng, first, own, shape, 0.05)
+        yield from _of_mean(f"d' compared, {name}", rng, second - first, np.maximum(own + rise, 0) - own, shape, 0.05)
+
+
+def _stacked(each: Iterable[Interval]) -> Interval:
+    """Return intervals of people as one of arrays."""
+    rows = [(own.estimate, own.low, own.high) for own in each]
+    return Interval(*np.array(rows).T, len(rows))
+
+
+def _of_ratings(task: Task, rng: np.random.Generator, shape: tuple[int, int]) -> Errors:
+    """Yield mean ratings: on a scale from 1 to 7, of numbers without ends, and when correct minus when not.
+
+    A fifth of the people rate much higher, to the end of the scale; confidence is higher when correct in most people.
+    """
+    chance, often = rng.uniform(0.6, 0.9, shape[0]), task.signals
+    felt = rng.normal(-0.5, 1, shape[0]) + 3 * (rng.random(shape[0]) < 0.2)
+    is_right = rng.random((shape[0], often)) < chance[:, None]
+    latent = felt[:, None] + rng.normal(0.3, 0.3, (shape[0], 1)) * is_right + rng.normal(size=is_right.shape)
+    rated = np.clip(np.rint(3 + latent), 1, 7)
+    known = rated[:, :4].mean(axis=1)
+    drawn = known[rng.integers(shape[0], size=shape)]
+    tests = (BoundedMean(drawn[k : k + 500], 1.0, 7.0).test(known.mean()).p for k in range(0, len(drawn), 500))
+    yield "mean rating", np.concatenate(list(tests)) <= ALPHA / TIES
+    yield from islice(_of_mean("rating without ends", rng, known, known, shape, 0.25), 1)
+    n = is_right.sum(axis=1)
+    with np.errstate(invalid="ignore"):
+        gaps = (rated * is_right).sum(axis=1) / n - (rated * ~is_right).sum(axis=1) / (often - n)
+    yield from islice(_of_mean("gap of ratings", rng, gaps, np.full(1, np.nanmean(gaps)), shape, 0.05), 1)
+
+
+def _of_groups_together(task: Task, rng: np.random.Generator, shape: tuple[int, int]) -> Errors:
+    """Yield the joint test of three unordered answers between two groups that do not differ."""
+    shares = rng.multinomial(task.signals, rng.dirichlet((1.0, 2.0, 0.5), shape)) / task.signals
+    half = shape[1] // 2
+    p = [shuffle_together(each[:half], each[half:]).p for each in shares]
+    yield "group together", np.array(p) <= ALPHA * TIES
 
 
 def _each(model, rng, task, chances):
@@ -192,15 +339,11 @@ def _each(model, rng, task, chances):
 
 def _of_fixed_levels(task: Task, rng: np.random.Generator, shape: tuple[int, int]) -> Errors:
     """Yield thresholds of a forced choice at fixed levels; points of subjective equality and what is just noticed."""
-    levels, (own, spread), guess = np.arange(-9.0, 9.5, 3.0), _people(task, rng, shape[0]), 1 / task.alternatives
-    rising = ndtr((levels - own[:, None]) / spread[:, None])
-    tries = np.full(rising.shape, float(task.tries))
-    hits = rng.binomial(task.tries, guess + (1 - guess - task.lapse) * rising).astype(float)
-    found = fit_counts(levels, hits, tries, guess_rate=guess, most_lapse=MOST_LAPSE)
+    own, spread = _people(task, rng, shape[0])
+    found = _forced(task, rng, own, spread)
     yield "threshold of one", _missed(found.threshold, own)[found.is_determined]
     yield from _of_mean("threshold", rng, _known(found, found.threshold), own, shape, LEAST_DB)
-    hits = rng.binomial(task.tries, task.lapse + (1 - 2 * task.lapse) * rising).astype(float)
-    found = fit_counts(levels, hits, tries, guess_rate=np.linspace(0, MOST_LAPSE, 3), most_lapse=MOST_LAPSE)
+    found = _choice(task, rng, own, spread)
     yield "PSE of one", _missed(found.threshold, own)[found.is_determined]
     yield from _of_mean("PSE", rng, _known(found, found.threshold), own, shape, LEAST_DB)
     yield "JND of one", _missed(found.spread, spread)[found.is_determined]
@@ -210,20 +353,25 @@ def _of_fixed_levels(task: Task, rng: np.random.Generator, shape: tuple[int, int
 
 def _of_runs(task: Task, rng: np.random.Generator, shape: tuple[int, int]) -> Errors:
     """Yield thresholds of adaptive runs: of a forced choice, down after two successes, and of what is felt."""
-    for name, guess, down_after in (("forced choice", 1 / task.alternatives, 2), ("felt", 0.0, 1)):
+    for name in ("forced choice", "felt"):
         own, spread = _people(task, rng, shape[0])
-        rule = StaircaseSection(down_after=down_after, steps_dB=(8.0, 4.0, 2.0))
-        rising = ndtr((LEVELS_DB - own[:, None]) / spread[:, None])
-        place, success = staircases(rule, rng, task.run, guess + (1 - guess - task.lapse) * rising)
-        tries = np.stack([(place == at).sum(axis=-1) for at in range(LEVELS_DB.size)], axis=-1).astype(float)
-        hits = np.stack([(success & (place == at)).sum(axis=-1) for at in range(LEVELS_DB.size)], axis=-1).astype(float)
-        flat = guess if guess else None
-        found = fit_counts(LEVELS_DB, hits, tries, guess_rate=guess, most_lapse=0.06, flat_rate=flat)
+        found = _run_of(task, rng, own, spread, name)
         yield f"run of one, {name}", _missed(found.threshold, own)[found.is_determined]
         known = _known(found, found.threshold)
         means = [student_interval(row[np.isfinite(row)]) for row in known[rng.integers(shape[0], size=shape)]]
         for kind, truth in ((name, own.mean()), (f"{name}, as estimated", np.nanmean(known))):
             yield f"mean of runs, {kind}", np.array([not each.low <= truth <= each.high for each in means])
+
+
+def _run_of(task: Task, rng: np.random.Generator, own: np.ndarray, spread: np.ndarray, name: str) -> Fits:
+    """Return the fits of a run of each person."""
+    guess, down_after = (1 / task.alternatives, 2) if name == "forced choice" else (0.0, 1)
+    rule = StaircaseSection(down_after=down_after, steps_dB=(8.0, 4.0, 2.0))
+    rising = ndtr((LEVELS_DB - own[:, None]) / spread[:, None])
+    place, success = staircases(rule, rng, task.run, guess + (1 - guess - task.lapse) * rising)
+    tries = np.stack([(place == at).sum(axis=-1) for at in range(LEVELS_DB.size)], axis=-1).astype(float)
+    hits = np.stack([(success & (place == at)).sum(axis=-1) for at in range(LEVELS_DB.size)], axis=-1).astype(float)
+    return fit_counts(LEVELS_DB, hits, tries, guess_rate=guess, most_lapse=0.06, flat_rate=guess or None)
 
 
 def staircases(rule, rng, n_trials, chances):
@@ -261,14 +409,19 @@ def staircases(rule, rng, n_trials, chances):
 
 def _of_exponents(rng: np.random.Generator, shape: tuple[int, int]) -> Errors:
     """Yield exponents of magnitudes of five levels, three times each, rounded to two digits as people answer."""
-    levels, own = np.repeat([20.0, 40.0, 80.0, 120.0, 200.0], 3), rng.normal(0.6, 0.2, shape[0])
-    size = np.exp(rng.normal(2, 0.5, (shape[0], 1))) * levels ** own[:, None]
-    given = size * np.exp(rng.normal(0, 0.25, size.shape))
-    digit = 10.0 ** (np.floor(np.log10(given)) - 1)
-    found = [power_law(levels, row) for row in np.maximum(np.rint(given / digit) * digit, digit)]
-    exponents = Interval(*(np.array([getattr(each, name) for each in found]) for name in _BOUNDS), shape[0])
+    own = rng.normal(0.6, 0.2, shape[0])
+    exponents = _exponents(rng, own)
     yield "exponent of one", _missed(exponents, own)
     yield from _of_mean("exponent", rng, exponents.estimate, own, shape, 0.02)
+
+
+def _exponents(rng: np.random.Generator, own: np.ndarray) -> Interval:
+    """Return the fitted exponent of each person, whose true one is `own`."""
+    levels = np.repeat([20.0, 40.0, 80.0, 120.0, 200.0], 3)
+    size = np.exp(rng.normal(2, 0.5, (own.size, 1))) * levels ** own[:, None]
+    given = size * np.exp(rng.normal(0, 0.25, size.shape))
+    digit = 10.0 ** (np.floor(np.log10(given)) - 1)
+    return _stacked(power_law(levels, row) for row in np.maximum(np.rint(given / digit) * digit, digit))
 
 
 def _people(task: Task, rng: np.random.Generator, n: int) -> tuple[np.ndarray, np.ndarray]:
@@ -285,7 +438,7 @@ def _of_mean(name: str, rng, known, own, shape, least) -> Errors:
 
     Those who have none are left out.
     """
-    drawn = rng.integers(shape[0], size=shape)
+    drawn = rng.integers(len(known), size=shape)
     for kind, mean in ((name, own.mean()), (f"{name}, as estimated", np.nanmean(known))):
         gaps = np.nan_to_num(np.rint((known - mean) / least))
         yield f"mean {kind}", flip_test(gaps[drawn]).quick_p <= ALPHA * TIES
