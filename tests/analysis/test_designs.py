@@ -29,7 +29,7 @@ from modaltouch.analysis.measures import (
     mean_findings,
     over_participants,
 )
-from modaltouch.analysis.permutation import by_flips, by_ranks, friedman, group_test
+from modaltouch.analysis.permutation import by_flips, by_ranks, friedman, group_test, shuffle_together
 from modaltouch.analysis.pipeline import analyse, read_responses
 from modaltouch.analysis.ratings import level_findings, power_law
 from modaltouch.analysis.report import design_limits
@@ -644,6 +644,24 @@ def test_sign_flips_of_large_numbers_are_those_of_small_ones() -> None:
     small, large = by_flips(values), by_flips(values * 1e6)
     assert small[0].p == large[0].p
     assert small[1].low * 1e6 == pytest.approx(large[1].low)
+
+
+def test_sign_flips_of_shares_keep_their_ties() -> None:
+    """Enumeration of 2^7 signs of multiples of 1/18: rounded to four digits, 1/18 + 1/18 would differ from 1/9."""
+    values = np.array([1, 1, -2, 6, 3, -1, 4]) / 18
+    sums = np.abs([np.array(signs) @ values for signs in product((-1, 1), repeat=len(values))])
+    assert by_flips(values)[0].p == (sums >= abs(values.sum()) - 1e-9).mean()
+
+
+def test_groups_that_all_reach_the_ceiling_cannot_differ() -> None:
+    """Of three people and four, any allotment has the same means; of 1, 2, 3 and 5 to 8, one in 35 is as far apart."""
+    equal, apart = (
+        group_test(np.array(a), np.array(b))[0] for a, b in (([1.0] * 3, [1.0] * 4), ([1.0, 2, 3], [5.0, 6, 7, 8]))
+    )
+    assert (equal.p, equal.p_min, equal.n_informative) == (1, 1, 0)
+    assert apart.p_min == apart.p == pytest.approx(1 / 35)
+    together = shuffle_together(np.full((3, 2), 0.5), np.full((4, 2), 0.5))
+    assert (together.p_min, together.n_informative) == (1, 0)
 
 
 def test_people_who_all_reach_the_ceiling_give_no_upper_bound() -> None:

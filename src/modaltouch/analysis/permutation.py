@@ -32,25 +32,48 @@ Located = tuple[ExactTest, Interval]
 
 
 def flip_test(values: FloatArray) -> ExactTest:
-    """Exact sign-flip test of symmetry about zero, with values rounded to four significant digits of the largest.
+    """Exact sign-flip test of symmetry about zero, with the values as whole numbers of `_units`.
 
     Parameters
     ----------
     values : (..., n) array
         One value per participant.
+
+    Examples
+    --------
+    >>> float(flip_test(np.array([1, 1, 2, -1]) / 18).p)  # 8 of 16 sums are as far from 0
+    0.5
     """
-    return sign_flip_test(np.rint(values / _unit(values) * 1000).astype(np.int64))
+    return sign_flip_test(np.rint(values / _unit(values)).astype(np.int64))
+
+
+# Maximum common denominator of exact values, and the numbers of distinct values and of steps up to the largest.
+_DENOMINATORS, _DISTINCT, _STEPS = np.arange(1, 2001), 500, 10_000
 
 
 def _unit(values: FloatArray) -> float:
-    largest = float(np.abs(values).max(initial=0.0))
-    return 10.0 ** math.floor(math.log10(largest)) if largest > 0 else 1.0
+    """Return a unit of which the largest value is a thousand or more, and of which fractions are whole numbers.
+
+    Rounding would break ties, as of 1/18 + 1/18 and 1/9. Values without a small common denominator are rounded to four
+    digits of the largest.
+    """
+    sizes = np.unique(np.abs(values))
+    largest = float(sizes.max(initial=0.0))
+    if not largest:
+        return 1.0
+    if sizes.size <= _DISTINCT:
+        scaled = sizes[:, np.newaxis] * _DENOMINATORS[_DENOMINATORS * largest <= _STEPS]
+        is_whole = (np.abs(scaled - np.rint(scaled)) < 1e-6).all(axis=0)
+        if is_whole.any():
+            denominator = int(_DENOMINATORS[is_whole.argmax()])
+            return 1 / (denominator * math.ceil(1000 / (largest * denominator)))
+    return 10.0 ** (math.floor(math.log10(largest)) - 3)
 
 
 def by_flips(values: FloatArray) -> Located:
     """Return the sign-flip test of `flip_test`, and the mean with the interval of centres that it does not reject."""
-    unit = _unit(values)
-    return flip_test(values), centre_interval(values / unit).changed(lambda scaled: scaled * unit)
+    thousand = 1000 * _unit(values)
+    return flip_test(values), centre_interval(values / thousand).changed(lambda scaled: scaled * thousand)
 
 
 def rank_test(values: FloatArray) -> ExactTest:
@@ -111,7 +134,7 @@ def group_test(first: FloatArray, second: FloatArray) -> Located:
     first, second = np.sort(first), np.sort(second)  # makes the sample independent of the participants' order
     test, values = shuffle_test(first, second), np.concatenate([first, second])
     observed, far = float(test.statistic), 2 * float(np.ptp(values)) + 1e-9
-    weights, _ = _weights(first.size, values.size)
+    weights = _weights(first.size, values.size)
     # The difference of means in a permutation is linear in the shift of the first group.
     differences, moved = weights @ values, weights[:, : first.size].sum(axis=-1)
 
@@ -132,14 +155,16 @@ def shuffle_test(first: FloatArray, second: FloatArray) -> ExactTest:
     """
     values, n = np.concatenate([first, second], axis=-1), first.shape[-1]
     size = values.shape[-1]
-    weights, is_exact = _weights(n, size)
+    weights = _weights(n, size)
     observed = first.mean(axis=-1) - second.mean(axis=-1)
-    rows, least = values.reshape(-1, size), np.abs(observed).reshape(-1, 1) - 1e-9
+    rows, tails = values.reshape(-1, size), list[FloatArray]()
     step = max(1, _AT_ONCE // len(weights))
-    parts = (slice(start, start + step) for start in range(0, len(rows), step))
-    p = np.concatenate([(np.abs(rows[part] @ weights.T) >= least[part]).mean(axis=-1) for part in parts])
-    p_min = (2 if is_exact and 2 * n == size else 1) / len(weights)
-    return ExactTest(observed, p.reshape(observed.shape)[()], p_min, size)
+    for start in range(0, len(rows), step):
+        far = np.abs(rows[start : start + step] @ weights.T)
+        ends = np.stack([far[:, 0], far.max(axis=-1)])  # the first permutation is the identity
+        tails.append((far >= ends[..., np.newaxis] - 1e-9).mean(axis=-1))
+    p, p_min = (each.reshape(observed.shape)[()] for each in np.concatenate(tails, axis=-1))
+    return ExactTest(observed, p, p_min, np.where(np.ptp(values, axis=-1) > 0, size, 0))
 
 
 def shuffle_together(first: FloatArray, second: FloatArray) -> ExactTest:
@@ -156,25 +181,23 @@ def shuffle_together(first: FloatArray, second: FloatArray) -> ExactTest:
     values = values[:, values.any(axis=0)]
     # The order within a group makes the sample independent of that of the participants.
     values[:n], values[n:] = (own[np.lexsort(own.T)] if own.size else own for own in (values[:n], values[n:]))
-    weights, is_exact = _weights(n, len(values))
-    statistic = ((weights @ values) ** 2 / values.mean(axis=0)).sum(axis=-1)
-    p_min = (2 if is_exact and 2 * n == len(values) else 1) / len(weights)
-    return ExactTest(statistic[0], (statistic >= statistic[0] - 1e-9).mean(), p_min, len(values))
+    statistic = ((_weights(n, len(values)) @ values) ** 2 / values.mean(axis=0)).sum(axis=-1)
+    p, p_min = ((statistic >= least - 1e-9).mean() for least in (statistic[0], statistic.max()))
+    return ExactTest(statistic[0], p, p_min, len(values) if np.ptp(values, axis=0).any() else 0)
 
 
 @lru_cache(maxsize=4)
-def _weights(n: int, size: int) -> tuple[FloatArray, bool]:
-    """Return the weights of the difference of means by permutation, identity first, and whether all are enumerated."""
+def _weights(n: int, size: int) -> FloatArray:
+    """Return the weights of the difference of means by permutation, identity first; all of them, or a sample."""
     is_first = np.arange(size) < n
-    is_exact = math.comb(size, n) <= _MOST_ORDERS
-    if is_exact:
+    if math.comb(size, n) <= _MOST_ORDERS:
         chosen = np.array(list(combinations(range(size), n)))
         orders = np.zeros((len(chosen), size), dtype=bool)
         np.put_along_axis(orders, chosen, True, axis=1)
     else:
         rng = np.random.default_rng(1)
         orders = np.stack([is_first, *(rng.permutation(is_first) for _ in range(_MOST_ORDERS - 1))])
-    return orders / n - ~orders / (size - n), is_exact
+    return np.asarray(orders / n - ~orders / (size - n))
 
 
 def _last_kept(p: Callable[[float], float], kept: float, rejected: float) -> float:
