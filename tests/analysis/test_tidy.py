@@ -659,6 +659,16 @@ def test_a_table_that_stands_there_several_times_is_told(write_csv, paper_rows, 
     assert note not in read_responses(write_csv(paper_rows * (times - 1) + [other, *paper_rows[1:]])).notes
 
 
+def test_a_table_that_stands_there_more_often_than_the_protocol_repeats_is_refused(write_csv, paper_rows) -> None:
+    """Twice one answer to each cell: refused with one repetition, read with two, or one in each of two sessions."""
+    path = write_csv(paper_rows * 2)
+    schedules = {"repetitions": 2, "sessions": 1}, {"repetitions": 1, "sessions": 2}
+    for schedule in schedules:
+        assert len(read_responses(path, table_format=TableFormat(design={"schedule": schedule})).frame)
+    with pytest.raises(InputError, match="every row 2 times, which gives 2 answers .*; allowed: 1, as in the protocol"):
+        read_responses(path, table_format=TableFormat(design={"schedule": {"repetitions": 1, "sessions": 1}}))
+
+
 def test_levels_in_metres_per_second_are_refused(write_csv, paper_rows) -> None:
     """All below 1 mm/s: refused, unless the protocol has such levels."""
     path = write_csv([{**row, "velocity_mm_s": float(row["velocity_mm_s"]) / 1000} for row in paper_rows])

@@ -89,11 +89,30 @@ def _measured_levels(table: Table, frame: pd.DataFrame, column: str) -> Problem:
     return table.problem(int(frame.index[0]), column, given, "the same levels for all participants", remedy)
 
 
-def doubling_notes(table: Table) -> list[str]:
-    """Return a note if every row of a table is duplicated, which is rarely due to repetitions."""
+def check_doubling(table: Table, usual: int, design: Mapping[str, Any]) -> tuple[list[Problem], list[str]]:
+    """Refuse a table whose every row is duplicated beyond the repetitions of the protocol; without these, note it.
+
+    Parameters
+    ----------
+    table : Table
+        The file.
+    usual : int
+        Usual number of answers per participant and cell; 0 if unknown.
+    design : mapping
+        Sections of the protocol; empty if unknown.
+    """
     times = math.gcd(*pd.util.hash_pandas_object(table.fields, index=False).value_counts().tolist())
+    if times < 2:
+        return [], []
+    schedule = design.get("schedule") or {}
+    sessions = schedule.get("sessions", 1)
+    planned = schedule["repetitions"] * sessions if schedule and isinstance(sessions, int) else usual
+    if usual > planned:
+        given = f"every row {times} times, which gives {usual} answers of a participant in a cell"
+        allowed = f"{planned}, as in the protocol"
+        return [Problem(table.file, 1, 1, "", given, allowed, "remove the copies")], []
     note = f"every row occurs {times} times, taken as repetitions: if the table was pasted together, remove the copies"
-    return [note] * (times > 1)
+    return [], [note]
 
 
 def check_unit(table: Table, frame: pd.DataFrame, design: Mapping[str, Any]) -> list[Problem]:

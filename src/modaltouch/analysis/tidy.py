@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from modaltouch.analysis.balance import check_balance, check_unit, doubling_notes
+from modaltouch.analysis.balance import check_balance, check_doubling, check_unit
 from modaltouch.analysis.columns import OWN_THRESHOLD, VELOCITY, zones_of
 from modaltouch.analysis.csv_table import Table, list_faults, read_table
 from modaltouch.analysis.responses import (
@@ -86,7 +86,8 @@ def read_csv(
         asked = unmirror(frame[counts], answers)
         is_whole, parts = _is_crossed(table_format.design), _parts(asked, table_format.design)
         checked = [check_balance(table, part, is_crossed=is_whole) for part in parts]
-        columns.problems += [problem for problems, _ in checked for problem in problems]
+        doubled, noted = check_doubling(table, checked[-1][1], table_format.design)
+        columns.problems += [*(problem for problems, _ in checked for problem in problems), *doubled]
     if columns.problems:
         raise InputError(columns.problems)
     left_out += [ExcludedSource(f"{table.file}: {rows.sum()} rows", why) for why, rows in apart.items() if rows.any()]
@@ -104,7 +105,7 @@ def read_csv(
         answers=answers,
         margin=table_format.margin,
         asked=checked[-1][1] or None,
-        notes=(*notes, *doubling_notes(table), *(missing_answer_notes(kept, given) if is_crossed else ())),
+        notes=(*notes, *noted, *(missing_answer_notes(kept, given) if is_crossed else ())),
         scheduled=None if is_crossed else kept,
         design=table_format.design,
     )
