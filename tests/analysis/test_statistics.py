@@ -200,6 +200,9 @@ def test_repetitions_enter_as_one_participant(build) -> None:
     tests = run_tests(build["tidy"](build["random"](2, 3, repetitions=2)))
     assert rows(tests, "a2", "sign-flip")["p_min"].min() >= 0.5
     assert (rows(tests, "a1")["n"] <= 2).all()
+    shares = rows(tests, "a1", "share in a cell")
+    said = "of each participant's most frequent answer; tied or without an answer, and left out: "
+    assert (shares["note"] == said + (2 - shares["n"]).astype(str)).all()
 
 
 def test_the_estimate_beside_a_test_against_guessing_is_of_the_answer_that_moves_it(build) -> None:

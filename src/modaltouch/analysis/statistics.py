@@ -109,9 +109,12 @@ def cell_share_findings(answers: AnswerCounts) -> Iterator[Finding]:
     """Yield the share of the effect, or of each answer, among participants' most frequent answers in each cell."""
     cells, kinds = _cells_of(answers)
     for (q, scope), own in zip(cells, kinds, strict=True):
+        left_out = answers.n_participants - int(own.sum())
+        tied = f"of each participant's most frequent answer; tied or without an answer, and left out: {left_out}"
         for label, place in answers.effects(answers.pairs[q])[: None if answers.is_nominal else 1]:
             share, n = clopper_pearson(own[place], own.sum()), int(own.sum())
-            yield finding_of("a1", "share in a cell, exact interval", scope, None, f"P({label})", share, n)
+            notes = [tied] if answers.n_repetitions > 1 else []
+            yield finding_of("a1", "share in a cell, exact interval", scope, None, f"P({label})", share, n, notes=notes)
 
 
 def joint_findings(answers: AnswerCounts) -> Iterator[Finding]:
