@@ -736,7 +736,7 @@ def test_a_measure_that_nobody_has_is_told_as_such() -> None:
     findings, _ = found(take(frame, design))
     threshold = findings["detection threshold over participants", "one_hand A-C"]
     assert np.isnan([threshold.estimate, threshold.low, threshold.high]).all() and threshold.n == 0
-    assert threshold.note.endswith("8 participants without a value left out; described, not tested")
+    assert threshold.note.endswith("participants without a value, left out: 8; described, not tested")
     both = pd.concat([frame, frame.assign(finger_condition="two_hands")], ignore_index=True)
     findings, _ = found(take(both, design))
     compared = findings["detection threshold compared", "one_hand - two_hands A-C"]
@@ -768,4 +768,4 @@ def test_ratings_of_two_levels_are_compared_by_signed_ranks(is_ratio) -> None:
     middle = np.median(averages)
     assert row.estimate == pytest.approx(math.exp(middle) if is_ratio else middle, rel=1e-6)
     assert (row.family, row.n) == ("rating over levels", 7)
-    assert "signed ranks" in row.name and "1 participants without a rating at every level" in row.note
+    assert "signed ranks" in row.name and "participants without a rating at every level, left out: 1" in row.note

@@ -184,7 +184,7 @@ def mean_findings(values: Sequence[IndividualValue], scale: LevelScale, groups: 
             f"met by {', '.join(name for name in names if name in met)} only" if len(met) < len(names) else "",
             "geometric mean" if measure.is_ratio else "",
             *({each.note for each in own} if len({each.note for each in own}) == 1 else ()),
-            f"{left_out} participants without a value left out" if left_out else "",
+            f"participants without a value, left out: {left_out}" if left_out else "",
             f"participants whose own interval is open on one side: {n_open}" if n_open else "",
             "" if tested else "described, not tested",
             "the rates reject zero, which the interval holds"

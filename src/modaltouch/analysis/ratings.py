@@ -235,5 +235,5 @@ def _over_levels(measure: Measure, scope: str, left_out: int, rows: np.ndarray) 
     return finding_of(
         "rating", f"{measure.name} over levels, {way}", scope, test, quantity, interval, len(rows),
         family="rating over levels",
-        notes=[f"{left_out} participants without a rating at every level left out" if left_out else ""],
+        notes=[f"participants without a rating at every level, left out: {left_out}" if left_out else ""],
     )  # fmt: skip
