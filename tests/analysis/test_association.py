@@ -146,6 +146,22 @@ def test_stimuli_are_compared_by_all_answers_together(rng) -> None:
     assert len(list(contrast_findings(values_of(two, counts[:, :, np.newaxis] / 4, ("A-C fast", "A-C slow"))))) == 2
 
 
+def test_three_stimuli_are_compared_at_once_at_the_levels_of_all(rng) -> None:
+    """Three stimuli at two levels: one test of the shares over both; who lacks a level of one counts by the other."""
+    counts = rng.multinomial(4, [0.5, 0.3, 0.2], size=(6, 3, 2))
+    places = ("A-C fast", "A-C mid", "A-C slow")
+    values = values_of(SHARES, counts / 4, places, (80.0, 100.0))
+    *_, both = contrast_findings(values)
+    assert (both.family, both.scope, both.n) == ("shares together", f"one_hand {' - '.join(places)}", 6)
+    assert both.p == pytest.approx(every_arrangement(counts.sum(axis=2)), abs=0.03)
+    gone = [each for each in values if (each.participant, each.pair, each.level) != ("p0", "A-C mid", 80.0)]
+    *_, both = contrast_findings(gone)
+    shares = counts.mean(axis=2)
+    shares[0] = counts[0, :, 1]
+    assert both.p == pytest.approx(every_arrangement(shares), abs=0.03)
+    assert sum("together" in row.name for row in contrast_findings(gone)) == 1
+
+
 def test_groups_are_compared_by_all_answers_together() -> None:
     """Two groups of four: the three answers change places in part; by all 70 ways to name the groups."""
     shares = np.array([[5, 1, 4], [4, 2, 4], [5, 2, 3], [4, 1, 5], [2, 5, 3], [4, 3, 3], [3, 4, 3], [1, 5, 4]]) / 10

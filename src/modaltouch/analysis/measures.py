@@ -204,7 +204,6 @@ def contrast_findings(values: Sequence[IndividualValue]) -> Iterator[Finding]:
 
     A participant's difference is the mean over the levels with values in both.
     """
-    lists: dict[tuple[str, str, str], list[FloatArray]] = {}
     for measure, own in by_measure(values).items():
         tables: dict[tuple[str, str], dict[tuple[str, str], float]] = {}
         for each in own:
@@ -224,11 +223,30 @@ def contrast_findings(values: Sequence[IndividualValue]) -> Iterator[Finding]:
             name = f"{measure.name} compared, {_RANKS if measure.is_ranked else _FLIPS}"
             gaps = np.array([np.mean([x - y for x, y in each]) for each in paired.values()])
             yield from _compared(measure, name, scope, gaps, _uneven(measure, places[a], places[b]))
-            if measure.share_of and paired:
-                shares = np.array([np.mean(each, axis=0) for each in paired.values()])
-                lists.setdefault((measure.question, measure.share_of, scope), []).append(shares)
-    for (question, share_of, scope), parts in lists.items():
-        yield together(question, share_of, scope, np.stack(parts, axis=-1))
+    yield from _joint_findings(values)
+
+
+def _joint_findings(values: Sequence[IndividualValue]) -> Iterator[Finding]:
+    """Test all answers of a list together between all conditions of a factor, e.g. stimuli, others being equal.
+
+    A participant's share is the mean over the levels with values in all conditions.
+    """
+    lists = grouped(((each.measure.question, each.measure.share_of), each) for each in values if each.measure.share_of)
+    for (question, share_of), own in lists.items():
+        table = pd.DataFrame([_factors(each.finger_condition, each.pair) for each in own])
+        factors = [*table.columns]
+        for name in ("participant", "finger_condition", "pair", "level"):
+            table[name] = [str(getattr(each, name)) for each in own]
+        names = [each.measure.name for each in own]
+        table = table.assign(answer=pd.Categorical(names, [*dict.fromkeys(names)]), share=[*map(linear, own)])
+        for factor in factors[2:] if question == "shares" else factors:
+            for _, part in table.groupby([name for name in factors if name != factor], sort=False):
+                wide = part.pivot(index=["participant", "level"], columns=[factor, "answer"], values="share")
+                wide = wide.dropna().sort_index(axis=1)
+                shares, k = wide.groupby("participant").mean().to_numpy(), part[factor].nunique()
+                if k > 1 and len(shares):
+                    scope = " ".join(" - ".join(part[name].unique()) for name in ("finger_condition", "pair")).strip()
+                    yield together(question, share_of, scope, shares.reshape(len(shares), k, -1))
 
 
 _ALIKE = 1.25
