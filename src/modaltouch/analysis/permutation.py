@@ -44,7 +44,11 @@ def flip_test(values: FloatArray) -> ExactTest:
     >>> float(flip_test(np.array([1, 1, 2, -1]) / 18).p)  # 8 of 16 sums are as far from 0
     0.5
     """
-    return sign_flip_test(np.rint(values / _unit(values)).astype(np.int64))
+    unit = _unit(values)
+    test = sign_flip_test(np.rint(values / unit).astype(np.int64))
+    return ExactTest(
+        test.statistic * unit, lambda: test.p, lambda: test.p_min, test.n_informative, lambda: test.quick_p
+    )
 
 
 # Maximum common denominator of exact values, and the numbers of distinct values and of steps up to the largest.
