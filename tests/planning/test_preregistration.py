@@ -163,6 +163,15 @@ def test_designs_beyond_two_fingers_are_simulated_in_sessions(
     assert found.registration.departures == ()
 
 
+@pytest.mark.parametrize(("protocol", "n"), [("demo", 300), ("magnitude", 2)])
+def test_the_page_does_not_depend_on_the_number_of_processes(tmp_path: Path, protocol: str, n: int) -> None:
+    """Counts of answers, in two batches of up to 250 experiments, and whole sessions: the same seed, the same page."""
+    pages = [tmp_path / f"{jobs}.md" for jobs in (1, 2)]
+    for jobs, page in enumerate(pages, start=1):
+        assert run("prereg", protocol, "-n", 2, "--experiments", n, "-j", jobs, "--out", page).exit_code == 0
+    assert pages[0].read_text(encoding="utf-8") == pages[1].read_text(encoding="utf-8")
+
+
 @pytest.mark.parametrize(
     ("protocol", "planned"),
     [

@@ -36,6 +36,7 @@ REPETITIONS = Annotated[
         show_default="the protocol's own, of all sessions",
     ),
 ]
+JOBS = Annotated[int, typer.Option("--jobs", "-j", min=1, max=256, help="Processes that share the work.")]
 NULL = Annotated[bool, typer.Option("--null", help="Simulate no effect, to check the rate of false alarms.")]
 
 
@@ -55,7 +56,7 @@ def power(
     seed: Annotated[int, typer.Option(min=0, help="Seed; the same seed gives the same figures.")] = 1,
     null: NULL = False,
     target: Annotated[float, typer.Option(min=0.01, max=0.999, help="Power to reach.")] = 0.8,
-    jobs: Annotated[int, typer.Option("--jobs", "-j", min=1, max=256, help="Processes that share the work.")] = 1,
+    jobs: JOBS = 1,
     out: Annotated[
         Path | None, typer.Option(help="Folder for tables and the picture.", show_default="nothing is written")
     ] = None,
@@ -299,6 +300,7 @@ def prereg(
             min=1e-3, help="Threshold in mm/s that is expected, if the protocol calibrates levels by participant."
         ),
     ] = None,
+    jobs: JOBS = 1,
     out: Annotated[
         Path | None, typer.Option(help="File to write.", show_default="PROTOCOL.prereg.md, where analyse finds it")
     ] = None,
@@ -319,7 +321,7 @@ def prereg(
         with progress("experiments") as on_progress:
             text = planning.preregister(
                 checked, population, participants, n_experiments=experiments, seed=seed, threshold_mm_s=threshold,
-                on_progress=on_progress,
+                n_processes=jobs, on_progress=on_progress,
                 study=partial(_simulate_study, checked, population, participants, threshold),
             )  # fmt: skip
         record.prepare_file(file)  # a page may have been written during the simulation

@@ -244,10 +244,17 @@ def _run_all(
 ) -> Iterator[tuple[Job, Tallies]]:
     import joblib
 
-    with joblib.parallel_config("loky", n_jobs=n_processes, inner_max_num_threads=1, initializer=_ignore_interrupts):
+    with processes(n_processes):
         # Queue only a few jobs per process: with thousands, progress reports and stopping would lag.
         parallel = joblib.Parallel(return_as="generator_unordered", batch_size=1, pre_dispatch="2 * n_jobs")
         yield from parallel(joblib.delayed(_run)(study, job) for job in takewhile(lambda _: not should_stop(), jobs))
+
+
+def processes(number: int) -> Any:
+    """Return the context in which `joblib` shares work between processes that leave Ctrl-C to their parent."""
+    import joblib
+
+    return joblib.parallel_config("loky", n_jobs=number, inner_max_num_threads=1, initializer=_ignore_interrupts)
 
 
 def _run(study: Study, job: Job) -> tuple[Job, Tallies]:

@@ -24,7 +24,7 @@ from modaltouch.analysis import (
 from modaltouch.planning.design import Design, designs_for, refuse_own_levels
 from modaltouch.planning.experiments import Study
 from modaltouch.planning.observer import Observer
-from modaltouch.planning.power import plan
+from modaltouch.planning.power import plan, processes
 from modaltouch.preflight import Preflight
 from modaltouch.protocol import InputError, Protocol, Source
 from modaltouch.report import render_page
@@ -65,6 +65,7 @@ def preregister(
     n_experiments: int | None = None,
     seed: int = 1,
     threshold_mm_s: float | None = None,
+    n_processes: int = 1,
     on_progress: Callable[[int, int], None] | None = None,
 ) -> str:
     """Render the preregistration of a protocol as a page of Markdown.
@@ -82,6 +83,8 @@ def preregister(
         counts: several intervals or stimuli, ratings, one finger, adaptive runs, cells that are not crossed.
     threshold_mm_s : float, optional
         Assumed threshold of all simulated participants, if levels are calibrated by participant [mm/s].
+    n_processes : int
+        Number of worker processes; the page does not depend on it.
     on_progress : callable, optional
         Called with (jobs done, total jobs).
 
@@ -95,10 +98,10 @@ def preregister(
     if threshold_mm_s is None:
         refuse_own_levels(preflight, "give the threshold that you expect with --threshold")
     if threshold_mm_s is not None or not (design := _counted(preflight, observer)):
-        found = _by_sessions(study, n_experiments or N_RECORDED, seed, on_progress)
+        found = _by_sessions(study, n_experiments or N_RECORDED, seed, n_processes, on_progress)
     else:
         counted = Study(design, observer, tuple(filter(design.scopes, STATISTICS)), null=False, seed=seed)
-        found = _by_counts(counted, protocol, n_participants, n_experiments or N_COUNTED, on_progress)
+        found = _by_counts(counted, protocol, n_participants, n_experiments or N_COUNTED, n_processes, on_progress)
     several = (preflight, *preflight.others) if preflight.others else ()
     terms, size = _terms(preflight, found), {"n": n_participants, "observer": observer.name, "seed": seed}
     return render_page(
@@ -149,11 +152,13 @@ def _by_counts(
     protocol: Protocol,
     n_participants: int,
     n_experiments: int,
+    n_processes: int,
     on_progress: Callable[[int, int], None] | None,
 ) -> _Plan:
     """Return the plan of a design whose answers are simulated as counts without sessions."""
     design, offered, n_repetitions = study.design, protocol.answers.offered, protocol.schedule.all_repetitions
-    found = plan(study, [(n_participants, n_repetitions)], n_experiments, on_progress=on_progress)
+    sizes = [(n_participants, n_repetitions)]
+    found = plan(study, sizes, n_experiments, n_processes=n_processes, on_progress=on_progress)
     floors = {floor.family: floor.least_participants or "none" for floor in found.floors}
     rows = [{**row, "floor": floors[row["family"]]} for row in found.families]
     shape = (n_participants, *design.shape, len(offered))
@@ -180,23 +185,29 @@ def _by_sessions(
     study: Callable[[int], Responses],
     n_experiments: int,
     seed: int,
+    n_processes: int,
     on_progress: Callable[[int, int], None] | None,
 ) -> _Plan:
     """Return the plan of a design by simulating and analysing whole sessions."""
+    import joblib
+
     significant: Counter[str] = Counter()
     families: list[dict[str, Any]] = []
     estimates: dict[str, list[dict[str, Any]]] = {}
-    for number in range(n_experiments):
-        analysis = analyse_responses(study(seed + number))
-        found = analysis.describe_families()
-        significant.update(each["name"] for each in found if each["significant"])
-        # Tests may be missing from a degenerate experiment.
-        families = max(families, found, key=lambda each: sum(len(family["scopes"]) for family in each))
-        for row in getattr(analysis, "thresholds", ()):
-            name = ", ".join(str(row[key]).replace("_", " ") for key in row if isinstance(row[key], str))
-            estimates.setdefault(name, []).append(row)
-        if on_progress is not None:
-            on_progress(number + 1, n_experiments)
+    with processes(min(n_processes, n_experiments)):
+        done = joblib.Parallel(return_as="generator", batch_size=1)(
+            joblib.delayed(_simulated)(study, seed + number) for number in range(n_experiments)
+        )
+        for number, analysis in enumerate(done, start=1):
+            found = analysis.describe_families()
+            significant.update(each["name"] for each in found if each["significant"])
+            # Tests may be missing from a degenerate experiment.
+            families = max(families, found, key=lambda each: sum(len(family["scopes"]) for family in each))
+            for row in getattr(analysis, "thresholds", ()):
+                name = ", ".join(str(row[key]).replace("_", " ") for key in row if isinstance(row[key], str))
+                estimates.setdefault(name, []).append(row)
+            if on_progress is not None:
+                on_progress(number, n_experiments)
     shares = {each["name"]: wilson(significant[each["name"]], n_experiments) for each in families}
     rows = [
         {"family": name, "power": share.estimate, "low": share.low, "high": share.high, "floor": "not computed"}
@@ -208,6 +219,10 @@ def _by_sessions(
     thresholds = [_describe_threshold(name, found) for name, found in estimates.items()]
     counts = getattr(analysis, "answers", None)
     return _Plan(counts, terms, families, rows, n_experiments, again, thresholds, analysis.design_in_words())
+
+
+def _simulated(study: Callable[[int], Responses], seed: int) -> Any:
+    return analyse_responses(study(seed))
 
 
 def _describe_threshold(name: str, found: Sequence[dict[str, Any]]) -> dict[str, Any]:
