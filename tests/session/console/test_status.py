@@ -20,7 +20,7 @@ from modaltouch.session.console import Experimenter, Request
 from modaltouch.session.console.__main__ import describe_trial, draw_session
 from modaltouch.session.console.consoles import LONGEST_LINE, EventLines, PlainLines
 from modaltouch.session.console.keyboard import LONGEST_NOTE, Dialogue, UnixKeyboard, split_keys
-from modaltouch.session.console.status import Status, read_signs
+from modaltouch.session.console.status import Status
 from modaltouch.session.events import describe_trial as of_trial
 from modaltouch.window.interface import SessionStopped
 
@@ -107,11 +107,40 @@ def test_hasty_answers_doubles_and_missed_catch_trials_are_told() -> None:
         trial(4, "none", speeds=(0.0, 0.0)),
         trial(5, reaction_time=0.65),
     ]
-    told = read_signs(trials, "none")
+    answers = {"keys": {name: [name] for name in ("left", "both", "right", "none")}}
+    status = Status()
+    status.take({**start(), "design": {"answers": answers}})
+    for event in trials:
+        status.take(event)
+    told = status.facts()["warnings"]
     assert any("once answered within 100 ms of the question, last in trial 1" in sign for sign in told)
     assert any("1 of 2 catch trials answered as if something was felt, last trial 3" in sign for sign in told)
     assert any("two answers at once, last in trial 2" in sign for sign in told)
-    assert not any("catch" in sign for sign in read_signs(trials))
+    status.take({"event": "withdrawn", "lines": [13]})
+    told = status.facts()["warnings"]
+    assert len(told) == 2 and not any("catch" in sign for sign in told), "a withdrawn answer is no sign"
+
+
+class Unread(dict[str, Any]):
+    """An event that counts how often it is looked into."""
+
+    n_reads = 0
+
+    def __getitem__(self, name: str) -> Any:
+        type(self).n_reads += 1
+        return super().__getitem__(name)
+
+
+def test_an_event_costs_as_much_at_the_end_of_a_session_as_at_its_beginning() -> None:
+    """Earlier trials are not read again: the window waits for the console at every event."""
+    status = Status()
+    status.take(start(600))
+    for index in range(1, 501):
+        status.take(Unread(trial(index)))
+    Unread.n_reads = 0
+    status.take({"event": "rest"})
+    facts = status.facts()
+    assert (facts["n_answered"], facts["answers"], Unread.n_reads) == (500, {"both": 500}, 0)
 
 
 class Asked(SilentConsole):
@@ -284,14 +313,29 @@ def test_plain_lines_say_what_is_new_and_outlive_their_reader() -> None:
     experimenter = Experimenter(PlainLines(file))
     experimenter.tell(start())
     for index in range(1, 12):
-        experimenter.tell(trial(index, "left", double=index in (3, 9)))
+        experimenter.tell(trial(index, "left", double=index in (3, 7, 9)))
     experimenter.tell({"event": "pause", "trial": None})
     text = file.getvalue()
     assert "1 of 24 answered: left, 0.90 s after the first burst (trial 1)" in text
-    assert text.count("warning: once two answers at once") == 1
+    assert text.count("warning: ") == 1, "although its count rises"
+    assert "warning: once two answers at once, last in trial 3" in text
     assert text.endswith("paused\n")
     file.close()
     experimenter.tell(trial(12))
+
+
+def test_plain_lines_of_a_resumed_session_are_those_of_this_sitting() -> None:
+    """A pause, an end or an answer of an earlier sitting is not printed again as if it were new."""
+    file = StringIO()
+    experimenter = Experimenter(PlainLines(file))
+    for event in (start(), trial(1), trial(2), {"event": "pause"}, {"event": "stop", "reason": "experimenter"}):
+        experimenter.tell(event, replayed=True)
+    experimenter.tell({"event": "resume", "rig": {"identity": "x"}})
+    experimenter.tell(trial(3))
+    assert [line[:27] for line in file.getvalue().splitlines()] == [
+        "resumed: 2 of 24 answered",
+        "3 of 24 answered: both, 0.9",
+    ]
 
 
 def test_an_end_is_asked_twice_and_a_note_takes_letters_for_letters() -> None:

@@ -7,6 +7,7 @@ import errno
 import json
 import os
 import queue
+import re
 import stat
 import subprocess
 import sys
@@ -92,21 +93,24 @@ class PlainLines(Console):
         self._file = file
         self._warned: set[str] = set()
         self._error = ""
-        self._last_line: int | None = None
 
     def show(self, facts: SessionState) -> None:
-        """Print what is new."""
-        last = facts["last"]
-        if facts["event"] in ("answered", "trial") and last["line"] != self._last_line:
-            self._last_line = last["line"]
-            done = f"{facts['n_answered']} of {facts['n_trials']} answered"
-            self._write(f"{done}: {describe_last(last)}; {describe_time(facts['time_left_s'])} left")
-        elif facts["event"] in ("pause", "focus_lost", "continued", "rest", "stop"):
-            words = {"pause": "paused", "focus_lost": "paused: focus lost", "rest": "break", "continued": "continued"}
-            self._write(words.get(facts["event"], f"ended: {facts['stopped_by']}"))
+        """Print what is new; of earlier sittings, only how many trials are answered."""
+        done = f"{facts['n_answered']} of {facts['n_trials']} answered"
+        lines = {
+            "trial": f"{done}: {describe_last(facts['last'])}; {describe_time(facts['time_left_s'])} left",
+            "pause": "paused",
+            "focus_lost": "paused: focus lost",
+            "continued": "continued",
+            "rest": "break",
+            "resume": f"resumed: {done}",
+            "stop": f"ended: {facts['stopped_by']}",
+        }
+        if facts["event"] in lines and not facts["replayed"]:
+            self._write(lines[facts["event"]])
         for warning in facts["warnings"]:
             # Print a warning once, although its count rises from trial to trial.
-            if (kind := warning.split(" ", 1)[-1][:12]) not in self._warned:
+            if (kind := re.sub(r"^once|^\d+ (times|of \d+)|\d+$", "", warning)) not in self._warned:
                 self._warned.add(kind)
                 self._write(f"warning: {warning}")
         if facts["generator"]["last_error"] not in ("", self._error):

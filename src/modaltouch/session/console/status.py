@@ -5,7 +5,7 @@ from __future__ import annotations
 import statistics
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from string import ascii_lowercase
 from typing import Any
 
@@ -16,20 +16,6 @@ HASTY = 0.1
 """Time too short for a reaction; a faster answer was prepared before its question [s]."""
 
 
-def read_signs(trials: Sequence[dict[str, Any]], nothing: str | None = None) -> list[str]:
-    """Return warnings about the answers; empty if there are none."""
-    hasty = [event["trial"]["index"] for event in trials if is_hasty(event)]
-    caught = [event for event in trials if nothing is not None and event["trial"]["condition"]["velocity_mm_s"] == 0]
-    missed = [event["trial"]["index"] for event in caught if event["response"]["answer"] != nothing]
-    doubles = [event["trial"]["index"] for event in trials if event["response"].get("double")]
-    signs = (
-        (hasty, f"{_times(len(hasty))} answered within {HASTY * 1e3:.0f} ms of the question, last in trial"),
-        (missed, f"{len(missed)} of {len(caught)} catch trials answered as if something was felt, last trial"),
-        (doubles, f"{_times(len(doubles))} two answers at once, last in trial"),
-    )
-    return [f"{words} {which[-1]}" for which, words in signs if which]
-
-
 def is_hasty(event: dict[str, Any]) -> bool:
     """Return whether a trial was answered faster than a reaction is possible."""
     response = event["response"]
@@ -37,10 +23,6 @@ def is_hasty(event: dict[str, Any]) -> bool:
     if response.get("onset") == "first_burst" and response.get("question_after") is not None:
         since -= response["question_after"]
     return bool(since < HASTY)
-
-
-def _times(count: int) -> str:
-    return "once" if count == 1 else f"{count} times"
 
 
 def typed_keys(keys: Mapping[str, Sequence[str]], answers: Sequence[str] | None) -> dict[str, list[str]]:
@@ -135,6 +117,8 @@ class Status:
         self._keys: dict[str, list[str]] = {}
         self._further: dict[str, Any] | None = None
         self._trials: dict[int, dict[str, Any]] = {}
+        self._answers: Counter[str] = Counter()
+        self._signs: dict[str, dict[int, None]] = {sign: {} for sign in ("hasty", "double", "caught", "missed")}
         self._durations: list[float] = []
         self._answered_at: float | None = None
         self._held = "waiting"
@@ -190,8 +174,8 @@ class Status:
             case "trial_cut":
                 self._cut()
             case "withdrawn":
-                gone = set(event["lines"])
-                self._trials = {index: trial for index, trial in self._trials.items() if trial["n"] not in gone}
+                for index in [index for index, trial in self._trials.items() if trial["n"] in event["lines"]]:
+                    self._discount(index)
             case "pause" | "focus_lost":
                 further = self._further
                 self._cut()
@@ -227,7 +211,6 @@ class Status:
 
     def facts(self) -> SessionState:
         """Return the state of the session."""
-        answers = Counter(str(event["response"]["answer"]) for event in self._trials.values())
         left = max(self._total - len(self._trials), 0)
         # Use the median of the last 20 trials once three have been timed.
         pace = statistics.median(self._durations[-20:]) if len(self._durations) >= 3 else self._guess
@@ -236,14 +219,22 @@ class Status:
             "generator": dict(self._facts["generator"]),
             "n_answered": len(self._trials),
             "n_trials": self._total,
-            "answers": dict(answers),
+            "answers": dict(+self._answers),
             "elapsed_s": round(self._clock() - self._began, 1),
             "time_left_s": round(left * pace, 1),
-            "warnings": [
-                *([self._unmasked] if self._unmasked else []),
-                *read_signs(list(self._trials.values()), self._nothing),
-            ],
+            "warnings": list(filter(None, (self._unmasked, *self._describe_signs()))),
         }
+
+    def _describe_signs(self) -> Iterator[str]:
+        """Yield a warning for each kind of suspect answers: how many, and the last of them."""
+        for sign, words in (
+            ("hasty", f"answered within {HASTY * 1e3:.0f} ms of the question, last in trial"),
+            ("missed", f"of {len(self._signs['caught'])} catch trials answered as if something was felt, last trial"),
+            ("double", "two answers at once, last in trial"),
+        ):
+            if which := self._signs[sign]:
+                times = "once" if len(which) == 1 else f"{len(which)} times"
+                yield f"{len(which) if sign == 'missed' else times} {words} {next(reversed(which))}"
 
     def _on_start(self, event: dict[str, Any]) -> None:
         facts = self._facts
@@ -264,8 +255,6 @@ class Status:
         self._facts |= {"state": "waiting", "paused_by": "", "stopped_by": ""}
         self._answered_at = None
         self._ask(on=False)
-        # Trials whose stimulus was not confirmed are repeated.
-        self._trials = {index: event for index, event in self._trials.items() if event["event"] == "trial"}
 
     def _ask(self, *, on: bool) -> None:
         """Enable or disable answers at the console."""
@@ -296,11 +285,26 @@ class Status:
         # Since log format 2, the answer is already known from the line `answered`.
         if event.get("answered") is None:
             self._on_answered(event)
-        if not event["trial"]["practice"]:
-            if firing["confirmed"]:
-                self._trials[index] = event
-            elif event.get("answered") is not None:
-                self._trials.pop(index, None)
+        if firing["confirmed"] and not event["trial"]["practice"]:
+            self._count(index, event)
+
+    def _count(self, index: int, event: dict[str, Any]) -> None:
+        """Count a trial with all its answers, in place of an earlier presentation."""
+        self._discount(index)
+        self._trials[index] = event
+        answer = str(event["response"]["answer"])
+        self._answers[answer] += 1
+        caught = self._nothing is not None and event["trial"]["condition"]["velocity_mm_s"] == 0
+        found = is_hasty(event), event["response"].get("double"), caught, caught and answer != self._nothing
+        for which, holds in zip(self._signs.values(), found, strict=True):
+            if holds:
+                which[index] = None
+
+    def _discount(self, index: int) -> None:
+        if (event := self._trials.pop(index, None)) is not None:
+            self._answers[str(event["response"]["answer"])] -= 1
+            for which in self._signs.values():
+                which.pop(index, None)
 
     def _on_answered(self, event: dict[str, Any]) -> None:
         self._ask(on=False)
@@ -317,8 +321,6 @@ class Status:
         if self._answered_at is not None and event["clock"] - self._answered_at < _LONGEST:
             self._durations.append(event["clock"] - self._answered_at)
         self._answered_at = event["clock"]
-        if event["event"] == "answered" and not event["trial"]["practice"]:
-            self._trials[event["trial"]["index"]] = event
 
     def _cut(self) -> None:
         """Show that the outputs are off, and disable answers."""
