@@ -160,7 +160,7 @@ def run(
         setup = _with_people(setup, people, may_ask)
         _try_masking(setup)
         if may_ask:
-            wait_for_start(setup, rig)
+            wait_for_start(setup)
         _conduct(sessions.begin, setup, events, plain=plain, json_output=json_output)
 
 
@@ -196,6 +196,7 @@ def resume(
     screenshots: SCREENSHOTS = None,
     events: EVENTS = None,
     plain: PLAIN = False,
+    yes: YES = False,
     json_output: JSON = False,
 ) -> None:
     """Continue an interrupted session: the remaining trials, in their original order.
@@ -203,7 +204,8 @@ def resume(
     Where the protocol says so (`schedule.resume`), the interrupted block or the whole session starts over.
 
     Everything is taken from the record itself, so later changes to the protocol's files do not matter. The answer
-    window opens as before, unless an option says otherwise.
+    window opens as before, unless an option says otherwise. In a terminal it shows how many trials are answered, and
+    waits for `start`.
     """
     with reporting(json_output=json_output):
         setup = sessions.wire_resume(
@@ -213,6 +215,11 @@ def resume(
             restart=restart,
             window=_chosen(size, theme, fullscreen=fullscreen, screen=screen, screenshots=screenshots),
         )
+        earlier = record.Session.find((setup.replaces or setup.place).log)
+        if can_ask() and not (yes or json_output or earlier.complete):
+            answered = f"{earlier.n_answered} of {len(setup.schedule.trials)} trials answered"
+            replaced = f"in place of session {earlier.start['session']} with {answered}, "
+            wait_for_start(setup, replaced if setup.replaces else f"{answered}, ")
         _conduct(sessions.resume, setup, events, plain=plain, json_output=json_output)
 
 
@@ -401,7 +408,7 @@ def ask_people(fields: Mapping[str, Any], may_ask: bool) -> dict[str, Any]:
     return answers
 
 
-def wait_for_start(setup: sessions.Setup, rig: str) -> None:
+def wait_for_start(setup: sessions.Setup, answered: str = "") -> None:
     """Show a summary of the session and wait for ``start``; quitting records nothing."""
     from modaltouch.cli.check import show
 
@@ -411,7 +418,8 @@ def wait_for_start(setup: sessions.Setup, rig: str) -> None:
         source = f"found in {own['session']}" if own["found"] == "session" else "as given"
         typer.echo(f"Levels calibrated by participant: threshold {own['threshold_mm_s']:g} mm/s, {source}")
     kind = "" if place.mode == "real" else f" ({place.mode} data)"
-    typer.echo(f"Participant {place.participant}, session {place.session}, rig {rig}{kind}, to {place.folder}")
+    rig = f"rig {setup.facts['rig_choice']}{kind}"
+    typer.echo(f"Participant {place.participant}, session {place.session}, {answered}{rig}, to {place.folder}")
     while True:
         word = str(_prompt("Type start to begin, or q to leave", default="", shown=False)).strip().casefold()
         if word == "start":

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from modaltouch import simulate_session
 from modaltouch.session import propose_participant
 
 
@@ -112,3 +113,26 @@ def test_it_asks_for_the_rig_and_takes_what_is_one(terminal: Callable[..., Any],
     expect(session, "rig simulated (simulated data)")
     session.type("q\r")
     assert session.finish() == 130
+
+
+def test_a_session_is_continued_once_start_is_typed(terminal: Callable[..., Any], tmp_path: Path) -> None:
+    """It says which session and how far it is, as `run` does; -y continues at once, and then all is answered."""
+    log = simulate_session("demo", "p01", tmp_path).path
+    lines = log.read_text(encoding="utf-8").splitlines(keepends=True)
+    answered = [place for place, line in enumerate(lines) if '"event":"trial"' in line and '"practice":false' in line]
+    log.write_text("".join(lines[: answered[4] + 1]), encoding="utf-8")
+    for left in log.parent.glob("*beh*"):
+        left.unlink()
+    kept = log.read_bytes()
+    session = terminal("resume", log.parent)
+    expect(session, "Type start to begin")
+    assert "Participant p01, session 1, 5 of 12 trials answered, rig simulated" in session.text
+    session.type("q\r")
+    assert session.finish() == 130
+    assert "not started; nothing was recorded" in session.text and log.read_bytes() == kept
+    session = terminal("resume", log.parent, "-y")
+    assert session.finish() == 0
+    assert "Done: 12 answers" in session.text and "Type start" not in session.text
+    session = terminal("resume", log.parent)
+    assert session.finish() == 0
+    assert "Type start" not in session.text, "nothing is left to begin"
