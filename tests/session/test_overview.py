@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 from outside import call
 
+from modaltouch.cli.records import study
 from modaltouch.preflight import Preflight, examine
 from modaltouch.protocol import InputError
 from modaltouch.record.chain import GENESIS, encode_line, read_chain
@@ -115,7 +116,11 @@ def test_the_next_participant_fills_the_gap_where_the_records_decide(
 
 
 def test_a_session_begun_anew_counts_once_and_the_time_between_sittings_not(
-    tmp_path: Path, edit: Callable[..., Path], scribe: Callable[..., Path]
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    edit: Callable[..., Path],
+    scribe: Callable[..., Path],
 ) -> None:
     """Of two sessions each, one is closed and done as the second: the third is due. Minutes by hand, by the clocks."""
     preflight = examine(edit("demo.yaml", ("practice_trials: 1", "practice_trials: 1\n  sessions: 2"))).require()
@@ -125,6 +130,11 @@ def test_a_session_begun_anew_counts_once_and_the_time_between_sittings_not(
     (found,) = survey_results(tmp_path)
     assert [(each["participant"], each["session"], each["do"]) for each in found["next"]][0] == ("p01", 3, "run")
     assert (found["sessions"][0]["n_sittings"], found["sessions"][0]["duration_min"]) == (2, 10.5)
+    monkeypatch.setenv("COLUMNS", "80")
+    study(tmp_path)
+    shown = [line for line in capsys.readouterr().out.splitlines() if line[:1] in "┃│"]
+    assert shown and max(map(len, shown)) <= 80
+    assert any("duration" in line for line in shown) and any(" in 2 " in line for line in shown)
 
 
 def test_a_session_sooner_than_its_kind_allows_is_noted(

@@ -34,11 +34,12 @@ def print_table(title: str, headings: Sequence[str], rows: Iterable[Sequence[str
         is_words = place < n_words
         longest = max(map(len, [*heading.split(), *(" ".join(cells).split() if is_words else cells)]), default=1)
         width = None if is_words or not is_narrow else longest
-        table.add_column(heading, justify="left" if is_words else "right", min_width=longest, max_width=width)
+        table.add_column(heading, justify="left" if is_words else "right", min_width=longest, width=width)
     for line in lines:
         table.add_row(*line)
     least = sum(int(column.min_width or 0) for column in table.columns) + rules
-    console.print(table, width=max(console.width, least), crop=False, soft_wrap=False)
+    console.width = max(console.width, least)
+    console.print(table, crop=False, soft_wrap=False)
 
 
 def say(*lines: Any, markup: bool = True) -> None:

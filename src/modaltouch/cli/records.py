@@ -232,7 +232,7 @@ def _show(shown: dict[str, Any]) -> None:
     say(*remarks, *(f"next: {escape(line)}" for line in shown["next"]))
 
 
-_SESSION_HEADINGS = ("participant", "session", "state", "begun (UTC)", "min", "answers")
+_SESSION_HEADINGS = ("participant", "session", "state", "begun (UTC)", "duration (min)", "answers")
 _ORDER_HEADINGS = ("order", "complete", "left incomplete", "open")
 
 
@@ -255,9 +255,11 @@ def _in_words(dataset: dict[str, Any]) -> dict[str, Any]:
             (
                 row["participant"] + (f" ({row['group']})" if "group" in row else ""),
                 f"{row['session']} {row.get('session_kind', '')}".strip(),
-                row["state"] + (f": {row['why']}" if row["state"] in ("interrupted", "closed") else ""),
+                row["state"]
+                + (f" in {row['n_sittings']} parts" if row["n_sittings"] > 1 else "")
+                + (f": {row['why']}" if row["state"] in ("interrupted", "closed") else ""),
                 "–" if row["begun"] is None else str(row["begun"])[:16].replace("T", " "),
-                f"{row['duration_min']:.0f}" + (f" in {row['n_sittings']}" if row["n_sittings"] > 1 else ""),
+                f"{row['duration_min']:.0f}",
                 "–" if row["n_answered"] is None else f"{row['n_answered']}/{row['n_trials']}",
             )
             for row in rows
