@@ -11,8 +11,8 @@ from modaltouch.system import lazily
 
 if TYPE_CHECKING:
     from modaltouch.cli.commands import app
-    from modaltouch.cli.output import BAD_INPUT, INTERRUPTED, print_json
+    from modaltouch.cli.common import BAD_INPUT, INTERRUPTED, print_json
 else:
-    __getattr__ = lazily(__name__, {"commands": "app", "output": "BAD_INPUT INTERRUPTED print_json"})
+    __getattr__ = lazily(__name__, {"commands": "app", "common": "BAD_INPUT INTERRUPTED print_json"})
 
 __all__ = ["BAD_INPUT", "INTERRUPTED", "app", "print_json"]

@@ -8,8 +8,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from modaltouch import analysis, protocol
-from modaltouch.cli.options import JSON, MODE
-from modaltouch.cli.output import print_json, reporting
+from modaltouch.cli.common import JSON, MODE, print_json, reporting
 
 _SOURCE = Annotated[
     list[Path],

@@ -10,8 +10,17 @@ from typing import Annotated, Any
 import typer
 
 from modaltouch import preflight, record
-from modaltouch.cli.options import CALIBRATION, JSON, PROTOCOL, WITH_MARKED
-from modaltouch.cli.output import BAD_INPUT, print_json, print_table, reporting, say
+from modaltouch.cli.common import (
+    BAD_INPUT,
+    CALIBRATION,
+    JSON,
+    PROTOCOL,
+    WITH_MARKED,
+    print_json,
+    print_table,
+    reporting,
+    say,
+)
 
 _MOST_ROWS = 12
 """Maximum number of rows of the sensitivity table to show, the worst first."""

@@ -12,7 +12,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command
 
-from modaltouch.cli.output import INTERRUPTED, leave
+from modaltouch.cli.common import INTERRUPTED, leave
 
 MODULES = {
     "demo": "run",

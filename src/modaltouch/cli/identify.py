@@ -9,9 +9,8 @@ from typing import Annotated, Any, Literal
 import typer
 
 from modaltouch import lab
+from modaltouch.cli.common import APPARATUS, JSON, SEED_OF_TWIN, SHIPPED_APPARATUS, say
 from modaltouch.cli.lab import MEASURED_RIG, carry_out
-from modaltouch.cli.options import APPARATUS, JSON, SEED_OF_TWIN, SHIPPED_APPARATUS
-from modaltouch.cli.output import say
 
 FILES = Annotated[
     list[Path] | None,

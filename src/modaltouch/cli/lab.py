@@ -12,8 +12,19 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from modaltouch import lab
-from modaltouch.cli.options import CALIBRATION, JSON, PROTOCOL, SEED_OF_TWIN
-from modaltouch.cli.output import BAD_INPUT, leave, make_bars, print_json, print_table, reporting, say
+from modaltouch.cli.common import (
+    BAD_INPUT,
+    CALIBRATION,
+    JSON,
+    PROTOCOL,
+    SEED_OF_TWIN,
+    leave,
+    make_bars,
+    print_json,
+    print_table,
+    reporting,
+    say,
+)
 
 if TYPE_CHECKING:
     from rich.progress import TaskID

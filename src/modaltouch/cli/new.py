@@ -11,8 +11,7 @@ from typing import Annotated
 import typer
 
 from modaltouch import protocol, system
-from modaltouch.cli.options import JSON
-from modaltouch.cli.output import print_json, reporting
+from modaltouch.cli.common import JSON, print_json, reporting
 
 
 def new(

@@ -14,8 +14,19 @@ import typer
 
 from modaltouch import analysis, planning, preflight, record, report, session, system
 from modaltouch.cli.analyse import participants
-from modaltouch.cli.options import JSON, MODE, OBSERVER, PROTOCOL, USUAL_OBSERVER
-from modaltouch.cli.output import INTERRUPTED, print_json, print_table, progress, reporting, say
+from modaltouch.cli.common import (
+    INTERRUPTED,
+    JSON,
+    MODE,
+    OBSERVER,
+    PROTOCOL,
+    USUAL_OBSERVER,
+    print_json,
+    print_table,
+    progress,
+    reporting,
+    say,
+)
 
 _FAMILIES_PER_TABLE = 4
 """Maximum number of test families per table, so that it fits 80 columns."""

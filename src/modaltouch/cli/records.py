@@ -12,8 +12,17 @@ from typing import Annotated, Any
 import typer
 
 from modaltouch import protocol, record, report, rig, session, system, window
-from modaltouch.cli.options import APPARATUS, JSON, SHIPPED_APPARATUS
-from modaltouch.cli.output import RECORD_AT_RISK, RIG_FAILED, print_json, print_table, reporting, say
+from modaltouch.cli.common import (
+    APPARATUS,
+    JSON,
+    RECORD_AT_RISK,
+    RIG_FAILED,
+    SHIPPED_APPARATUS,
+    print_json,
+    print_table,
+    reporting,
+    say,
+)
 
 RECORDS = "A session's folder or its session.jsonl, or a folder of sessions"
 STATES = {"ok": ("ok", "green"), "warning": ("warning", "yellow"), "fault": ("FAULT", "red")}

@@ -7,8 +7,7 @@ from typing import Annotated
 
 import typer
 
-from modaltouch.cli.options import APPARATUS, JSON, SEED_OF_TWIN, SHIPPED_APPARATUS
-from modaltouch.cli.output import print_json, reporting
+from modaltouch.cli.common import APPARATUS, JSON, SEED_OF_TWIN, SHIPPED_APPARATUS, print_json, reporting
 
 rig = typer.Typer(
     name="rig",

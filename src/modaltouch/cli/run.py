@@ -15,8 +15,19 @@ import typer
 
 from modaltouch import analysis, preflight, protocol, record, window
 from modaltouch import session as sessions
-from modaltouch.cli.options import CALIBRATION, JSON, PROTOCOL, RESULTS, SEED, WITH_MARKED
-from modaltouch.cli.output import INTERRUPTED, leave, print_json, progress, reporting
+from modaltouch.cli.common import (
+    CALIBRATION,
+    INTERRUPTED,
+    JSON,
+    PROTOCOL,
+    RESULTS,
+    SEED,
+    WITH_MARKED,
+    leave,
+    print_json,
+    progress,
+    reporting,
+)
 
 AnswersChoice = Literal["window", "robot", "simulated"]
 """Source of the answers."""

@@ -8,8 +8,18 @@ from typing import Annotated
 import typer
 
 from modaltouch import planning, preflight, session
-from modaltouch.cli.options import CALIBRATION, JSON, PROTOCOL, RESULTS, SEED, USUAL_OBSERVER, WITH_MARKED
-from modaltouch.cli.output import print_json, progress, reporting
+from modaltouch.cli.common import (
+    CALIBRATION,
+    JSON,
+    PROTOCOL,
+    RESULTS,
+    SEED,
+    USUAL_OBSERVER,
+    WITH_MARKED,
+    print_json,
+    progress,
+    reporting,
+)
 
 
 def simulate(
