@@ -196,7 +196,36 @@ def test_the_question_shows_words_keys_and_progress(experiment: Experiment) -> N
 def test_keys_without_an_arrow_are_named(experiment: Experiment) -> None:
     """Expected: a foot switch that types 1, 2 and 3 shows these keys on the buttons."""
     pictures = illustrate(experiment, keys={"left": ("1",), "both": ("2",), "right": ("3", "num_3", "c")})
-    assert {"1", "2", "3"} <= set(pictures.question(make_trial(), PROGRESS).texts)
+    texts = pictures.question(make_trial(), PROGRESS).texts
+    assert [text for text in texts if text in ("1", "2", "3")] == ["1", "2", "3"], "a digit of the keypad looks alike"
+
+
+@pytest.mark.parametrize("n_answers", [2, 3, 4, 5, 6, 7])
+def test_the_arrow_of_a_finger_lies_within_the_frame_of_its_button(experiment: Experiment, n_answers: int) -> None:
+    """However narrow the buttons are, with the outer ones naming a finger."""
+    names = [f"answer_{number}" for number in range(n_answers)]
+    keys = {name: (f"f{number}",) for number, name in enumerate(names, 1)}
+    changes = {"keys": keys, "fingers": {names[0]: ("left",), names[-1]: ("right",)}}
+    answers = experiment.protocol.answers.model_copy(update=changes)
+    texts = experiment.texts.model_copy(update={"answers": dict.fromkeys(names, "Word")})
+    layout = lay_out(800, 600, experiment.apparatus.zone_spans, answers.offered)
+    marks = Illustrator(layout, DARK, texts, answers, "right").question(make_trial(), PROGRESS).marks
+    frame = 0.006 * layout.unit
+    for colour, box in ((DARK.left, layout.buttons[names[0]]), (DARK.right, layout.buttons[names[-1]])):
+        (arrow,) = (m for m in marks if isinstance(m, Shape) and m.fill == colour and len(m.corners) == 3)
+        xs = [x for x, _ in arrow.corners]
+        assert box.left + frame <= min(xs) and max(xs) <= box.right - frame
+
+
+@pytest.mark.parametrize("finger", ["thumb", "index", "middle", "ring", "little"])
+@pytest.mark.parametrize("hand", ["left", "right"])
+def test_no_hand_exceeds_the_narrowest_window(experiment: Experiment, hand: str, finger: str) -> None:
+    """800 x 600: whichever finger lies at the end of the beam, its whole hand is seen."""
+    layout = lay_out(800, 600, experiment.apparatus.zone_spans, AnswerList.of({}))
+    for zone in "AE":
+        marks = draw_hands(layout, DARK, (zone,), (f"{hand} {finger}",), ("one",), Typesetter())
+        xs = [x for mark in marks if isinstance(mark, Shape) for x, _ in mark.corners]
+        assert max(map(abs, xs)) < layout.width / 2
 
 
 def test_an_experimenter_who_answers_is_announced(experiment: Experiment) -> None:

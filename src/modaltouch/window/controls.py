@@ -57,7 +57,8 @@ class Buttons:
         middle = Box(box.x, box.y, box.width * 0.5, box.height * 0.9)
         labels = tuple(self.texts.label(each.name) for each in self.answers.offered if each.is_below)
         size = common_size(typesetter_of(self.texts), labels, middle, min(self._answer_size, 0.5 * box.height))
-        beside = Box(box.x + 0.36 * box.width, box.y, box.width * 0.2, 0.6 * box.height)
+        # The caps are as high as those of the row above.
+        beside = Box(box.x + 0.36 * box.width, box.y, box.width * 0.2, 0.25 * self._row_height)
         return (
             *framed(box, 0.018 * unit, theme.button_edge, fill, 0.006 * unit),
             Words(self.texts.label(answer), middle, size, ink, bold=True),
@@ -72,8 +73,10 @@ class Buttons:
         edge = edges.get("".join(own.fingers or ()), theme.button_edge)
         fill, ink = (theme.pressed, theme.pressed_text) if pressed else (theme.button, theme.text)
         upper = Box(box.x, box.y + 0.18 * box.height * with_keys, box.width * self._share, 0.52 * box.height)
+        size = min(0.018 * unit, 0.065 * box.width)
+        beside = 0.5 * box.width - size - 0.012 * unit  # within the frame
         arrows = [
-            triangle(way, box.x + sign * 0.4 * box.width, upper.y, 0.018 * unit, ink if pressed else edge)
+            triangle(way, box.x + sign * beside, upper.y, size, ink if pressed else edge)
             for way, sign in (("left", -1), ("right", 1))
             if way in (own.fingers or ())
         ]
@@ -82,6 +85,10 @@ class Buttons:
             Words(self.texts.label(answer), upper, self._answer_size, ink, bold=True),
             *arrows,
         )
+
+    @property
+    def _row_height(self) -> float:
+        return next(iter(self.layout.buttons.values())).height
 
     @cached_property
     def _share(self) -> float:
@@ -92,13 +99,16 @@ class Buttons:
     def _answer_size(self) -> float:
         """Type size at which every answer of the row fits its button, on several lines if that is larger."""
         labels = tuple(self.texts.label(each.name) for each in self.answers.offered if not each.is_below)
-        box = Box(0, 0, self.layout.answer_width * self._share, 0.52 * next(iter(self.layout.buttons.values())).height)
+        box = Box(0, 0, self.layout.answer_width * self._share, 0.52 * self._row_height)
         return common_size(typesetter_of(self.texts), labels or ("-",), box, 0.062 * self.layout.type_scale)
 
 
 def key_caps(texts: Texts, theme: Theme, keys: Sequence[str], box: Box) -> tuple[Mark, ...]:
-    """Return key caps side by side, of the height of a box: the arrow keys if any, else the first two keys."""
-    shown = [key for key in keys if key in _ARROWS] or list(keys[:2])
+    """Return key caps side by side, of the height of a box: the arrow keys if any, else the first two keys.
+
+    A digit is shown once for its key in the top row and the one of the keypad.
+    """
+    shown = [key for key in keys if key in _ARROWS] or list({key_name(texts, key): key for key in keys[:2]}.values())
     marks: list[Mark] = []
     labels = [None if key in _ARROWS else key_name(texts, key) for key in shown]
     measure = typesetter_of(texts).measure

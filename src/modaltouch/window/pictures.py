@@ -142,7 +142,13 @@ def _place_knuckles(layout: Layout, outward: int, tips: dict[str, Point]) -> dic
         from_thumb = sum(ends) / 2 - outward * half
         steps |= dict.fromkeys(names[first + 1 : last + 1], 2 * half / (last - first))
     places = list(accumulate(steps.values()))
-    return {name: from_thumb + outward * (place - places[first]) for name, place in zip(names, places, strict=True)}
+    xs = [from_thumb + outward * (place - places[first]) for place in places]
+    # Fingers that do not touch are closer together where the hand, with its palm or thumb, would exceed the window.
+    for free, touching, rest in ((slice(1, first), xs[first], 0.12), (slice(last + 1, None), xs[last], 0.05)):
+        reach, room = max(map(abs, xs[free]), default=0.0), layout.width / 2 - rest * unit
+        if reach > room:
+            xs[free] = [touching + (x - touching) * (room - abs(touching)) / (reach - abs(touching)) for x in xs[free]]
+    return dict(zip(names, xs, strict=True))
 
 
 def _draw_nail(knuckle: Point, tip: Point, radius: float, fill: str) -> Mark:
@@ -207,7 +213,7 @@ class Illustrator:
         return Picture(
             "answers",
             (
-                self._headline(title, 0.054),
+                replace(self._headline(title, 0.054), box=replace(layout.headline, y=0.36)),  # nothing else is above
                 Words("\n\n".join(rest), below, 0.042 * layout.type_scale, self.theme.text),
                 *self._draw_answers(None, confirmed=False, with_keys=self._types(trial)),
                 *self._go_on(),
