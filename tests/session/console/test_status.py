@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import os
-from io import StringIO
+import pty
+from io import StringIO, TextIOWrapper
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from modaltouch.protocol.trial import Condition, Trial
 from modaltouch.session.console import Console as SilentConsole
 from modaltouch.session.console import Experimenter, Request
 from modaltouch.session.console.__main__ import describe_trial, draw_session
-from modaltouch.session.console.consoles import LONGEST_LINE, EventLines, PlainLines
+from modaltouch.session.console.consoles import LONGEST_LINE, EventLines, PlainLines, open_console
 from modaltouch.session.console.keyboard import LONGEST_NOTE, Dialogue, UnixKeyboard, split_keys
 from modaltouch.session.console.status import Status
 from modaltouch.session.events import describe_trial as of_trial
@@ -389,6 +390,18 @@ def test_events_are_written_from_the_session_alone(tmp_path: Path) -> None:
     with pytest.raises(OSError, match="contains something other"):
         EventLines(protocol)
     assert protocol.read_text() == "protocol: demo\n"
+
+
+def test_a_terminal_of_another_session_gets_plain_lines(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As after `setsid`: it shows lines, but does not control this process, so that its keys cannot be read."""
+    master, slave = pty.openpty()
+    with os.fdopen(slave, "r+b", buffering=0) as raw, TextIOWrapper(raw, write_through=True) as terminal:
+        monkeypatch.setattr("sys.stdin", terminal)
+        monkeypatch.setattr("sys.stderr", terminal)
+        with open_console(None, ("f12",), plain=False) as console:
+            Experimenter(console).tell({"event": "pause"})
+        assert os.read(master, 100).strip() == b"paused"
+    os.close(master)
 
 
 def test_a_pause_within_a_break_leads_back_to_the_break() -> None:

@@ -61,8 +61,10 @@ def _has_terminal() -> bool:
     """Return whether the process has a terminal for both keys and display."""
     if not (sys.stdin.isatty() and sys.stderr.isatty()) or os.environ.get("TERM") == "dumb":
         return False
-    # A background job would be stopped on reading from the terminal.
-    return sys.platform == "win32" or os.tcgetpgrp(sys.stdin.fileno()) == os.getpgrp()
+    # A background job would be stopped on reading from the terminal; a terminal of another session cannot be asked.
+    with contextlib.suppress(OSError):
+        return sys.platform == "win32" or os.tcgetpgrp(sys.stdin.fileno()) == os.getpgrp()
+    return False
 
 
 class Consoles(Console):
