@@ -235,6 +235,8 @@ def test_sessions_are_shown_within_80_columns_and_on_a_page(tree: Path, tmp_path
     page.write_text("mine")
     assert call(f"study {tree} --html {page}").status == 4
     assert page.read_text() == "mine"
+    done = call(f"study {tree} --html /proc/none.html")
+    assert (done.status, "give another file with --html" in done.stderr.replace("\n", " ")) == (4, True)
     os.mkfifo(pipe := tmp_path / "pipe")
     for kept in ("/proc/self/mem", pipe):  # cannot be read; would keep the command waiting
         done = call(f"study {tree} --html {kept}")

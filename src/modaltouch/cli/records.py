@@ -209,7 +209,7 @@ def study(
 def _write_page(file: Path, results: Path, shown: list[dict[str, Any]]) -> None:
     """Write the study page; replace a file only if it is an earlier study page."""
     if not file.exists():
-        record.prepare_file(file)
+        record.prepare_file(file, "--html")
     elif not (file.is_file() and _is_ours(file)):  # opening a pipe would block
         raise record.RecordError(
             f"{file}: exists already and is not from `modaltouch study`; give another file with --html"

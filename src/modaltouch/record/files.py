@@ -75,8 +75,8 @@ def replace_file(path: Path, content: bytes, remedy: str, mode: int = 0o666) -> 
         raise RecordError(f"{path}: cannot be written ({error.strerror}); {remedy}") from error
 
 
-def prepare_file(path: Path) -> None:
-    """Create the folder of an output file, and refuse to overwrite an existing file.
+def prepare_file(path: Path, option: str = "--out") -> None:
+    """Create the folder of the file that an option names, and refuse to overwrite an existing file.
 
     Raises
     ------
@@ -84,7 +84,7 @@ def prepare_file(path: Path) -> None:
         If the file exists, or cannot be written.
     """
     if path.exists():
-        raise RecordError(f"{path}: exists already and is not overwritten; give another file with --out")
+        raise RecordError(f"{path}: exists already and is not overwritten; give another file with {option}")
     trial = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -92,7 +92,7 @@ def prepare_file(path: Path) -> None:
         trial.touch()
         trial.unlink()
     except OSError as error:
-        raise RecordError(f"{path}: cannot be written ({error.strerror}); give another file with --out") from error
+        raise RecordError(f"{path}: cannot be written ({error.strerror}); give another file with {option}") from error
 
 
 def sync_folder(folder: Path) -> None:
