@@ -226,12 +226,32 @@ def test_values_far_from_the_listed_ones_are_told(clean: FrequencyResponses, app
     """Volts at the generator, a set turned, a wrong sampling rate: the table may be wrong, so they are marked."""
     found = identify(clean, 0.1)
     assert check_gains(found, apparatus, spoilt.LABELS) == []
-    for factor, said in ((25.0, "gains, times those listed: .* for mode 1 by centre.*check units"), (-1.0, ": -[01]")):
+    for factor, said in (
+        (25.0, r"2\d\.\d for every mode by centre.*check units"),
+        (-1.0, r"-[01]\S* for every mode by centre"),
+    ):
         told = check_gains(identify(replace(clean, response=clean.response * factor), 0.1), apparatus, spoilt.LABELS)
         assert len(told) == 1
-        assert re.search(said, told[0])
+        assert re.search(f"gains, times those listed: .*{said}", told[0])
     (told,) = check_gains(identify(replace(clean, frequency=clean.frequency * 1.1), 0.1), apparatus, spoilt.LABELS)
     assert told.startswith("natural frequencies, times those listed: 1.1 for mode 1")
+
+
+@pytest.mark.parametrize("factor", [0.5, 1.4, 2.0])
+def test_a_set_of_another_scale_is_marked(clean: FrequencyResponses, apparatus: Apparatus, factor: float) -> None:
+    """A probe or a gain set for one output: no beam changes the gains of all its modes alike."""
+    found = identify(replace(clean, response=clean.response * np.array([1.0, factor])[:, None, None]), 0.1, most=0)
+    (mark,) = check_gains(found, apparatus, spoilt.LABELS)
+    value = re.fullmatch(r"gains, times those listed: (\S+) for every mode by side; check units, .*", mark)
+    assert value is not None
+    assert float(value[1]) == pytest.approx(factor, rel=0.06)
+
+
+def test_exchanged_sets_are_no_error_of_units(clean: FrequencyResponses, apparatus: Apparatus) -> None:
+    """Both sets under each other's name: the gains of centre are a tenth, as those of a probe of 10 : 1 would be."""
+    found = identify(replace(clean, response=clean.response[::-1]), 0.1, most=0)
+    with pytest.raises(ValueError, match="the sets are exchanged: the files hold the gains of side under the name cen"):
+        check_gains(found, apparatus)
 
 
 def test_sets_between_which_the_beam_drifted_are_marked(clean: FrequencyResponses, beam: TrueBeam) -> None:

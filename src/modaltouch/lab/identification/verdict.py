@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from itertools import pairwise
+import itertools
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -85,7 +85,7 @@ def _split(identification: Identification, missing: Sequence[int] | None = None,
     it. Neither is true of bending and torsion with close natural frequencies. If missing or faulty labels are given,
     only resonances of these modes are considered.
     """
-    for one, other in pairwise(identification.modes):
+    for one, other in itertools.pairwise(identification.modes):
         apart = other.natural_frequency.value - one.natural_frequency.value
         width = 2 * one.natural_frequency.value * one.damping_ratio.value
         named = all(each.label or each.torsion for each in (one, other))
@@ -208,6 +208,10 @@ AXES = {
 MOVED, FASTER = 0.05, 2.5
 """Relative change of a natural frequency, and factor of a gain, above which a warning is given [1]."""
 
+SCALE, EQUALLY = 1.25, 0.2
+"""Factor of all gains of a set above which a warning is given, and their median relative deviation from it below which
+the factor is that of a drive or a sensor, not of the beam [1]."""
+
 
 def check_gains(identification: Identification, apparatus: Apparatus, labels: Sequence[int] | None = None) -> list[str]:
     """Refuse natural frequencies, or gains of one set or all, that differ from the listed ones by a factor of units.
@@ -247,19 +251,24 @@ def check_gains(identification: Identification, apparatus: Apparatus, labels: Se
         if mode.label in found
     }
     _refuse_axis([*ratios.values()], apparatus)
+    _refuse_exchanged(found, sets, apparatus)
     for chosen in dict.fromkeys((sets, *((name,) for name in sets))):
         _refuse_factor([each for (name, _), each in listed.items() if name in chosen], chosen, apparatus)
     if len(ratios) < FEWEST_GAINS:
         return []
     shown = ratios if labels is None else labels
-    moved = {str(label): each for label, each in ratios.items() if label in shown and abs(each - 1) > MOVED}
-    other = {
-        f"{label} by {name}": each
-        for (name, label), (each, _) in listed.items()
-        if label in shown and not 1 / FASTER < each < FASTER
-    }
+    moved = {f"mode {label}": each for label, each in ratios.items() if label in shown and abs(each - 1) > MOVED}
+    other: dict[str, float] = {}
+    for name in sets:
+        own = {label: each for (by, label), (each, _) in listed.items() if by == name}
+        common = float(np.median([*own.values()])) if len(own) >= FEWEST_GAINS else 1.0
+        if not 1 / SCALE < common < SCALE and np.median(np.abs(np.array([*own.values()]) / common - 1)) < EQUALLY:
+            other[f"every mode by {name}"] = common
+            continue
+        far = {label: each for label, each in own.items() if label in shown and not 1 / FASTER < each < FASTER}
+        other |= {f"mode {label} by {name}": each for label, each in far.items()}
     return [
-        f"{what}, times those listed: {', '.join(f'{each:.3g} for mode {name}' for name, each in far.items())}; check "
+        f"{what}, times those listed: {', '.join(f'{each:.3g} for {name}' for name, each in far.items())}; check "
         f"{remedy}, or give the file of this beam with --apparatus"
         for what, far, remedy in (
             ("natural frequencies", moved, "the sampling rate and the frequency axis"),
@@ -280,6 +289,23 @@ def _refuse_axis(ratios: Sequence[float], apparatus: Apparatus) -> None:
                     f"{meaning}; check the frequencies or times in the files, or give the file of this beam with "
                     "--apparatus"
                 )
+
+
+def _refuse_exchanged(found: Mapping[int, IdentifiedMode], sets: Sequence[str], apparatus: Apparatus) -> None:
+    """Refuse gains of the sets that are the listed ones of other sets."""
+    off = np.full((len(sets), len(sets)), np.nan)
+    for (row, _), (column, other) in itertools.product(enumerate(sets), enumerate(sets)):
+        known = [
+            (found[mode.label], mode.gain_mm_s2_per_V.get(other)) for mode in apparatus.modes if mode.label in found
+        ]
+        ratio = [own.gain[row].value * 1e3 / value for own, value in known if own.gain and value]
+        off[row, column] = np.median(np.abs(np.log(np.abs(ratio)))) if len(ratio) >= FEWEST_GAINS else np.nan
+    if len(sets) < 2 or np.isnan(off).any():
+        return
+    nearest, correct = off.argmin(axis=1), np.arange(len(sets))
+    if (nearest != correct).all() and (off[correct, nearest] < np.log(SCALE)).all():
+        pairs = " and ".join(f"{sets[other]} under the name {name}" for name, other in zip(sets, nearest, strict=True))
+        raise ValueError(f"the sets are exchanged: the files hold the gains of {pairs}; name each set after its wiring")
 
 
 def _refuse_factor(listed: Sequence[tuple[float, float]], sets: Sequence[str], apparatus: Apparatus) -> None:
