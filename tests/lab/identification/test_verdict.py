@@ -12,7 +12,7 @@ import spoilt
 from scipy.signal import fftconvolve
 
 from modaltouch.lab.identification.files import ResponseFormat, read_responses
-from modaltouch.lab.identification.joint_fit import identify
+from modaltouch.lab.identification.joint_fit import axis_error, identify
 from modaltouch.lab.identification.responses import FrequencyResponses, Place
 from modaltouch.lab.identification.shapes import in_two_units
 from modaltouch.lab.identification.verdict import check_gains, check_modes, misfit_verdict, warnings
@@ -245,6 +245,22 @@ def test_a_set_of_another_scale_is_marked(clean: FrequencyResponses, apparatus: 
     value = re.fullmatch(r"gains, times those listed: (\S+) for every mode by side; check units, .*", mark)
     assert value is not None
     assert float(value[1]) == pytest.approx(factor, rel=0.06)
+
+
+@pytest.mark.parametrize(("n_bins", "said"), [(0, ""), (1, "too high"), (-2, "too low")])
+def test_an_axis_that_is_a_bin_off_is_marked(clean: FrequencyResponses, n_bins: int, said: str) -> None:
+    """Resonances may lie anywhere, but 0 Hz may not: what lies off resonance tells 3.8 Hz."""
+    moved = replace(clean, frequency=clean.frequency + n_bins * clean.spacing)
+    mark = axis_error(identify(moved, 0.1))
+    assert mark == "" if not said else f"are at least one bin, 3.815 Hz, {said}, judging by the values off res" in mark
+
+
+def test_the_set_whose_axis_is_a_bin_off_is_named(clean: FrequencyResponses) -> None:
+    """One file exported from 0 Hz on, the other from the first bin on: no nonlinearity."""
+    both = replace(clean, response=np.stack([clean.response[0, :, 1:], clean.response[1, :, :-1]]), coherence=None)
+    found = identify(replace(both, frequency=clean.frequency[1:]).between(50, 12e3), 0.1)
+    mark = axis_error(found)
+    assert re.search("at least one bin, 3.815 Hz, off for (centre|side), judging by the other sets: check where", mark)
 
 
 def test_exchanged_sets_are_no_error_of_units(clean: FrequencyResponses, apparatus: Apparatus) -> None:

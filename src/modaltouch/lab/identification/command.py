@@ -21,8 +21,8 @@ from modaltouch.lab.identification.excitation import (
     highest_needed,
 )
 from modaltouch.lab.identification.files import read_responses
+from modaltouch.lab.identification.joint_fit import axis_error, identify_each, over_repeats
 from modaltouch.lab.identification.joint_fit import identify as fit_jointly
-from modaltouch.lab.identification.joint_fit import identify_each, over_repeats
 from modaltouch.lab.identification.report import (
     COMMAND,
     check_export,
@@ -280,7 +280,8 @@ class _Beam:
         with _fitting(progress):
             found = over_repeats(fit_jointly(responses, self.length, clock_tolerance=CLOCK_TOLERANCE))
         check_modes(found, self.labels)
-        marks = (*responses.marks, *check_gains(found, self.apparatus, self.labels))
+        axis = axis_error(found)
+        marks = (*responses.marks, *check_gains(found, self.apparatus, self.labels), *([axis] if axis else []))
         found = replace(found, responses=replace(found.responses, marks=marks))
         uncertainty = self.apparatus.acquisition.sensitivity_uncertainty_percent * 1e-2
         found = found.with_sensitivity_uncertainty(uncertainty)

@@ -12,7 +12,13 @@ from numpy.typing import NDArray
 
 from modaltouch.lab.arrays import ComplexArray, FloatArray, low_pass
 from modaltouch.lab.identification.kernel import Bins, Evaluation, LeastSquaresProblem, Poles, evaluate
-from modaltouch.lab.identification.modal_parameters import Estimate, Identification, IdentifiedMode, ModalParameters
+from modaltouch.lab.identification.modal_parameters import (
+    WELL_FITTED,
+    Estimate,
+    Identification,
+    IdentifiedMode,
+    ModalParameters,
+)
 from modaltouch.lab.identification.peaks import (
     DAMPING_BOUNDS,
     MOST_POLES,
@@ -279,6 +285,51 @@ def identify_each(responses: FrequencyResponses) -> Identification:
         raise ValueError("no peak of the responses can be fitted by a resonance: average more, or use finer bins")
     unknown = Estimate(float("nan"), float("nan"), float("nan"))
     return Identification(tuple(modes), unknown, float(np.median(misfit)), responses, None, fitted)
+
+
+CLEARLY = 16.0
+"""Decrease of the residual's sum of squares, in units of the noise, for another frequency axis of all responses."""
+
+MOSTLY, NEARLY_NOISE = 2.0, 0.1
+"""Factor by which another axis must reduce the misfit beyond the noise, and misfit beyond it that may be noise [1]."""
+
+
+def axis_error(found: Identification) -> str:
+    """Describe frequencies that are a bin too high or too low, of all sets or of one; empty if there are none.
+
+    Moved resonances look equally plausible, but a response is symmetric about 0 Hz: its values below the first
+    resonance, and the flanks of all, tell where 0 Hz is.
+    """
+    responses, poles = replace(found.responses, repeats=()), found.poles
+    if poles is None:
+        return ""
+
+    def cost(names: Sequence[str], n_bins: int) -> float:
+        every = len(names) == len(responses.sets)
+        by = [0 if every else -n_bins * (name in names) for name in responses.sets]
+        moved = np.array([np.roll(each, n, -1) for n, each in zip(by, responses.response, strict=True)])
+        lower = n_bins * responses.spacing * every
+        own = np.maximum(poles.natural_frequency - lower, responses.spacing)
+        start = Poles(own, poles.damping_ratio * poles.natural_frequency / own, poles.delay)
+        # The outermost bins of a set that is moved come from the other end.
+        inner = replace(responses, response=moved).between(*responses.frequency[[1, -2]])
+        problem = make_problem(replace(inner, frequency=inner.frequency - lower), start)
+        return refine(problem, start, most=10).cost
+
+    given, where = cost((), 0), ""
+    for names in (responses.sets, *((name,) for name in responses.sets)):
+        least, n_bins = min((cost(names, n_bins), n_bins) for n_bins in (-1, 1))
+        if found.misfit <= WELL_FITTED and names == responses.sets:
+            is_wrong = 2 * (given - least) > CLEARLY * found.misfit
+        else:
+            # The noise of a set that is moved is only roughly that of before.
+            is_wrong = found.misfit - 1 > MOSTLY * max(found.misfit * least / given - 1, NEARLY_NOISE)
+        if is_wrong and names == responses.sets:
+            where = f"too {'high' if n_bins > 0 else 'low'}, judging by the values off resonance"
+        elif is_wrong:
+            where = f"off for {names[0]}, judging by the other sets"
+    remedy = "check where the axis begins, and export the responses from 0 Hz on"
+    return where and f"the frequencies are at least one bin, {responses.spacing:.4g} Hz, {where}: {remedy}"
 
 
 SAME_MODE = 0.005

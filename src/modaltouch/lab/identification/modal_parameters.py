@@ -372,6 +372,9 @@ class ModalParameters:
         return float(np.median(self.responses.coherence[driver, :, bin_]))
 
 
+WELL_FITTED = 3.0
+"""Misfit up to which the residual consists of noise alone [1]."""
+
 STRANGE = 0.3
 """Residual power of a point, relative to that of its responses, above which other points do not explain it [1]."""
 

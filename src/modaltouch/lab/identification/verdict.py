@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from modaltouch.lab.identification.modal_parameters import REMEDIES, Identification, IdentifiedMode
+from modaltouch.lab.identification.joint_fit import axis_error
+from modaltouch.lab.identification.modal_parameters import REMEDIES, WELL_FITTED, Identification, IdentifiedMode
 from modaltouch.lab.identification.shapes import BELONGS, bending_likeness, in_two_units, mac, misplaced, unevenness
 from modaltouch.lab.identification.time_records import STILL_MOVES
 from modaltouch.protocol import Apparatus
@@ -28,9 +29,6 @@ MARKED = {"nonlinearity": 0.004, "drift": 0.004}
 """Amplitude of the residual's smooth part, relative to the responses, above which a warning is given, by cause [1]."""
 
 REMEDY = "; drive harder, average more, look higher with --highest-kHz, or name with --modes those to be found"
-
-WELL_FITTED = 3.0
-"""Misfit up to which the residual consists of noise alone [1]."""
 
 MARKED_ELSE = 0.02
 """The same as `MARKED` for any other cause [1]."""
@@ -73,7 +71,8 @@ def check_modes(identification: Identification, labels: Sequence[int]) -> None:
         lines.append(strange)
     elif lines and spoilt:
         cut = [mark for mark in identification.responses.marks if mark.endswith(STILL_MOVES)]
-        lines += cut or [_digit(identification) or _hum(identification) or _cause(identification.modes)]
+        known = axis_error(identification) or _digit(identification) or _hum(identification)
+        lines += cut or [known or _cause(identification.modes)]
     if lines:
         raise ValueError("\n".join(lines))
 
