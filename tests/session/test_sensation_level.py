@@ -212,7 +212,7 @@ def test_a_forged_threshold_is_noticed(results: Path, tmp_path: Path, forge, wor
     ("participant", "given", "words"),
     [
         ("p99", None, "participant p99 has no complete session of it in"),
-        ("p01", 90.0, "3 times the threshold of participant p01, 90 mm/s, which gives 270 mm/s; allowed: 2 to 200"),
+        ("p01", 90.0, "90 mm/s, which gives 270 mm/s; allowed: 2 to 200 mm/s, so thresholds of 2 to 66.67 mm/s"),
         ("p01", 1.5, "1 times the threshold of participant p01, 1.5 mm/s, which gives 1.5 mm/s"),
     ],
 )
@@ -229,7 +229,8 @@ def test_a_session_that_tells_no_threshold_is_refused(preflight: Preflight, find
     """A participant who guesses has none: said with the reason of the run, and with a way out."""
     guessing = Observer(Participant(lapse_rate=1.0), name="guessing")
     begin(wire_run(finding, "p01", answers="simulated", results=tmp_path, observer=guessing))
-    with pytest.raises(InputError, match=r"runs of participant p01 give no threshold .*give the threshold with --thr"):
+    said = r"2 of 2 runs of participant p01 give no threshold \(one_hand A-C: .*give the threshold with --thr"
+    with pytest.raises(InputError, match=said):
         wire_run(preflight, "p01", answers="simulated", results=tmp_path)
 
 
