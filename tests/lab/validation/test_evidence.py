@@ -83,17 +83,36 @@ def test_recordings_unlike_the_prediction_are_refused(evidences):
         evaluate([replace(observation, field=late)])
 
 
+def changed(observation: Observation, name: str, times: np.ndarray) -> Observation:
+    """Return an observation with an array of its field multiplied by a factor per point, or per point and channel."""
+    arrays = [
+        {**each, name: np.reshape(by, (1, -1, 1)[: each[name].ndim]) * each[name]}
+        for each, by in zip(observation.field.arrays, times, strict=True)
+    ]
+    return replace(observation, field=replace(observation.field, arrays=tuple(arrays)))
+
+
 @pytest.mark.parametrize(
-    ("point", "factor", "said"), [(slice(None), 9.81, "^the beam"), (6, -1.0, "^at .* mm the beam")]
+    ("points", "factor", "said"),
+    [
+        (slice(None), 9.81, "^the beam .*: allowed 0.5 to 2;"),
+        ([6], -1.0, r"^at \S+ mm the beam .*: at the other points 1.00 times;"),
+        (slice(20), 0.5, r"^at -50, -47\.5, .*, -2\.5 mm the beam moves 0\.50 times"),
+        (slice(25, None), 0.7, r"^at 12\.5, .*, 50 mm the beam moves 0\.70 times"),
+    ],
 )
-def test_velocities_that_are_a_multiple_of_the_predicted_are_refused(point, factor, said, evidences):
-    """Units of g taken for m/s^2, or one inverted point: the page would show figures of no beam."""
+def test_velocities_that_are_a_multiple_of_the_predicted_are_refused(points, factor, said, evidences):
+    """Units of g taken for m/s^2, one inverted point, a gain changed midway: the page would show figures of no beam."""
     observation = evidences[0].observation
     times = np.ones(observation.field.positions.size)
-    times[point] = factor
-    arrays = [
-        {**each, "velocity": by * each["velocity"]} for each, by in zip(observation.field.arrays, times, strict=True)
-    ]
-    wrong = replace(observation, field=replace(observation.field, arrays=tuple(arrays)))
-    with pytest.raises(RecordInputError, match=rf"{said}.* times as fast as predicted: allowed 0.5 to 2"):
-        evaluate([wrong])
+    times[points] = factor
+    with pytest.raises(RecordInputError, match=said):
+        evaluate([changed(observation, "velocity", times)])
+
+
+def test_a_drive_that_was_not_recorded_is_refused(evidences):
+    """A probe that is off: the page would call the drive a zero beside the predicted 30 V."""
+    observation = evidences[0].observation
+    times = np.tile([1.0, 0.0], (observation.field.positions.size, 1))
+    with pytest.raises(RecordInputError, match="the drive of output 2 measures 0 V, and 30 V are predicted: check"):
+        evaluate([changed(observation, "drive", times)])

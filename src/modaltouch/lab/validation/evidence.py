@@ -10,6 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from modaltouch.lab.arrays import FloatArray
+from modaltouch.lab.calibration.plausibility import NOTHING
 from modaltouch.lab.scan import Scan
 from modaltouch.record import RecordInputError
 from modaltouch.stimulus import Stimulus, mode_shapes
@@ -168,30 +169,50 @@ def measurement_delay(observations: Sequence[Observation], predictions: Sequence
     return float(LAGS[best] + (LAGS[1] - LAGS[0]) * (before - after) / (2 * (before - 2 * at + after)))
 
 
-PLAUSIBLE = (0.5, 2.0)
-"""Range of measured over predicted velocity [1]; outside, a setting differs from the apparatus file."""
+PLAUSIBLE, ALIKE = 2.0, 1.25
+"""Largest factor, up or down, between measured and predicted velocity, and between this factor at a point and its
+median over the points [1]; beyond, a setting differs from the apparatus file, or changed during the scan."""
 
 
-def refuse_implausible_speeds(
+def refuse_implausible_records(
     observations: Sequence[Observation], predictions: Sequence[Prediction], delay: float
 ) -> None:
-    """Refuse velocities that differ from the predicted ones by a factor, at all points or at one."""
+    """Refuse drives that were not recorded, and velocities unlike the predicted ones, at all points or at some."""
     for observation, prediction in zip(observations, predictions, strict=True):
-        scan, (low, high) = observation.field, PLAUSIBLE
-        near = np.abs(scan.time - observation.stimulus.timing.focusing_instant) < 0.25e-3
-        measured, instants = mean_velocity(scan)[:, near], scan.time[near] - delay
-        predicted = prediction.around(instants[0] - LAGS[-1], instants[-1] + LAGS[-1])(instants)
-        shared, power = (measured * predicted).sum(axis=1), np.square(predicted).sum(axis=1)
-        common, factor = shared.sum() / power.sum(), shared / power
-        # Near a node the velocity is mostly that of modes which are not predicted.
-        odd = (power > 0.5 * np.median(power)) & ~((low < factor / common) & (factor / common < high))
-        where = f"at {scan.positions[odd.argmax()] * 1e3:g} mm " if odd.any() else ""
-        if odd.any() or not low < common < high:
-            raise RecordInputError(
-                f"{where}the beam moves {factor[odd.argmax()] if where else common:.2f} times as fast as predicted: "
-                f"allowed {low:g} to {high:g}; check the unit, the sensitivity, the range and the sign of the velocity "
-                "there, and the gain of the amplifier, and measure again"
-            )
+        expected = observation.stimulus.peak_drive(observation.velocity)
+        for scan in (observation.field, observation.course, *observation.rows):
+            measured = np.abs(scan.drive).max(axis=(0, 1, 3), initial=0.0)
+            for output, (volts, predicted) in enumerate(zip(measured, expected, strict=False), start=1):
+                if volts < NOTHING * predicted > NOTHING:
+                    raise RecordInputError(
+                        f"the drive of output {output} measures {volts:.2g} V, and {predicted:.0f} V are predicted: "
+                        "check the probe at this output, and measure again"
+                    )
+        for scan in (observation.field, *observation.rows):
+            _refuse_implausible_speeds(scan, prediction, observation.stimulus.timing.focusing_instant, delay)
+
+
+def _refuse_implausible_speeds(scan: Scan, prediction: Prediction, instant: float, delay: float) -> None:
+    near = np.abs(scan.time - instant) < 0.25e-3
+    measured, instants = mean_velocity(scan)[:, near], scan.time[near] - delay
+    predicted = prediction.around(instants[0] - LAGS[-1], instants[-1] + LAGS[-1])(instants)
+    power = np.square(predicted).sum(axis=1)
+    factor = (measured * predicted).sum(axis=1) / power
+    # Near a node the velocity is mostly that of modes which are not predicted.
+    known = power > 0.5 * np.median(power)
+    common = float(np.median(factor[known]))
+    odd = known & ~((factor / common > 1 / ALIKE) & (factor / common < ALIKE))
+    if odd.any() or not 1 / PLAUSIBLE < common < PLAUSIBLE:
+        named = ", ".join(f"{place * 1e3:g}" for place in scan.positions[odd])
+        times = float(np.median(factor[odd])) if odd.any() else common
+        allowed = (
+            f"at the other points {common:.2f} times" if odd.any() else f"allowed {1 / PLAUSIBLE:g} to {PLAUSIBLE:g}"
+        )
+        raise RecordInputError(
+            f"{f'at {named} mm ' if named else ''}the beam moves {times:.2f} times as fast as predicted: {allowed}; "
+            "check the unit, the sensitivity, the range and the sign of the velocity there, and the gain of the "
+            "amplifier, and measure again"
+        )
 
 
 FINE = 401
@@ -427,5 +448,5 @@ def evaluate(observations: Sequence[Observation]) -> list[Evidence]:
     """
     predictions = [Prediction.of(each) for each in observations]
     lag = measurement_delay(observations, predictions)
-    refuse_implausible_speeds(observations, predictions, lag)
+    refuse_implausible_records(observations, predictions, lag)
     return [Evidence(each, its, lag) for each, its in zip(observations, predictions, strict=True)]
