@@ -34,7 +34,10 @@ from modaltouch.system import Interrupted, commit, versions
 
 SCHEMA = "modaltouch scan 1"
 DESCRIPTION = "scan.json"
-NEEDED = {"mode", "begun", "settings"}, {"about", "burst", "velocity_mm_s", "positions_mm", "acquisition", "generator"}
+NEEDED = (
+    {"mode", "begun", "settings"},
+    {"about", "burst", "velocity_mm_s", "positions_mm", "acquisition", "generator", "scope"},
+)
 """Keys of the description, and of its settings, that every scan has."""
 
 LARGEST_SHIFT = 20e-9
@@ -119,7 +122,10 @@ class Scan:
 
     def stacked(self, name: str) -> FloatArray:
         """Return the arrays kept under a name, stacked over the positions."""
-        return np.stack([np.asarray(each[name], dtype=float) for each in self.arrays])
+        try:
+            return np.stack([np.asarray(each[name], dtype=float) for each in self.arrays])
+        except (KeyError, ValueError) as error:
+            raise RecordInputError(f"the positions do not all hold {name} in one form ({error}); scan again") from None
 
     def require_complete(self) -> Scan:
         """Return the scan itself if every position was recorded.
@@ -199,6 +205,13 @@ def read_facts(folder: Path) -> dict[str, Any]:
         missing = sorted(needed - kept.keys()) if isinstance(kept, dict) else ["settings"]
         if missing:
             raise RecordError(f"{path}: {missing[0]} is missing; restore it, or scan again into another folder")
+    settings = facts["settings"]
+    numbers = [settings["velocity_mm_s"], settings.get("across_mm", 0.0)]
+    places = settings["positions_mm"]
+    if not (
+        isinstance(places, list) and places and all(isinstance(each, (int, float)) for each in (*numbers, *places))
+    ):
+        raise RecordError(f"{path}: positions_mm, across_mm or velocity_mm_s is not a number or a list; restore it")
     return facts
 
 
@@ -208,6 +221,11 @@ def read_position(path: Path, position: float) -> dict[str, NDArray[Any]]:
         with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
             arrays = dict(file)
         where = float(arrays["position"])
+        faulty = next(
+            (name for name, each in arrays.items() if each.dtype.kind in "fc" and not np.isfinite(each).all()), ""
+        )
+        if faulty or "overloaded" not in arrays:
+            raise ValueError(f"{faulty} is not finite throughout" if faulty else "overloaded is missing")
     except (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
         raise RecordError(
             f"{path}: it is damaged ({error}); delete it and repeat the command of the scan, which then measures that "

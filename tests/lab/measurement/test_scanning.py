@@ -6,6 +6,7 @@ import json
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ import numpy as np
 import pytest
 
 from modaltouch.lab.laboratory import Laboratory, MeasurementProgress, open_laboratory
-from modaltouch.lab.scan import ScanPlan, position_file, read_scan, take_scan
+from modaltouch.lab.scan import NEEDED, ScanPlan, position_file, read_scan, save_arrays, take_scan
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.source import Source
 from modaltouch.record.chain import RecordError, RecordInputError
@@ -184,6 +185,12 @@ def test_damage_is_told(laboratory: Laboratory, tmp_path: Path) -> None:
     first.write_bytes(second.read_bytes())
     with pytest.raises(RecordError, match="was recorded at 10 mm, not at 0 mm"):
         read_scan(folder)
+    with np.load(BytesIO(content)) as file:
+        arrays = dict(file)
+    arrays["velocity"][1, 7] = np.nan
+    save_arrays(first, arrays)
+    with pytest.raises(RecordError, match=r"position_000.npz: it is damaged \(velocity is not finite throughout\)"):
+        read_scan(folder)
     first.write_bytes(content)
     (folder / "scan.json").write_text(json.dumps({"schema": "modaltouch scan 99"}))
     with pytest.raises(RecordError, match="does not describe a scan"):
@@ -191,6 +198,12 @@ def test_damage_is_told(laboratory: Laboratory, tmp_path: Path) -> None:
     for kept, missing in ({}, "begun"), ({"mode": "", "begun": "", "settings": {"about": {}}}, "acquisition"):
         (folder / "scan.json").write_text(json.dumps({"schema": "modaltouch scan 1", **kept}))
         with pytest.raises(RecordError, match=f"scan.json: {missing} is missing; restore it, or scan again"):
+            read_scan(folder)
+    for key, value in ("positions_mm", 0.0), ("positions_mm", ["0"]), ("velocity_mm_s", None):
+        settings = dict.fromkeys(NEEDED[1], 0.0) | {"positions_mm": [0.0]} | {key: value}
+        facts = {"schema": "modaltouch scan 1", "mode": "", "begun": "", "settings": settings}
+        (folder / "scan.json").write_text(json.dumps(facts))
+        with pytest.raises(RecordError, match="scan.json: positions_mm, .* is not a number or a list; restore it"):
             read_scan(folder)
     with pytest.raises(RecordInputError, match=r"there is no scan here \(scan.json is missing\)"):
         read_scan(tmp_path)
