@@ -13,9 +13,10 @@ from scipy.signal import fftconvolve
 
 from modaltouch.lab.identification.files import ResponseFormat, read_responses
 from modaltouch.lab.identification.joint_fit import axis_error, identify
+from modaltouch.lab.identification.listed_values import check_gains
 from modaltouch.lab.identification.responses import FrequencyResponses, Place
 from modaltouch.lab.identification.shapes import in_two_units
-from modaltouch.lab.identification.verdict import check_gains, check_modes, misfit_verdict, warnings
+from modaltouch.lab.identification.verdict import check_modes, misfit_verdict, warnings
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig.simulator.true_beam import TrueBeam, true_beam
 from modaltouch.stimulus import mode_shapes
@@ -385,3 +386,27 @@ def test_a_tone_at_a_resonance_is_no_noise(clean: FrequencyResponses, beam: True
     response[:, :, at] += np.abs(response[:, :, at]).max() * np.exp(2j * np.pi * rng.random((2, 21)))
     with pytest.raises(ValueError, match=r"at one frequency, 255\d\.\d+ Hz: look for a disturbance, such"):
         check_modes(identify(replace(clean, response=response), 0.1), spoilt.LABELS)
+
+
+@pytest.mark.parametrize("points", [[5], [1, 3, 15], [2, 3, 9, 10, 12, 14, 15, 17]])
+def test_points_of_another_beam_are_no_drift(beam: TrueBeam, points: list[int]) -> None:
+    """Another specimen of 1 % higher natural frequencies: each point has one of two close resonances alone."""
+    higher = replace(beam, table=replace(beam.table, natural_frequency=beam.table.natural_frequency * 1.01))
+    frequency, response = spoilt.response_of(beam)
+    response[:, points] = spoilt.response_of(higher)[1][:, points]
+    found = identify(spoilt.measured(frequency, response, seed=0), 0.1)
+    told = " ".join(warnings(found))
+    named = ", ".join(f"{5 * point - 50} mm" for point in points)
+    assert f"the responses at {named} have a resonance of their own at " in told
+    assert "drift" not in told
+
+
+@pytest.mark.parametrize("noise", [20, 60, 200])
+def test_a_point_out_of_focus_is_noisy_and_not_strange(clean: FrequencyResponses, noise: int) -> None:
+    """Its response is that of the same beam, under noise: it may stay, and the mark says what to do."""
+    rng, response = np.random.default_rng(5), clean.response.copy()
+    scatter = rng.standard_normal((2, response.shape[-1])) + 1j * rng.standard_normal((2, response.shape[-1]))
+    response[:, 6] += noise * 0.02 * np.median(np.abs(response)) * scatter
+    told = " ".join(warnings(identify(replace(clean, response=response, coherence=None), 0.1)))
+    assert "most of the residual is at -20 mm: its neighbouring bins differ like noise; check focus" in told
+    assert "another beam" not in told

@@ -23,6 +23,7 @@ from modaltouch.lab.identification.excitation import (
 from modaltouch.lab.identification.files import read_responses
 from modaltouch.lab.identification.joint_fit import axis_error, identify_each, over_repeats
 from modaltouch.lab.identification.joint_fit import identify as fit_jointly
+from modaltouch.lab.identification.listed_values import check_gains
 from modaltouch.lab.identification.report import (
     COMMAND,
     check_export,
@@ -36,7 +37,7 @@ from modaltouch.lab.identification.responses import (
     responses_of,
 )
 from modaltouch.lab.identification.shapes import check_points
-from modaltouch.lab.identification.verdict import check_all, check_gains, check_modes
+from modaltouch.lab.identification.verdict import check_all, check_modes
 from modaltouch.lab.laboratory import SILENT_PROGRESS, SIMULATED, MeasurementProgress, open_laboratory
 from modaltouch.lab.scan import Scan, kept_rows, read_scan, rows_over
 from modaltouch.protocol import Apparatus, Source

@@ -63,6 +63,8 @@ REMEDIES = {
     "nonlinearity or a missing mode": "drive at half the voltage, and compare, or measure with finer bins",
     "a strange point": "check that it is of the same beam, its trigger and the sign of its phase; measure it again, or "
     "leave it out with --leave-out",
+    "a noisy point": "its neighbouring bins differ like noise; check focus and fastening of the sensor there, measure "
+    "it again, or leave it out with --leave-out",
 }
 """Remedies, by cause."""
 
@@ -319,8 +321,10 @@ class ModalParameters:
             (np.abs(each.reshape(of_point)) ** 2).sum(axis=(0, 1))
             for each in (self.fit.left, self.fit.problem.response)
         )
+        smooth = neighbouring(self.fit.left.reshape(of_point)).sum(axis=0)
         share = np.maximum(left - 2 * n_bins * of_point[1], 0.0) / np.maximum(power, 1e-300)
-        strange = (share > STRANGE) & (share > 3 * np.median(share))
+        # Noise, as of a sensor out of focus, differs between neighbouring bins.
+        strange = (share > STRANGE) & (share > 3 * np.median(share)) & (smooth > SMOOTH * left)
         if strange.any() and 3 * strange.sum() < strange.size:
             named = ", ".join(str(self.responses.places[point]) for point in np.flatnonzero(strange))
             raise ValueError(
@@ -388,6 +392,11 @@ FEWEST = 8
 """Minimum number of groups of bins near a mode for a meaningful correlation."""
 
 
+def neighbouring(left: ComplexArray) -> FloatArray:
+    """Return the sum of products of neighbouring values along the first axis; near the sum of squares if smooth."""
+    return np.asarray((np.conj(left[:-1]) * left[1:]).real.sum(axis=0))
+
+
 def rest_about(fit: Evaluation, k: int, n_sets: int) -> Rest:
     """Return the residual of a fit near mode `k`, with its most probable cause.
 
@@ -405,7 +414,7 @@ def rest_about(fit: Evaluation, k: int, n_sets: int) -> Rest:
         return Rest(share, 0.0, "nonlinearity or a missing mode")
     shape = np.linalg.eigh((left.conj().T @ left).real)[1][:, -1]
     course = left @ shape
-    neighbours = float((np.conj(course[:-1]) * course[1:]).real.sum())
+    neighbours = float(neighbouring(course))
     if neighbours < SMOOTH * float((np.abs(course) ** 2).sum()):
         return Rest(share, 0.0, "noise")
     smooth = float(np.sqrt(neighbours / power))

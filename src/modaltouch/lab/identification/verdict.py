@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 
 from modaltouch.lab.identification.joint_fit import axis_error
-from modaltouch.lab.identification.modal_parameters import REMEDIES, WELL_FITTED, Identification, IdentifiedMode
+from modaltouch.lab.identification.modal_parameters import (
+    REMEDIES,
+    SMOOTH,
+    WELL_FITTED,
+    Identification,
+    IdentifiedMode,
+    neighbouring,
+)
 from modaltouch.lab.identification.shapes import BELONGS, bending_likeness, in_two_units, mac, misplaced, unevenness
 from modaltouch.lab.identification.time_records import STILL_MOVES
-from modaltouch.protocol import Apparatus
 
 LEAST_COHERENCE = 0.5
 """Median coherence below which a mode is refused (at its peak) or a warning is given (over the band) [1]."""
@@ -21,9 +27,6 @@ MOST_LEFT = 0.1
 
 AS_HIGH = 0.1
 """Height of a peak, relative to the median peak, above which it is more than weak torsion or noise [1]."""
-
-FEWEST_GAINS = 3
-"""Minimum number of listed gains, or natural frequencies, to recognise a common factor."""
 
 MARKED = {"nonlinearity": 0.004, "drift": 0.004}
 """Amplitude of the residual's smooth part, relative to the responses, above which a warning is given, by cause [1]."""
@@ -84,19 +87,39 @@ def _split(identification: Identification, missing: Sequence[int] | None = None,
     it. Neither is true of bending and torsion with close natural frequencies. If missing or faulty labels are given,
     only resonances of these modes are considered.
     """
-    for one, other in itertools.pairwise(identification.modes):
+    for one, other in pairwise(identification.modes):
         apart = other.natural_frequency.value - one.natural_frequency.value
         width = 2 * one.natural_frequency.value * one.damping_ratio.value
         named = all(each.label or each.torsion for each in (one, other))
         label = _is_one(identification, one, other) if apart < width and not named else None
         if label is not None and (missing is None or label in {*missing, *faulty}):
-            return (
+            return _foreign(identification, one, other) or (
                 f"the resonances at {one.natural_frequency.value:.6g} and {other.natural_frequency.value:.6g} Hz are "
                 "within one width of each other, like a single mode that moved: the most probable cause is drift, also "
                 "between sets or by the mass of a sensor that is moved, or nonlinearity: "
                 f"{REMEDIES['drift']}, or {REMEDIES['nonlinearity']}"
             )
     return ""
+
+
+def _foreign(identification: Identification, one: IdentifiedMode, other: IdentifiedMode) -> str:
+    """Describe points that have only one of two close resonances, while the others have the other; else empty.
+
+    The shares of both change gradually over a beam that drifts, and once over one that was changed during the scan.
+    """
+    power = np.abs(np.stack([one.residue, other.residue])) ** 2
+    seen = power.sum(axis=0) > 0.01 * power.sum(axis=0).max()
+    share = power[1] / np.maximum(power.sum(axis=0), 1e-300)
+    second = share > 0.5
+    alone = np.abs(share - 0.5) > 0.4
+    if alone[seen].mean() < 0.9 or np.count_nonzero(np.diff(second[seen])) < 2:
+        return ""
+    few, these = (other, second) if 2 * second.sum() < second.size else (one, ~second)
+    named = ", ".join(str(identification.responses.places[point]) for point in np.flatnonzero(these & alone & seen))
+    return (
+        f"the responses at {named} have a resonance of their own at {few.natural_frequency.value:.6g} Hz, which the "
+        f"other points lack: {REMEDIES['a strange point']}"
+    )
 
 
 def _is_one(identification: Identification, one: IdentifiedMode, other: IdentifiedMode) -> int | None:
@@ -181,155 +204,6 @@ def check_all(identification: Identification) -> None:
         raise ValueError("\n".join([*(line for each in faults for line in each), *cause]))
 
 
-SPREAD = 0.1
-"""Relative tolerance of a factor between units that are often confused [1]."""
-
-FACTORS = {
-    9.80665: "an acceleration in g was taken for m/s^2, or the other way round, or a 10 : 1 probe for 1 : 1",
-    1e3: "a prefix, milli or kilo, was missed",
-}
-"""Factors between units that are often confused, and their meaning."""
-
-ROUGHLY = 1.0
-"""Relative tolerance of gains for a factor of a thousand [1]."""
-
-MOST_GAINS = 0.75
-"""Minimum fraction of the gains within the tolerance; labels at the end of the band may belong to other modes [1]."""
-
-
-AXES = {
-    2 * np.pi: "angular frequencies [rad/s] taken for frequencies [Hz]",
-    1e3: "a prefix, milli or kilo, was missed",
-}
-"""Factors between frequency units that are often confused, and their meaning."""
-
-
-MOVED, FASTER = 0.05, 2.5
-"""Relative change of a natural frequency, and factor of a gain, above which a warning is given [1]."""
-
-SCALE, EQUALLY = 1.25, 0.2
-"""Factor of all gains of a set above which a warning is given, and their median relative deviation from it below which
-the factor is that of a drive or a sensor, not of the beam [1]."""
-
-
-def check_gains(identification: Identification, apparatus: Apparatus, labels: Sequence[int] | None = None) -> list[str]:
-    """Refuse natural frequencies, or gains of one set or all, that differ from the listed ones by a factor of units.
-
-    Other large differences from the listed values may be real and are returned as warnings.
-
-    Parameters
-    ----------
-    identification : Identification
-        The modes found.
-    apparatus : Apparatus
-        The table of the same beam; nothing is checked if fewer than three of its values were found.
-    labels : sequence of int, optional
-        Modes to warn about; all if not given.
-
-    Returns
-    -------
-    list of str
-        Warnings, a sentence each.
-
-    Raises
-    ------
-    ValueError
-        If such a factor is found; the message states it and the units that were probably confused.
-    """
-    found, sets = identification.by_label, identification.responses.sets
-    listed = {
-        (name, mode.label): (own.gain[sets.index(name)].value * 1e3 / value, own.natural_frequency.value)
-        for mode in apparatus.modes
-        for own in [found.get(mode.label)]
-        for name, value in mode.gain_mm_s2_per_V.items()
-        if own is not None and own.gain and name in sets and value
-    }
-    ratios = {
-        mode.label: found[mode.label].natural_frequency.value / mode.natural_frequency_Hz
-        for mode in apparatus.modes
-        if mode.label in found
-    }
-    _refuse_axis([*ratios.values()], apparatus)
-    _refuse_exchanged(found, sets, apparatus)
-    for chosen in dict.fromkeys((sets, *((name,) for name in sets))):
-        _refuse_factor([each for (name, _), each in listed.items() if name in chosen], chosen, apparatus)
-    if len(ratios) < FEWEST_GAINS:
-        return []
-    shown = ratios if labels is None else labels
-    moved = {f"mode {label}": each for label, each in ratios.items() if label in shown and abs(each - 1) > MOVED}
-    other: dict[str, float] = {}
-    for name in sets:
-        own = {label: each for (by, label), (each, _) in listed.items() if by == name}
-        common = float(np.median([*own.values()])) if len(own) >= FEWEST_GAINS else 1.0
-        if not 1 / SCALE < common < SCALE and np.median(np.abs(np.array([*own.values()]) / common - 1)) < EQUALLY:
-            other[f"every mode by {name}"] = common
-            continue
-        far = {label: each for label, each in own.items() if label in shown and not 1 / FASTER < each < FASTER}
-        other |= {f"mode {label} by {name}": each for label, each in far.items()}
-    return [
-        f"{what}, times those listed: {', '.join(f'{each:.3g} for {name}' for name, each in far.items())}; check "
-        f"{remedy}, or give the file of this beam with --apparatus"
-        for what, far, remedy in (
-            ("natural frequencies", moved, "the sampling rate and the frequency axis"),
-            ("gains", other, "units, settings, signs and wiring of drive and sensor, and which set is which"),
-        )
-        if far
-    ]
-
-
-def _refuse_axis(ratios: Sequence[float], apparatus: Apparatus) -> None:
-    """Refuse ratios of natural frequencies to the listed ones that equal a factor between units."""
-    for factor, meaning in AXES.items():
-        for size in (factor, 1 / factor):
-            near = np.abs(np.array(ratios) / size - 1) < SPREAD
-            if len(ratios) >= FEWEST_GAINS and near.mean() >= MOST_GAINS:
-                raise ValueError(
-                    f"the natural frequencies are {np.median(ratios):.3g} times those of {apparatus.apparatus}: "
-                    f"{meaning}; check the frequencies or times in the files, or give the file of this beam with "
-                    "--apparatus"
-                )
-
-
-def _refuse_exchanged(found: Mapping[int, IdentifiedMode], sets: Sequence[str], apparatus: Apparatus) -> None:
-    """Refuse gains of the sets that are the listed ones of other sets."""
-    off = np.full((len(sets), len(sets)), np.nan)
-    for (row, _), (column, other) in itertools.product(enumerate(sets), enumerate(sets)):
-        known = [
-            (found[mode.label], mode.gain_mm_s2_per_V.get(other)) for mode in apparatus.modes if mode.label in found
-        ]
-        ratio = [own.gain[row].value * 1e3 / value for own, value in known if own.gain and value]
-        off[row, column] = np.median(np.abs(np.log(np.abs(ratio)))) if len(ratio) >= FEWEST_GAINS else np.nan
-    if len(sets) < 2 or np.isnan(off).any():
-        return
-    nearest, correct = off.argmin(axis=1), np.arange(len(sets))
-    if (nearest != correct).all() and (off[correct, nearest] < np.log(SCALE)).all():
-        pairs = " and ".join(f"{sets[other]} under the name {name}" for name, other in zip(sets, nearest, strict=True))
-        raise ValueError(f"the sets are exchanged: the files hold the gains of {pairs}; name each set after its wiring")
-
-
-def _refuse_factor(listed: Sequence[tuple[float, float]], sets: Sequence[str], apparatus: Apparatus) -> None:
-    """Refuse ratios of gains to the listed ones, each with its natural frequency, that equal a factor between units."""
-    if len(listed) < FEWEST_GAINS:
-        return
-    ratio, frequency = np.abs(np.array(listed)).T
-    for power, quantity in ((0, ""), (1, " times 2 pi f"), (-1, " over 2 pi f")):
-        each = ratio / (2 * np.pi * frequency) ** power
-        factor = float(np.median(each))
-        meaning, spread = "", SPREAD
-        if power and abs(factor - 1) < SPREAD:
-            meaning = "the motion is not the quantity given with --quantity"
-        for size, units in FACTORS.items():
-            # An approximately correct table suffices for a factor of a thousand.
-            wide = ROUGHLY if size > 1 / SPREAD**2 and not power else SPREAD
-            if abs(abs(np.log(factor)) - np.log(size)) < np.log1p(wide):
-                meaning, spread = units, wide
-        if meaning and (np.abs(np.log(each / factor)) < np.log1p(spread)).mean() >= MOST_GAINS:
-            raise ValueError(
-                f"the gains of {' and '.join(sets)} are {factor:.3g}{quantity} times those of {apparatus.apparatus}: "
-                f"{meaning}; check the units of the measurement, or give the file of this beam with --apparatus"
-            )
-
-
 def _faults(name: str, mode: IdentifiedMode) -> list[str]:
     lines = []
     if mode.coherence < LEAST_COHERENCE:
@@ -391,7 +265,10 @@ def _digit(identification: Identification) -> str:
         )
     by_point = left.sum(axis=(0, 2))
     if where and by_point.size >= FEWEST_PLACES and by_point.max() > OF_ALL * by_point.sum() > STRAY:
-        return f"most of the residual is at {responses.places[by_point.argmax()]}: {REMEDIES['a strange point']}"
+        point = int(by_point.argmax())
+        rest = np.moveaxis(responses.response[:, point] - identification.fitted[:, point], -1, 0)
+        cause = "a strange point" if neighbouring(rest).sum() > SMOOTH * (np.abs(rest) ** 2).sum() else "a noisy point"
+        return f"most of the residual is at {responses.places[point]}: {REMEDIES[cause]}"
     return ""
 
 
