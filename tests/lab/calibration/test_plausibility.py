@@ -57,6 +57,18 @@ def humming(size: float) -> Callable[[Recording], Recording]:
     return change
 
 
+def whistling(size: float, *, locked: bool) -> Callable[[Recording], Recording]:
+    """Return what adds a tone of 13.7 kHz to the velocity, of one phase in all records or of another in each [m/s]."""
+    rng = np.random.default_rng(0)
+
+    def change(recording: Recording) -> Recording:
+        phase = 0.0 if locked else 2 * np.pi * rng.random((len(recording.velocity), 1))
+        tone = size * np.cos(2 * np.pi * 13.7e3 * recording.time + phase)
+        return replace(recording, velocity=recording.velocity + tone)
+
+    return change
+
+
 def inverted_at(place: float) -> Callable[[Recording], Recording]:
     """Return what turns the velocity at one place."""
 
@@ -80,6 +92,15 @@ def inverted_at(place: float) -> Callable[[Recording], Recording]:
         (humming(1e-4), r"holds a tone near 5\d Hz that does not decay .* mains hum"),
         (humming(2e-2), r"differs from burst to burst; the outputs are off; it has mains hum"),
         (
+            whistling(1e-3, locked=True),
+            r"holds a tone near 1370\d Hz that does not decay .* a disturbance, such as a f",
+        ),
+        (
+            whistling(2e-2, locked=True),
+            r"holds a tone near 1370\d Hz that does not decay .* a disturbance, such as a f",
+        ),
+        (whistling(3e-2, locked=False), r"holds a tone near 13\d\d\d Hz, which differs from burst .* a disturbance"),
+        (
             inverted_at(-0.002),
             r"at -2 mm the modes move -\d\.\d\d times as fast as the other points predict: .* its sign",
         ),
@@ -95,6 +116,9 @@ def inverted_at(place: float) -> Callable[[Recording], Recording]:
         "somewhat wrong sensitivity",
         "hum",
         "strong hum",
+        "tone in step with the bursts",
+        "strong tone in step",
+        "tone",
         "a point inverted",
         "exchanged probes",
         "wrong probe",

@@ -41,11 +41,11 @@ from modaltouch.lab.calibration.plausibility import (
     refuse_changing_beam,
     refuse_common_factor,
     refuse_disproportion,
-    refuse_hum,
     refuse_implausible_drive,
     refuse_implausible_plant,
     refuse_odd_point,
     refuse_saturation,
+    refuse_tones,
 )
 from modaltouch.lab.laboratory import SILENT_PROGRESS, SIMULATED, Laboratory, MeasurementProgress, open_laboratory
 from modaltouch.lab.recorded_files import RecordedFiles
@@ -338,7 +338,7 @@ class CalibrationLoop:
             rows.append(decay)
         since = time / (1 + drive.clock) - timing.focusing_instant
         decays = find_poles(since, np.concatenate(rows), listed.model.exponent)
-        refuse_hum(decays, listed.model.n_modes, float(np.ptp(since)))
+        refuse_tones(decays, listed.model.n_modes, float(np.ptp(since)))
         refuse_changing_beam([fit_residues(since, each, decays.pole) for each in rows], self._shapes)
         corner = knobs.vibrometer_bandwidth_kHz
         plant = identify_plant(

@@ -119,15 +119,21 @@ HUM = (
 )
 
 
-def refuse_hum(decay: Decay, n_listed: int, length: float) -> None:
-    """Refuse records of a given length [s] that contain a low-frequency tone which does not decay after the burst."""
+DISTURBANCE = (
+    "a disturbance, such as a fan, a switching power supply or another vibrometer: find it, switch it off, and "
+    "calibrate again"
+)
+
+
+def refuse_tones(decay: Decay, n_listed: int, length: float) -> None:
+    """Refuse records of a given length [s] that contain a tone which does not decay after the burst."""
     for pole in decay.pole[n_listed:]:
         frequency = abs(pole.imag) / (2 * np.pi)
         # Over a record the slowest mode decays by 1.2 time constants.
-        if frequency < 500 and -pole.real * length < 0.1:
+        if -pole.real * length < 0.1:
             raise RigError(
                 f"the velocity holds a tone near {frequency:.0f} Hz that does not decay after the burst; the outputs "
-                f"are off; it is {HUM}"
+                f"are off; it is {HUM if frequency < 500 else DISTURBANCE}"
             )
 
 
@@ -234,6 +240,9 @@ def refuse_implausible_velocity(recording: Recording) -> None:
     where = f"at {recording.position * 1e3:g} mm"
     if steady < LEAST_COHERENCE and _hums(off, recording.time):
         raise RigError(f"{where} the velocity differs from burst to burst; the outputs are off; it has {HUM}")
+    if steady < LEAST_COHERENCE and (tone := _tone(off, recording.sampling_rate)):
+        words = f"the velocity holds a tone near {tone:.0f} Hz, which differs from burst to burst"
+        raise RigError(f"{where} {words}; the outputs are off; it is {DISTURBANCE}")
     if noise > 0 and far > MOST_FAR_OFF:
         raise RigError(
             f"{where} the velocity has gaps or shocks: {far:.3%} of its samples are more than {FAR_OFF:g} standard "
@@ -251,6 +260,13 @@ def _hums(off: FloatArray, time: FloatArray) -> bool:
     turns = 2j * np.pi * np.outer(time, np.arange(1, 6))
     bases = (np.linalg.qr(np.exp(mains * turns).view(float))[0] for mains in (50, 60))
     return any(np.sum((off @ basis) ** 2) > 0.5 * np.sum(off**2) for basis in bases)
+
+
+def _tone(off: FloatArray, sampling_rate: float) -> float:
+    """Return the frequency [Hz] that dominates the differences between records; 0 if none does."""
+    power = (np.abs(np.fft.rfft(off * np.hanning(off.shape[1]), axis=1)) ** 2).sum(axis=0)
+    at = int(power.argmax())
+    return at * sampling_rate / off.shape[1] if power[max(at - 2, 0) : at + 3].sum() > 0.5 * power.sum() else 0.0
 
 
 def refuse_saturation(predicted: FloatArray, measured: FloatArray) -> None:

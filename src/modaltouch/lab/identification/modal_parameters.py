@@ -56,10 +56,10 @@ class Estimate:
 
 REMEDIES = {
     "noise": "average more, or drive harder",
-    "nonlinearity": "drive at half the voltage, and compare; if nothing changes, check the sensor's filters, and the "
-    "window and the trigger of the records",
+    "nonlinearity": "drive at half the voltage, and compare; if nothing changes, check the filters of sensor and "
+    "analyser (one that is not listed, or none against aliasing), and the window and the trigger of the records",
     "drift": "let the beam warm up, and scan again",
-    "a missing mode": "measure with finer bins or at more points, or leave that band out",
+    "a missing mode": "measure with a filter against aliasing, finer bins or more points, or leave that band out",
     "nonlinearity or a missing mode": "drive at half the voltage, and compare, or measure with finer bins",
     "a strange point": "check that it is of the same beam, its trigger and the sign of its phase; measure it again, or "
     "leave it out with --leave-out",
