@@ -110,3 +110,94 @@ def test_a_response_of_zeros_is_named_by_its_place(tmp_path: Path) -> None:
     np.savez(tmp_path / "a.npz", response=response, positions=np.linspace(-0.04, 0.03, 8), **arrays)
     with pytest.raises(ValueError, match="a.npz: the response to side at -10 mm is zero throughout; measure it again"):
         read_responses([tmp_path / "a.npz"])
+
+
+def responses(**changes: object) -> dict[str, object]:
+    """Return the arrays of a file of responses of noise, or what is changed in them."""
+    response = np.random.default_rng(1).standard_normal((2, 8, 400)) + 1j
+    places = {"positions": np.linspace(-0.04, 0.03, 8), "sets": ["centre", "side"], "quantity": "velocity"}
+    return {"frequency": np.arange(400.0), "response": response, **places, **changes}
+
+
+@pytest.mark.parametrize(
+    ("where", "source", "said"),
+    [
+        (
+            np.s_[0, 2],
+            np.s_[0, 3],
+            "a.npz: the responses to centre at -20 mm and centre at -10 mm are identical: one is a copy",
+        ),
+        (
+            np.s_[1],
+            np.s_[0],
+            "a.npz: the responses to centre at -40 mm and side at -40 mm are identical: one is a copy",
+        ),
+        (np.s_[:, 3, 100:150], np.s_[:, 3, 100:101], "centre at -10 mm has the same value at 50 frequencies in a row"),
+        (
+            np.s_[..., 5::5],
+            None,
+            "to centre at -40 mm is zero at 79 of 399 frequencies; measure it again, or export it",
+        ),
+    ],
+    ids=["a point copied", "a set copied", "a value held", "gaps filled with zeros"],
+)
+def test_values_that_were_not_measured_are_refused(tmp_path: Path, where: object, source: object, said: str) -> None:
+    """Noise never repeats and is never exactly zero; the first two passed without a word."""
+    arrays = responses()
+    response = np.asarray(arrays["response"])
+    response[where] = 0 if source is None else response[source].copy()
+    np.savez(tmp_path / "a.npz", **arrays)
+    with pytest.raises(ValueError, match=said):
+        read_responses([tmp_path / "a.npz"])
+
+
+def test_a_file_given_twice_is_no_repeat(tmp_path: Path) -> None:
+    """Its scatter is zero, and would be stated as that of two measurements."""
+    for name in ("a.npz", "b.npz"):
+        np.savez(tmp_path / name, **responses())
+    with pytest.raises(ValueError, match="two measurements are identical: the same one was given twice"):
+        read_responses([tmp_path / "a.npz", tmp_path / "b.npz"])
+
+
+def test_directions_of_a_universal_file_are_signs(tmp_path: Path) -> None:
+    """A sensor that points along -Z, code -3 of data set 58: what it measures has the other sign."""
+    values = np.random.default_rng(1).standard_normal((2, 40)) + 1j
+    common = {"type": 58, "func_type": 4, "ref_node": 1, "x": np.arange(40.0), "ordinate_spec_data_type": 11}
+    nodes = {"type": 15, "node_nums": [1, 2], "x": [0.0, 0.1], "y": [0.0, 0.0], "z": [0.0, 0.0]}
+    sets = [nodes, *({**common, "rsp_node": n + 1, "rsp_dir": 3 - 6 * n, "data": values[n]} for n in range(2))]
+    (tmp_path / "a.uff").write_text("")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("modaltouch.lab.identification.files._read_sets", lambda path: sets)
+        read = read_responses([tmp_path / "a.uff"])
+        assert read.response[0] == pytest.approx(np.array([[1], [-1]]) * values[:, 1:])
+        sets[1]["orddenom_spec_data_type"] = 12
+        with pytest.raises(ValueError, match="a.uff: it contains ratios of two motions; export responses to the exc"):
+            read_responses([tmp_path / "a.uff"])
+
+
+def test_columns_of_times_in_a_labview_file_are_no_channels(tmp_path: Path) -> None:
+    """`X_Columns Multi` has a column of times before each channel: the second one was read as the excitation."""
+    path, rows = tmp_path / "a.lvm", [f"{motion:.6g}\t{drive:.6g}" for drive, motion in zip(*blow(200), strict=True)]
+    path.write_text(HEAD + "\n".join(f"\t{row}" for row in rows))
+    expected = read_responses([path]).response
+    multi = HEAD.replace("***End", "X_Columns\tMulti\n***End", 1)
+    path.write_text(
+        multi + "\n".join(f"{n / RATE}\t" + row.replace("\t", f"\t{n / RATE}\t") for n, row in enumerate(rows))
+    )
+    assert read_responses([path]).response == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (("Delta_X\t5E-5\t5E-5", "Delta_X\t5E-5\t1E-4"), "motion and excitation differ in time step or start"),
+        (("Delta_X", "X0\t0\t1E-3\nDelta_X"), "motion and excitation differ in time step or start"),
+        (("Delta_X", "Samples\t9000\t9000\nDelta_X"), "a record has 4000 of 9000 samples: the file was cut off"),
+    ],
+)
+def test_a_labview_file_must_hold_what_its_header_says(tmp_path: Path, change: tuple[str, str], said: str) -> None:
+    """Channels of other times, and a file that was cut off in the decay."""
+    rows = [f"\t{motion:.6g}\t{drive:.6g}" for drive, motion in zip(*blow(200), strict=True)]
+    (tmp_path / "a.lvm").write_text(HEAD.replace(*change) + "\n".join(rows))
+    with pytest.raises(ValueError, match=f"a.lvm: {said}"):
+        read_responses([tmp_path / "a.lvm"])

@@ -23,9 +23,10 @@ from modaltouch.lab.identification.responses import (
     Quantity,
     ResponseFormat,
     as_velocity,
+    refuse_faulty_values,
     turns,
 )
-from modaltouch.lab.identification.time_records import TimeRecord, part_of, read_lvm
+from modaltouch.lab.identification.time_records import TimeRecord, part_of, read_lvm, step_of
 
 _FUNCTION, _TIME, _RESPONSE = 58, 1, 4
 _NODES = (15, 2411)
@@ -53,10 +54,10 @@ def _read_universal(path: Path, how: ResponseFormat) -> Part:
     responses = [each for each in functions if each["func_type"] == _RESPONSE]
     moved = responses or [each for each in functions if _kind(each) in _QUANTITIES]
     places, size = _places(sets, moved), _size(sets)
-    directions = {int(each["rsp_dir"]) for each in moved}
+    directions = {abs(int(each["rsp_dir"])) for each in moved}
 
     def name(function: dict[str, Any], reference: float) -> Key:
-        node, direction = int(function["rsp_node"]), int(function["rsp_dir"])
+        node, direction = int(function["rsp_node"]), abs(int(function["rsp_dir"]))
         # A single word, as are the names of actuator sets in an apparatus file.
         label = f"reference_{int(reference)}" + (f"_node_{node}" if node not in places else "")
         return label + (f"_direction_{direction}" if len(directions) > 1 else ""), places.get(node)
@@ -74,8 +75,10 @@ def _read_universal(path: Path, how: ResponseFormat) -> Part:
             if x.shape != frequency.shape or not np.allclose(x, frequency):
                 raise ValueError(f"{path}: its responses have different frequencies; export them on the same axis")
         keys = [name(each, each["ref_node"]) for each in responses]
-        values = [np.asarray(np.asarray(each["data"], dtype=complex) / size, dtype=complex) for each in responses]
-        return Part(frequency, [MeasuredResponse(key, each) for key, each in zip(keys, values, strict=True)], quantity)
+        if any(int(each.get("orddenom_spec_data_type", 0)) in _QUANTITIES for each in responses):
+            raise ValueError(f"{path}: it contains ratios of two motions; export responses to the excitation")
+        values = [np.asarray(each["data"], dtype=np.complex128) * (_sign(each) / size) for each in responses]
+        return Part(frequency, list(map(MeasuredResponse, keys, values)), quantity)
     records = []
     drive = next((each for each in functions if _kind(each) not in _QUANTITIES), None)
     for each in functions:
@@ -85,13 +88,19 @@ def _read_universal(path: Path, how: ResponseFormat) -> Part:
             # Each motion belongs to the preceding excitation.
             step = float(each["x"][1] - each["x"][0])
             key = name(each, drive["rsp_node"])
-            records.append(TimeRecord(key, np.real(drive["data"]), np.real(each["data"]) / size, step))
+            motion = np.real(each["data"]) * (_sign(each) / size)
+            records.append(TimeRecord(key, np.real(drive["data"]) * _sign(drive), motion, step))
     if not records:
         raise ValueError(
             f"{path}: its time records are not one excitation followed by motions; mark each by the data type of its "
             "ordinate (8 displacement, 11 velocity, 12 acceleration, 13 force)"
         )
     return part_of(path, records, quantity, how)
+
+
+def _sign(function: dict[str, Any]) -> float:
+    """Return -1 if only one of response and reference points against its axis, else 1."""
+    return -1.0 if (float(function["rsp_dir"]) < 0) != (float(function.get("ref_dir", 0)) < 0) else 1.0
 
 
 def _kind(function: dict[str, Any]) -> int:
@@ -256,10 +265,7 @@ def _assemble(
     usable = frequency > 0
     for (name, place), values in response.items():
         which = f"{path}: the response to {name}" + ("" if place is None else f" at {place}")
-        if not np.isfinite([*values[usable], *(place or ())]).all():
-            raise ValueError(f"{which} contains a value that is not finite; measure it again")
-        if not values[usable].any():
-            raise ValueError(f"{which} is zero throughout; measure it again")
+        refuse_faulty_values(which, values[usable], place)
         certainty = coherence[name, place]
         # An excess of a thousandth is rounding.
         if certainty is not None and not ((certainty >= 0) & (certainty <= 1.001))[usable].all():
@@ -276,6 +282,11 @@ def _assemble(
             f"{path}: {name} has no response at {place}, but another excitation has; give every excitation at every "
             "position"
         )
+    own = {values.tobytes(): key for key, values in response.items()}
+    for key, values in response.items():
+        if (other := own[values.tobytes()]) != key:
+            named = " and ".join(f"{name} at {place or 'one point'}" for name, place in (key, other))
+            raise ValueError(f"{path}: the responses to {named} are identical: one is a copy of the other")
     keys = [[(name, place) for place in places] for name in sets] if whole else [[key] for key in response]
     certain = [[coherence[key] for key in row] for row in keys]
     known = n_averages > 1 and all(each is not None for row in certain for each in row)
@@ -375,7 +386,7 @@ def _read_csv(path: Path, how: ResponseFormat) -> Part:
         what = "times" if needed is TIME_COLUMNS else "frequencies"
         raise ValueError(f"{path}: the set {odd[0]} at {odd[1]} does not have the {what} of the first response")
     if needed is TIME_COLUMNS:
-        step = _step(path, first)
+        step = step_of(path, first)
         return part_of(path, [TimeRecord(key, n.real, n.imag, step) for key, _, n, _ in repeats], None, how)
     known = "coherence" in header
     return Part(first, [MeasuredResponse(key, n, certain if known else None) for key, _, n, certain in repeats], None)
@@ -416,22 +427,10 @@ def _read_npz(path: Path, how: ResponseFormat) -> Part:
         for point, place in enumerate(places)
     ]
     if over_time:
-        step = _step(path, axis)
+        step = step_of(path, axis)
         return part_of(path, [TimeRecord(key, n.real, n.imag, step) for key, n, _ in found], quantity, how)
     known = "coherence" in arrays
     return Part(axis, [MeasuredResponse(key, n, certain if known else None) for key, n, certain in found], quantity)
-
-
-def _step(path: Path, time: FloatArray) -> float:
-    """Return the sampling interval; each time may be rounded by less than half of it."""
-    step = float(time[-1] - time[0]) / max(time.size - 1, 1)
-    off = np.abs(time - time[0] - step * np.arange(time.size)).max()
-    if time.size > 1 and not off < step / 2:
-        raise ValueError(
-            f"{path}: its times are not evenly spaced and increasing: samples are missing, or the time has too few "
-            "digits; export them evenly spaced, with more digits"
-        )
-    return step
 
 
 def _read_text(path: Path, how: ResponseFormat) -> Part:

@@ -51,10 +51,8 @@ def check_gains(identification: Identification, apparatus: Apparatus, labels: Se
 
     Parameters
     ----------
-    identification : Identification
-        The modes found.
-    apparatus : Apparatus
-        The table of the same beam; nothing is checked if fewer than three of its values were found.
+    identification, apparatus
+        The modes found, and the table of the same beam; fewer than three values in common are not checked.
     labels : sequence of int, optional
         Modes to warn about; all if not given.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -158,6 +159,8 @@ class FrequencyResponses:
         power = (np.abs(each) ** 2).sum(axis=(1, 2, 3))
         shared = (np.conj(each[0]) * each).sum(axis=(1, 2, 3))
         factor, likeness = shared.real / power[0], np.abs(shared) ** 2 / (power[0] * power)
+        if any(np.array_equal(one, other) for one, other in itertools.combinations(each, 2)):
+            raise ValueError("two measurements are identical: the same one was given twice; give each once")
         odd = (likeness < LIKE_THE_FIRST) | (np.abs(factor - 1) > 1 - LIKE_THE_FIRST)
         if odd.any():
             number = int(odd.argmax())
@@ -291,6 +294,23 @@ class FrequencyResponses:
             coherence=coherence,
             repeats=tuple(each.between(lowest, highest) for each in self.repeats),
         )
+
+
+LONGEST_RUN = 16
+"""Maximum number of equal values in a row in a measured response."""
+
+
+def refuse_faulty_values(which: str, values: ComplexArray, place: Place | None) -> None:
+    """Refuse values of a response that are not finite, zero, or held over many bins, or a place that is not finite."""
+    if not np.isfinite([*values, *(place or ())]).all():
+        raise ValueError(f"{which} contains a value that is not finite; measure it again")
+    n_zeros = int((values == 0).sum())
+    if n_zeros:
+        often = "throughout" if n_zeros == values.size else f"at {n_zeros} of {values.size} frequencies"
+        raise ValueError(f"{which} is zero {often}; measure it again, or export it with more digits")
+    run = int(np.diff(np.flatnonzero(np.append(True, np.append(np.diff(values) != 0, True)))).max())
+    if run > LONGEST_RUN:
+        raise ValueError(f"{which} has the same value at {run} frequencies in a row; export it again")
 
 
 def _running_median(values: FloatArray, width: int) -> FloatArray:

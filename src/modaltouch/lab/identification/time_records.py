@@ -94,16 +94,22 @@ def read_lvm(path: Path, how: ResponseFormat) -> Part:
 
     quantity, size = UNITS[units[motion[0]]]
     try:
-        step = number(fields["Delta_X"][motion[0]])
+        step, other = (number(fields["Delta_X"][index]) for index in (motion[0], drive[0]))
+        start = [number(fields["X0"][index]) if "X0" in fields else 0.0 for index in (motion[0], drive[0])]
+        n_samples = [int(cell) for cell in fields.get("Samples", ())[: len(units)] if cell.strip()]
     except (KeyError, IndexError, ValueError):
-        step = 0.0
+        step = other = 0.0
     if not step > 0:
-        raise ValueError(f"{path}: its header gives no time step (Delta_X) of the motion; export it again")
+        raise ValueError(f"{path}: its header gives no time step (Delta_X) of both channels; export it again")
+    if step != other or abs(start[0] - start[1]) > step / 100:
+        raise ValueError(f"{path}: motion and excitation differ in time step or start (Delta_X, X0); export them alike")
+    # With `Multi`, each channel has its own column of times.
+    every = 2 if fields.get("X_Columns", [""])[0].strip() == "Multi" else 1
     records, first_line = [], head.count("\n") + 1
     for piece in pieces[n_heads:]:
         rows: list[list[float]] = []
         for line, cells in enumerate((row.split("\t") for row in piece.splitlines()), start=first_line):
-            wanted = [cell for cell in cells[1 : len(units) + 1] if cell.strip()]
+            wanted = [cell for cell in cells[1::every][: len(units)] if cell.strip()]
             heading = not wanted or cells[0][:1].isalpha() or cells[0].startswith("*")
             if heading or (not rows and (len(wanted) != len(units) or wanted[0][:1].isalpha())):
                 continue
@@ -114,6 +120,9 @@ def read_lvm(path: Path, how: ResponseFormat) -> Part:
                 raise ValueError(f"{path}:{line}: {wanted} are not numbers of all {len(units)} channels") from None
         first_line += piece.count("\n")
         record = np.array(rows).T if rows else np.zeros((len(units), 0))
+        if n_samples and record.shape[1] < max(n_samples):
+            held = f"{record.shape[1]} of {max(n_samples)} samples"
+            raise ValueError(f"{path}: a record has {held}: the file was cut off; export or copy it again")
         driven = record[drive[0]] * DRIVES[units[drive[0]].casefold()]
         records.append(TimeRecord((units[drive[0]], None), driven, record[motion[0]] * size, step))
     return part_of(path, records, quantity, how)
@@ -309,3 +318,15 @@ def transfer(motion: FloatArray, drive: FloatArray, step: float) -> tuple[FloatA
     weak = np.flatnonzero(level < 0.05 * level.max())
     end = int(weak[weak > level.argmax()][0]) if (weak > level.argmax()).any() else frequency.size
     return np.asarray(frequency[:end], dtype=float), np.asarray(np.fft.rfft(motion)[:end] / spectrum[:end])
+
+
+def step_of(path: Path, time: FloatArray) -> float:
+    """Return the sampling interval; each time may be rounded by less than half of it."""
+    step = float(time[-1] - time[0]) / max(time.size - 1, 1)
+    off = np.abs(time - time[0] - step * np.arange(time.size)).max()
+    if time.size > 1 and not off < step / 2:
+        raise ValueError(
+            f"{path}: its times are not evenly spaced and increasing: samples are missing, or the time has too few "
+            "digits; export them evenly spaced, with more digits"
+        )
+    return step
