@@ -82,11 +82,6 @@ class Run:
         return {name: getattr(self, name) for name in names if getattr(self, name)}
 
     @property
-    def name(self) -> str:
-        """Participant, session and kind in words."""
-        return f"{self.participant}, session {self.session}, {self.kind}"
-
-    @property
     def n_reversals(self) -> int:
         """Number of reversals of the track."""
         turns = np.sign(np.diff(self.levels))
