@@ -84,6 +84,30 @@ def compared() -> pd.DataFrame:
     return frame.assign(response=response, sure=sure.astype(int), group=group)
 
 
+@pytest.mark.parametrize("levels", [(60, 70, 75, 90, 105), (60, 70, 79, 80.5, 105)])
+def test_answers_that_change_at_once_show_no_shift_of_equality(levels) -> None:
+    """All eight right at each level: any PSE from 75 to 90 fits, whose middle, 82.2 by dB, is not the standard."""
+    frame = presented(levels, 8, 2)
+    first = (frame["velocity_mm_s"] > 80) == (frame["interval"] == 1)
+    findings, values = found(take(frame.assign(response=np.where(first, "first", "second")), TWO))
+    equal = findings["PSE over participants", "one_hand A-C"]
+    assert (equal.p, equal.p_min, equal.estimate) == (1, 1, pytest.approx(80))
+    assert equal.low < 80 < equal.high
+    assert set(values["PSE"].values()) == {80.0}
+    assert f"any PSE between {levels[2]:g} and {levels[3]:g} mm/s fits: taken as the standard" in equal.note
+
+
+def test_equal_magnitudes_of_all_have_no_interval() -> None:
+    """Everybody always says 5: nothing is known of others, nor of the deviation from a power law."""
+    frame = presented((5.0, 10.0, 20.0), 2).assign(response="rated", value=5.0)
+    findings, _ = found(take(frame, {"answers": {"scale": {"kind": "number"}}}))
+    mean, exponent = (findings[f"{name} over participants", scope] for name, scope in (
+        ("magnitude", "one_hand A-C 5 mm/s"), ("exponent of magnitude", "one_hand A-C")))  # fmt: skip
+    assert (mean.low, mean.high) == (0, math.inf) and mean.estimate == pytest.approx(5)
+    assert (exponent.estimate, exponent.low, exponent.high, exponent.p) == (0, -math.inf, math.inf, 1)
+    assert "every participant has the same value" in mean.note
+
+
 def test_points_of_equality_and_differences_are_those_of_the_observers(compared) -> None:
     """Known: 84 mm/s and 0.6745 of 2 dB; the mean is not the standard of 80 mm/s, which all are above or near."""
     findings, values = found(take(compared, TWO))

@@ -157,7 +157,8 @@ def centre_interval(seconds: FloatArray) -> Interval:
         kept = bisect_right(centres, 1 - CONFIDENCE, key=lambda centre: sign_flip_test(values - centre).p)
         return centres.start + kept
 
-    return Interval(float(seconds.mean()), lowest(values) / 1000, -lowest(-values) / 1000, values.size)
+    mean = float(seconds.mean())
+    return Interval(mean, min(lowest(values) / 1000, mean), max(-lowest(-values) / 1000, mean), values.size)
 
 
 def student_quantile(degrees: int) -> float:

@@ -150,10 +150,12 @@ def over_participants(measure: Measure, own: Sequence[IndividualValue]) -> Locat
         interval = replace(interval, low=-math.inf)
     if all(open_high) or (all(open_low) and any(open_high)):
         interval = replace(interval, high=math.inf)
-    ends = [(each.interval.low, each.interval.high) for each in own if math.isfinite(each.interval.estimate)]
-    if not (np.ptp(values) or measure.is_ratio or np.isnan(ends).any()):
+    if np.ptp(values) < 1e-9 and not measure.ends:
         # Equal values, as at the ceiling: what is known of their mean is what is known of each.
-        lows, highs = zip(*ends, strict=True)
+        ends = np.array([(each.interval.low, each.interval.high) for each in own if math.isfinite(linear(each))])
+        with np.errstate(divide="ignore"):
+            ends = np.log(ends) if measure.is_ratio else ends
+        lows, highs = np.where(np.isnan(ends), (-math.inf, math.inf), ends).T
         interval = replace(interval, low=min(interval.low, *lows), high=max(interval.high, *highs))
     in_place = np.array([each.tested for each in own if each.tested is not None], dtype=float)
     if in_place.size:
@@ -187,6 +189,7 @@ def mean_findings(values: Sequence[IndividualValue], scale: LevelScale, groups: 
             f"participants without a value, left out: {left_out}" if left_out else "",
             f"participants whose own interval is open on one side: {n_open}" if n_open else "",
             "" if tested else "described, not tested",
+            "every participant has the same value" if len({each.interval.estimate for each in own}) == 1 < n else "",
             "the rates reject zero, which the interval holds"
             if own[0].tested is not None and test.p <= ALPHA and interval.low <= 0 <= interval.high
             else "",

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from statistics import NormalDist
 
 import numpy as np
@@ -427,8 +427,13 @@ def measures_of_fits(fits: tuple[FittedCell, ...], task: TrialTask, scale: Level
     jnd = Measure("JND", "just noticeable difference [dB]", "function")
     for each in fits:
         fitted, n = each.fitted, each.fitted.n_trials
-        value = _interval(fitted.threshold, lambda level: 10 ** (level / 20))
-        yield IndividualValue(equal if each.is_choice else threshold, *each.cell, value, n, fitted.why_not)
+        value, note = _interval(fitted.threshold, lambda level: 10 ** (level / 20)), fitted.why_not
+        never, always = each.levels[each.shares == 0], each.levels[each.shares == 1]
+        is_step = fitted.threshold is not None and len(never) + len(always) == len(each.levels)
+        if each.is_choice and is_step and never.max() < task.standard < always.min():
+            value = replace(value, estimate=task.standard)
+            note = f"any PSE between {never.max():g} and {always.min():g} {scale.unit} fits: taken as the standard"
+        yield IndividualValue(equal if each.is_choice else threshold, *each.cell, value, n, note)
         if each.is_choice:
             yield IndividualValue(
                 jnd,

@@ -167,6 +167,8 @@ def correct(frame: pd.DataFrame, task: TrialTask, scale: LevelScale) -> pd.Serie
 def power_law(levels: ArrayLike, magnitudes: ArrayLike) -> Interval:
     """Fit the power law of magnitude over level by log-log least squares, and return its exponent with the t interval.
 
+    Without any deviation from the power law, there is no interval.
+
     Parameters
     ----------
     levels, magnitudes : (n,) arrays
@@ -179,9 +181,9 @@ def power_law(levels: ArrayLike, magnitudes: ArrayLike) -> Interval:
     x, y = np.log(np.asarray(levels, dtype=float)), np.log(np.asarray(magnitudes, dtype=float))
     spread = ((x - x.mean()) ** 2).sum()
     slope = float(((x - x.mean()) * (y - y.mean())).sum() / spread)
-    if len(x) < 3:
-        return Interval.point(slope, len(x))
     residual = y - y.mean() - slope * (x - x.mean())
+    if len(x) < 3 or np.abs(residual).max() < 1e-12:
+        return Interval.point(slope, len(x))
     half = student_quantile(len(x) - 2) * math.sqrt(float((residual**2).sum()) / (len(x) - 2) / spread)
     return Interval(slope, slope - half, slope + half, len(x))
 
