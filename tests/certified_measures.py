@@ -1,8 +1,9 @@
 """Certificates of what is told of each participant: d', thresholds, exponents and ratings, and of their means.
 
 People are drawn from a population and answer by the very model that is fitted; what is told of one is a row by itself.
-A mean is certified by experiments that draw participants from 2,000 such people: against their true mean, and "as
-estimated" against the mean of the estimates from as many trials over all of them, including its bias.
+A mean is certified by experiments that draw participants from 2,000 such people (500 of those who are fitted twice):
+against their true mean, and "as estimated" against the mean of the estimates from as many trials over all of them,
+including its bias.
 """
 
 from __future__ import annotations
@@ -37,6 +38,9 @@ MANY = "its likelihood ratio follows the chi-squared distribution only for large
 RUNS = "there are few trials, at levels that depend on earlier answers"
 BIASED = "thresholds from few trials are biased, and participants without a threshold are left out"
 SHRUNK = "the correction that keeps every d' and criterion finite biases their differences towards zero"
+KEPT_FINITE = "the correction that keeps every d' finite biases it"
+NEVER_BELOW = "of the odd one of three, d' is never below 0, which biases small ones upwards"
+FITTED_FEW = "estimates from few trials are biased, those who have none are left out, and 500 people stand for all"
 SKEWED = "a few participants may use much larger numbers, which sign flips take for symmetric"
 REASONS = {
     "threshold of one": MANY, "PSE of one": MANY, "JND of one": MANY,
@@ -47,6 +51,14 @@ REASONS = {
     "mean d'": "the correction that keeps every d' finite biases it towards zero, more so with fewer trials",
     "mean criterion": "the correction that keeps every criterion finite biases it towards zero",
     "mean d' compared": SHRUNK, "mean criterion compared": SHRUNK,
+    "mean threshold compared": FITTED_FEW, "mean PSE compared": FITTED_FEW, "mean JND compared": FITTED_FEW,
+    "mean of runs compared, forced choice": FITTED_FEW, "mean of runs compared, felt": FITTED_FEW,
+    "mean detection threshold": FITTED_FEW, "mean detection threshold compared": FITTED_FEW,
+    "mean d', same and different": KEPT_FINITE, "mean d' compared, same and different": SHRUNK,
+    "mean differencing criterion compared": SHRUNK,
+    "mean d', of three": KEPT_FINITE, "mean d' compared, of three": SHRUNK,
+    "mean d', odd of three": NEVER_BELOW, "mean d' compared, odd of three": NEVER_BELOW,
+    "mean rating without ends": "a few participants may rate much higher, which sign flips take for symmetric",
     "mean magnitude": SKEWED, "mean magnitude, as estimated": SKEWED,
     "exponent of one": "participants round their numbers, so the residuals are not normal",
 }  # fmt: skip
@@ -113,6 +125,7 @@ def errors_of_measures(number: int, participants: int, n: int) -> Errors:
     yield from _of_differences(task, np.random.default_rng([1915, number]), (n, participants))
     yield from _of_alternatives(task, np.random.default_rng([1918, number]), (n, participants))
     yield from _of_ratings(task, np.random.default_rng([1916, number]), (n, participants))
+    yield from _of_gaps_compared(task, np.random.default_rng([1919, number]), (n, participants))
     yield from _of_groups_together(task, np.random.default_rng([1917, number]), (n, participants))
 
 
@@ -301,24 +314,35 @@ def _stacked(each: Iterable[Interval]) -> Interval:
 
 
 def _of_ratings(task: Task, rng: np.random.Generator, shape: tuple[int, int]) -> Errors:
-    """Yield mean ratings: on a scale from 1 to 7, of numbers without ends, and when correct minus when not.
-
-    A fifth of the people rate much higher, to the end of the scale; confidence is higher when correct in most people.
-    """
-    chance, often = rng.uniform(0.6, 0.9, shape[0]), task.signals
-    felt = rng.normal(-0.5, 1, shape[0]) + 3 * (rng.random(shape[0]) < 0.2)
-    is_right = rng.random((shape[0], often)) < chance[:, None]
-    latent = felt[:, None] + rng.normal(0.3, 0.3, (shape[0], 1)) * is_right + rng.normal(size=is_right.shape)
-    rated = np.clip(np.rint(3 + latent), 1, 7)
+    """Yield mean ratings: on a scale from 1 to 7, of numbers without ends, and when correct minus when not."""
+    rated, gaps = _rated(task, rng, shape[0])
     known = rated[:, :4].mean(axis=1)
     drawn = known[rng.integers(shape[0], size=shape)]
     tests = (BoundedMean(drawn[k : k + 500], 1.0, 7.0).test(known.mean()).p for k in range(0, len(drawn), 500))
     yield "mean rating", np.concatenate(list(tests)) <= ALPHA / TIES
     yield from islice(_of_mean("rating without ends", rng, known, known, shape, 0.25), 1)
-    n = is_right.sum(axis=1)
-    with np.errstate(invalid="ignore"):
-        gaps = (rated * is_right).sum(axis=1) / n - (rated * ~is_right).sum(axis=1) / (often - n)
     yield from islice(_of_mean("gap of ratings", rng, gaps, np.full(1, np.nanmean(gaps)), shape, 0.05), 1)
+
+
+def _of_gaps_compared(task: Task, rng: np.random.Generator, shape: tuple[int, int]) -> Errors:
+    """Yield sign flips of how much more the gap of ratings is in one condition than in another."""
+    (_, first), (_, second) = (_rated(task, rng, shape[0]) for _ in range(2))
+    gaps = first - second
+    yield from islice(_of_mean("gap of ratings compared", rng, gaps, np.full(1, np.nanmean(gaps)), shape, 0.05), 1)
+
+
+def _rated(task: Task, rng: np.random.Generator, n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return ratings from 1 to 7, and each person's difference between those of correct answers and of others.
+
+    A fifth of the people rate much higher, to the end of the scale; ratings are higher when correct in most people.
+    """
+    chance, often = rng.uniform(0.6, 0.9, n), task.signals
+    felt = rng.normal(-0.5, 1, n) + 3 * (rng.random(n) < 0.2)
+    is_right = rng.random((n, often)) < chance[:, None]
+    latent = felt[:, None] + rng.normal(0.3, 0.3, (n, 1)) * is_right + rng.normal(size=is_right.shape)
+    rated, right = np.clip(np.rint(3 + latent), 1, 7), is_right.sum(axis=1)
+    with np.errstate(invalid="ignore"):
+        return rated, (rated * is_right).sum(axis=1) / right - (rated * ~is_right).sum(axis=1) / (often - right)
 
 
 def _of_groups_together(task: Task, rng: np.random.Generator, shape: tuple[int, int]) -> Errors:

@@ -47,6 +47,8 @@ LIMITS = {
     "of one, of runs, mean d' to mean exponent": "participants answer by the model that is fitted",
     "compared": "hold if differences are symmetric about their mean; shares do not differ, but numbers of answers do",
     "magnitude": "a fifth of the participants use numbers ten times as large; errs less without them",
+    "fits compared, detection threshold": "participants are drawn from 500 people, since two fits of each take long",
+    "rating": "a fifth of the participants rate much higher",
     "as estimated": "the truth is the population mean of estimates from as many trials, including their bias",
     "all": "an interval that inverts a test errs as often; answers are missing by chance; mixed models have none",
 }
@@ -405,7 +407,7 @@ def draw(certificates, place):
     axes.set_ylim(len(certificates) - 0.3, -0.7)
     axes.set_xlim(left=-0.001)
     axes.set_xlabel("rate of errors: a true null rejected,\nor the truth outside the 95 % interval")
-    axes.set_title("Each dot a population; red: above 0.05 beyond doubt", fontsize=9)
+    axes.set_title("Each dot a population; red: above 0.05 beyond doubt", fontsize=9, loc="right")
     figure.savefig(place, dpi=110)
 
 

@@ -34,6 +34,7 @@ from modaltouch.analysis.pipeline import analyse, read_responses
 from modaltouch.analysis.ratings import level_findings, power_law
 from modaltouch.analysis.report import design_limits
 from modaltouch.analysis.responses import AnswerSource, Responses, TableFormat
+from modaltouch.analysis.words import certificates, certificates_of
 from modaltouch.protocol import AnswerList, InputError
 from modaltouch.session import simulate_session
 
@@ -62,8 +63,14 @@ def take(frame: pd.DataFrame, design: dict, **others: object) -> Responses:
 
 
 def found(responses: Responses) -> tuple[dict[tuple[str, str], Finding], dict[str, dict[str, float]]]:
-    """Return the findings by name and scope, and the values of each participant by measure, the last level's."""
+    """Return the findings by name and scope, and the values of each participant by measure, the last level's.
+
+    Each p and interval of each design must have a certificate.
+    """
     design = analyse_design(responses)
+    for row in design.findings:
+        is_printed = not math.isnan(row.p) or not math.isnan(row.low)
+        assert not is_printed or (of := certificates_of(row)) and set(of) <= set(certificates()), row
     values: dict[str, dict[str, float]] = {}
     for each in design.values:
         values.setdefault(each.measure.name, {})[each.participant] = each.interval.estimate

@@ -177,33 +177,53 @@ def test_every_test_and_interval_has_its_certificate(paper_frame) -> None:
     )
 
 
+def estimated(name: str) -> tuple[str, str]:
+    """Return the certificates of a mean, against that of such estimates and against the true one."""
+    return f"{name}, as estimated", name
+
+
 @pytest.mark.parametrize(
-    ("name", "certified"),
+    ("question", "name", "note", "certified"),
     [
-        ("exponent of magnitude between groups, permutation test of participants", ("group",)),
-        ("JND between groups, permutation test of participants", ("group",)),
-        ("exponent of magnitude compared, sign flips", ()),
-        ("PSE compared, sign flips", ()),
-        ("P(both) compared, sign flips", ("shares compared",)),
-        ("P(both) compared, mean over participants, test and interval of a bounded mean", ("c mean",)),
-        ("d' compared, sign flips", ("mean d' compared, as estimated", "mean d' compared")),
-        ("criterion compared, sign flips", ("mean criterion compared, as estimated", "mean criterion compared")),
-        ("differencing criterion compared, sign flips", ()),
-        ("magnitude over participants, sign flips", ("mean magnitude",)),
-        ("exponent of magnitude over participants, sign flips", ("mean exponent",)),
-        ("all answers together between groups, permutation test of participants", ()),
-        ("criterion over participants, sign flips", ("mean criterion, as estimated", "mean criterion")),
-        ("differencing criterion over participants, sign flips", ()),
-        ("all answers together over levels, shuffles within participants", ("b together",)),
-        ("all answers together, shuffles within participants", ("c together",)),
-        ("agreement over participants, sign flips", ()),
-        ("share in a cell, exact interval", ("a1 share",)),
-        ("misses compared, signed ranks", ("rank", "rank interval")),
-        ("d' over participants, sign flips, p by those of the rates", ("d'", "mean d', as estimated", "mean d'")),
-        ("false alarms, interval of a bounded mean over participants", ("share",)),
-        ("exact sign-flip test of median reaction times", ("time",)),
+        ("group", "exponent of magnitude between groups, permutation test of participants", "", ("group",)),
+        ("group", "JND between groups, permutation test of participants", "", ("group",)),
+        ("group", "all answers together between groups, permutation test of participants", "", ("group together",)),
+        ("rating", "exponent of magnitude compared, sign flips", "", estimated("mean exponent compared")),
+        ("rating", "exponent of size over participants, sign flips", "", estimated("mean exponent")),
+        ("rating", "size over participants, sign flips", "geometric mean", estimated("mean magnitude")),
+        ("rating", "threshold over participants, sign flips", "", ("mean rating without ends",)),
+        ("rating", "certain when correct minus when not over participants, sign flips", "", ("mean gap of ratings",)),
+        ("rating", "certain over participants, bounded mean", "", ("mean rating",)),
+        ("rating", "P(kind: rough) over participants, bounded mean", "", ("share",)),
+        ("rating", "misses compared, signed ranks", "", ("rank", "rank interval")),
+        ("rating", "leaning over participants, bounded mean", "", ("mean rating",)),
+        ("function", "PSE compared, sign flips", "", estimated("mean PSE compared")),
+        ("function", "PSE over participants, sign flips", "geometric mean", estimated("mean PSE")),
+        ("function", "detection threshold compared, sign flips", "", estimated("mean detection threshold compared")),
+        ("threshold", "threshold compared, sign flips", "", ()),
+        ("shares", "P(both) compared, sign flips", "", ("shares compared",)),
+        ("shares", "P(both) compared, mean over participants, test and interval of a bounded mean", "", ("c mean",)),
+        ("sensitivity", "d' compared, sign flips", "yes-no model", estimated("mean d' compared")),
+        ("sensitivity", "d' compared, sign flips", "3AFC model", estimated("mean d' compared, of three")),
+        (
+            "sensitivity", "d' over participants, sign flips, p by those of the rates", "2AFC model",
+            ("d'", *estimated("mean d'")),
+        ),
+        (
+            "sensitivity", "d' over participants, sign flips, p by those of the rates", "triangular (odd one of three)",
+            ("d', of three", *estimated("mean d', odd of three")),
+        ),
+        ("sensitivity", "criterion compared, sign flips", "", estimated("mean criterion compared")),
+        ("sensitivity", "differencing criterion compared, sign flips", "",
+         estimated("mean differencing criterion compared")),
+        ("b", "all answers together over levels, shuffles within participants", "", ("b together",)),
+        ("c", "all answers together, shuffles within participants", "", ("c together",)),
+        ("a1", "share in a cell, exact interval", "", ("a1 share",)),
+        ("catch", "false alarms, interval of a bounded mean over participants", "", ("share",)),
+        ("time", "exact sign-flip test of median reaction times", "", ("time",)),
     ],
-)
-def test_only_what_was_counted_is_certified(name, certified) -> None:
+)  # fmt: skip
+def test_each_test_has_the_certificate_of_its_own_kind(question, name, note, certified) -> None:
     """By the name of the test or interval; a measure's name, or that of a question, may hold another one's word."""
-    assert certificates_of(Finding("", name, "", "", 0.0, 0.0, 0.0, 8)) == certified
+    assert certificates_of(Finding(question, name, "", "", 0.0, 0.0, 0.0, 8, note=note)) == certified
+    assert set(certified) <= set(certificates())

@@ -29,10 +29,9 @@ from modaltouch.analysis.task import TrialTask
 from modaltouch.analysis.words import certificates_in_words
 
 # Certificates of individual intervals, by a substring of the model's or measure's name; the first match applies.
-#
-# Empty without simulated error rates.
 _CERTIFICATES = {
-    "detection threshold": "", "differencing criterion": "", "criterion": "criterion of one",
+    "detection threshold": "detection threshold of one",
+    "differencing criterion": "differencing criterion of one", "criterion": "criterion of one",
     "differencing": "same and different of one", "2AFC": "d' of one", "AFC": "a1 share", "triangular": "a1 share",
     "d'": "d' of one", "threshold": "threshold of one", "PSE": "PSE of one", "JND": "JND of one",
     "exponent": "exponent of one",

@@ -28,7 +28,7 @@ from modaltouch.analysis.permutation import (
     together,
 )
 from modaltouch.analysis.sums import FloatArray
-from modaltouch.analysis.words import certificates
+from modaltouch.analysis.words import coverage_note
 
 Cell = tuple[str, str, str, float]
 """Participant, finger condition, pair of zones, level."""
@@ -178,10 +178,6 @@ def mean_findings(values: Sequence[IndividualValue], scale: LevelScale, groups: 
         tested = measure.null is not None and n > 0
         way = _FLIPS if own[0].tested is None else f"{_FLIPS}, p by those of the rates"
         met = {groups.get(each.participant) for each in own}
-        is_closed = math.isfinite(interval.low + interval.high)
-        *_, why_not = certificates().get(f"mean {measure.name}", ("",)) if is_closed else ("",)
-        *_, is_odd = certificates().get(f"mean {measure.name}, as estimated", ("",))
-        of_estimates = "" if is_odd else " of the mean of such estimates, not of the true mean"
         notes = [
             f"met by {', '.join(name for name in names if name in met)} only" if len(met) < len(names) else "",
             "geometric mean" if measure.is_ratio else "",
@@ -193,13 +189,13 @@ def mean_findings(values: Sequence[IndividualValue], scale: LevelScale, groups: 
             "the rates reject zero, which the interval holds"
             if own[0].tested is not None and test.p <= ALPHA and interval.low <= 0 <= interval.high
             else "",
-            f"{'not a ' * bool(is_odd)}95 % interval{of_estimates}: {why_not}" if why_not else "",
         ]
-        yield finding_of(
+        row = finding_of(
             measure.question, f"{measure.name} over participants, {'bounded mean' if measure.ends else way}", scope,
             test if tested else None, measure.quantity, interval, n, family=measure.name if tested else "",
             notes=notes,
         )  # fmt: skip
+        yield replace(row, note="; ".join(filter(None, (row.note, coverage_note(row)))))
 
 
 def contrast_findings(values: Sequence[IndividualValue]) -> Iterator[Finding]:
@@ -225,7 +221,7 @@ def contrast_findings(values: Sequence[IndividualValue]) -> Iterator[Finding]:
             scope = f"{a[0]} - {b[0]} {a[1]}".strip() if a[1] == b[1] else f"{a[0]} {a[1]} - {b[1]}"
             name = f"{measure.name} compared, {_RANKS if measure.is_ranked else _FLIPS}"
             gaps = np.array([np.mean([x - y for x, y in each]) for each in paired.values()])
-            yield from _compared(measure, name, scope, gaps, _uneven(measure, places[a], places[b]))
+            yield from _compared(measure, name, scope, gaps, _remarks(measure, places[a], places[b]))
     yield from _joint_findings(values)
 
 
@@ -256,12 +252,16 @@ _ALIKE = 1.25
 """Ratio of numbers of trials up to which the biases of two estimates are called equal."""
 
 
-def _uneven(measure: Measure, *compared: Sequence[IndividualValue]) -> list[str]:
-    """Return a note if estimates that the number of trials biases are compared between different numbers."""
+def _remarks(measure: Measure, *compared: Sequence[IndividualValue]) -> list[str]:
+    """Return the models of compared estimates, and a note if unequal numbers of trials bias them unequally."""
+    models = {each.note: None for own in compared for each in own if measure.question == "sensitivity"}
     n = [np.mean([max(each.n, each.interval.n_effective) for each in own]) for own in compared]
     if measure.question not in ("sensitivity", "function") or max(n) <= _ALIKE * min(n):
-        return []
-    return [f"from {' against '.join(f'{each:.3g}' for each in n)} trials each, which bias the estimates unequally"]
+        return [*models]
+    return [
+        *models,
+        f"from {' against '.join(f'{each:.3g}' for each in n)} trials each, which bias the estimates unequally",
+    ]
 
 
 def _compared(
@@ -342,7 +342,7 @@ def group_findings(
                 f"{a}: {first.size}, {b}: {second.size} participants; interval of a shift",
                 "over the cells that both groups met" if shared is not values else "",
                 f"participants without a value in some cell, averaged over the others: {n_part}" if n_part else "",
-                *_uneven(measure, *([each for each in compared[measure] if groups.get(each.participant) == name]
+                *_remarks(measure, *([each for each in compared[measure] if groups.get(each.participant) == name]
                                     for name in names)),
             ],
         )  # fmt: skip

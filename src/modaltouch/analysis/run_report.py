@@ -189,6 +189,7 @@ def _page_files(
     design = responses.start["design"]
     both, nothing = responses.answers.naming("left", "right"), responses.answers.naming()
     task = "forced choice" if is_forced(responses) else "felt"
+    has_groups = any(run.group for run in analysis.runs)
     return page_files(
         "modaltouch.analysis",
         "runs",
@@ -208,8 +209,10 @@ def _page_files(
         named=() if nothing and design["adaptive"]["success"] == "felt" else responses.answers.names,
         task=responses.task,
         is_forced=is_forced(responses),
-        certified=[certificates_in_words([f"{of}, {task}{kind}" for kind in kinds])
-                   for of, kinds in (("mean of runs", (", as estimated", "")), ("run of one", ("",)))],
+        certified=[certificates_in_words(names) for names in (
+            (f"mean of runs, {task}, as estimated", f"mean of runs, {task}"), (f"run of one, {task}",),
+            (f"mean of runs compared, {task}, as estimated", f"mean of runs compared, {task}", *["group"] * has_groups),
+        )],
         rule=responses.start.get("adaptive", {}),
         scale=scale_of(responses.frame.columns),
         focus=" or ".join(sorted(set(responses.foci.values()) or {responses.focus})),

@@ -224,25 +224,34 @@ def state_families(findings: Sequence[Finding]) -> str:
     )
 
 
-# Certificates of findings outside families, by a substring of their name; the first match applies.
+# Certificates of findings outside families, by a pattern of question, name and note; the first match applies.
 #
-# Empty for findings without simulated error rates, such as sign flips of PSEs or JNDs.
-_OF_NAMES = {
-    " together between": (), " between groups": ("group",), "differencing criterion": (),
-    "d' compared": ("mean d' compared, as estimated", "mean d' compared"),
-    "criterion compared": ("mean criterion compared, as estimated", "mean criterion compared"),
-    ") compared, sign flips": ("shares compared",), " compared, sign flips": (),
-    "signed ranks": ("rank", "rank interval"),
-    "Friedman": ("friedman",), "leaning": ("leaning", "leaning share"), "agreement between": ("agreement",),
-    "prevalence of": ("prevalence",), "share of answers": ("share",), "paired difference": ("paired difference",),
-    "odds ratio": ("odds ratio",), "reaction times": ("time",), "false alarms,": ("share",), "misses,": ("share",),
-    "together over levels": ("b together",), " together, shuffles": ("c together",),
-    "share in a cell": ("a1 share",), "bounded mean": ("c mean",),
-    "criterion over": ("mean criterion, as estimated", "mean criterion"),
-    "d' over": ("d'", "mean d', as estimated", "mean d'"), "detection threshold": (),
-    "threshold over": ("mean threshold, as estimated", "mean threshold"),
-    "PSE over": ("mean PSE",), "JND over": ("mean JND, as estimated", "mean JND"), "exponent of": ("mean exponent",),
-    "magnitude over participants": ("mean magnitude",),
+# A mean may have another certificate, against the mean of such estimates.
+_OF_FINDINGS = {
+    "shares .* compared, sign flips": ("shares compared",),
+    "rating exponent of .* over .* sign flips": ("mean exponent",),
+    "rating exponent of .* compared, sign flips": ("mean exponent compared",),
+    "rating .* when correct minus when not over .* sign flips": ("mean gap of ratings",),
+    "rating .* when correct minus when not compared, sign flips": ("mean gap of ratings compared",),
+    "rating .* sign flips;.* geometric mean": ("mean magnitude",),
+    "rating .* over participants, sign flips": ("mean rating without ends",),
+    r"rating P\(.* bounded mean": ("share",), "rating .* bounded mean": ("mean rating",),
+    "sensitivity d' over .* differencing": ("d'", "mean d', same and different"),
+    "sensitivity d' over .* triangular": ("d', of three", "mean d', odd of three"),
+    "sensitivity d' over .* 3AFC": ("d', of three", "mean d', of three"),
+    "sensitivity d' over": ("d'", "mean d'"),
+    "sensitivity d' compared.* differencing": ("mean d' compared, same and different",),
+    "sensitivity d' compared.* triangular": ("mean d' compared, odd of three",),
+    "sensitivity d' compared.* 3AFC": ("mean d' compared, of three",),
+    "(?:sensitivity|function) (.*) over participants": (r"mean \1",),
+    "(?:sensitivity|function) (.*) compared": (r"mean \1 compared",),
+    ".* together between": ("group together",), ".* between groups": ("group",),
+    ".* signed ranks": ("rank", "rank interval"), ".* Friedman": ("friedman",),
+    ".* together over levels": ("b together",), ".* together, shuffles": ("c together",),
+    ".* leaning participants": ("leaning", "leaning share"), ".* agreement between": ("agreement",),
+    ".* prevalence of": ("prevalence",), ".* share of answers": ("share",), "catch": ("share",),
+    ".* paired difference": ("paired difference",), ".* odds ratio": ("odds ratio",), ".* reaction times": ("time",),
+    ".* share in a cell": ("a1 share",), ".* bounded mean": ("c mean",),
 }  # fmt: skip
 
 
@@ -257,8 +266,22 @@ def certificates() -> Any:
 
 def certificates_of(finding: Finding) -> tuple[str, ...]:
     """Return the names of the certificates that apply to a test and its interval, if any."""
-    known = (names for part, names in _OF_NAMES.items() if part in finding.name)
-    return (finding.family,) if finding.family in STATISTICS else next(known, ())
+    if finding.family in STATISTICS:
+        return (finding.family,)
+    described = f"{finding.question} {finding.name}; {finding.note}"
+    found = next(((match, names) for part, names in _OF_FINDINGS.items() if (match := re.match(part, described))), None)
+    expanded = map(found[0].expand, found[1]) if found else ()
+    return tuple(each for name in expanded for each in (f"{name}, as estimated", name) if each in certificates())
+
+
+def coverage_note(finding: Finding) -> str:
+    """Return a note if the interval of a mean covers less than 95 % by its certificates; else an empty string."""
+    reasons = [certificates()[name][2] for name in certificates_of(finding) if name.startswith("mean ")]
+    if not (reasons and reasons[-1] and math.isfinite(finding.low + finding.high)):
+        return ""
+    if reasons[0]:
+        return f"not a 95 % interval: {reasons[-1]}"
+    return f"95 % interval of the mean of such estimates, not of the true mean: {reasons[-1]}"
 
 
 def certificates_in_words(names: Iterable[str]) -> str:
