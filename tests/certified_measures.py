@@ -40,7 +40,7 @@ BIASED = "thresholds from few trials are biased, and participants without a thre
 SHRUNK = "the correction that keeps every d' and criterion finite biases their differences towards zero"
 KEPT_FINITE = "the correction that keeps every d' finite biases it"
 NEVER_BELOW = "of the odd one of three, d' is never below 0, which biases small ones upwards"
-FITTED_FEW = "estimates from few trials are biased, those who have none are left out, and 500 people stand for all"
+FITTED_FEW = "estimates from few trials are biased, and participants without one are left out"
 SKEWED = "a few participants may use much larger numbers, which sign flips take for symmetric"
 REASONS = {
     "threshold of one": MANY, "PSE of one": MANY, "JND of one": MANY,
