@@ -227,3 +227,16 @@ def test_each_test_has_the_certificate_of_its_own_kind(question, name, note, cer
     """By the name of the test or interval; a measure's name, or that of a question, may hold another one's word."""
     assert certificates_of(Finding(question, name, "", "", 0.0, 0.0, 0.0, 8, note=note)) == certified
     assert set(certified) <= set(certificates())
+
+
+def test_a_table_names_the_certificates_of_what_it_prints(paper_frame) -> None:
+    """A row without a number has none, so the first row with one decides; of two models, both are named."""
+    answers = count_answers(paper_frame)
+    name = "d' over participants, sign flips, p by those of the rates"
+    rows = [
+        Finding("sensitivity", name, "", "d'", math.nan, math.nan, math.nan, 0, note="no d' from answers"),
+        Finding("sensitivity", name, "", "d'", 1.0, 0.0, 2.0, 8, note="3AFC model"),
+    ]
+    tables = list_questions(rows, answers)
+    assert tables[0]["parts"][0]["certificate"] == certificates_in_words(certificates_of(rows[1]))
+    assert list_questions(rows[:1], answers)[0]["parts"][0]["certificate"] == ""

@@ -261,9 +261,10 @@ def list_questions(findings: Sequence[Finding], answers: AnswerCounts) -> list[d
 
 def _part(name: str, rows: Sequence[Finding], answers: AnswerCounts) -> dict[str, Any]:
     tested, corrected = any(row.p == row.p for row in rows), any(row.family for row in rows)
+    printed = [row for row in rows if row.p == row.p or row.low == row.low]
     return {
         "name": name + (" (exploratory, not corrected)" if tested and not corrected else ""),
-        "certificate": certificates_in_words(certificates_of(rows[0])),
+        "certificate": certificates_in_words(dict.fromkeys(name for row in printed for name in certificates_of(row))),
         "tested": tested,
         "corrected": corrected,
         "folded": len(rows) > MOST_ROWS,
