@@ -57,6 +57,27 @@ def test_pairs_that_share_levels_and_numbers_are_one_part(analysis: PartsAnalysi
     assert [part.counts.n_repetitions for part in analysis.parts] == [1, 2]
 
 
+def test_pairs_of_different_numbers_of_answers_are_compared_by_each_participants_shares() -> None:
+    """C-E twice as often as A-C: by all 2^10 signs of the differences of mean shares; pairs of one part have "d"."""
+    rng = np.random.default_rng(4)
+    met = [("A", "C", 1), ("B", "D", 1), ("C", "E", 2)]
+    found = analyse_parts(responses([
+        {"participant": who, "zone_left": left, "zone_right": right, "velocity_mm_s": level,
+         "response": str(rng.choice(PAPER.names, p=[0.2, 0.3, 0.5]))}
+        for who, (left, right, times), level in product(PEOPLE, met, (80.0, 150.0)) for _ in range(times)
+    ]))  # fmt: skip
+    flips = {row.scope: row for row in found.whole if row.name == "P(both) compared, sign flips"}
+    assert list(flips) == ["one_hand A-C - C-E", "one_hand B-D - C-E"]
+    frame = found.responses.frame
+    both = (frame["response"] == "both").groupby([frame["participant"], frame["zone_left"]]).mean().unstack()
+    gaps = (both["A"] - both["C"]).to_numpy()
+    sums = np.abs([np.array(signs) @ gaps for signs in product((-1, 1), repeat=10)])
+    row = flips["one_hand A-C - C-E"]
+    assert row.p == (sums >= abs(gaps.sum()) - 1e-9).mean()
+    assert row.estimate == pytest.approx(gaps.mean())
+    assert [row.scope for _, row in found.findings if row.family == "d"] == ["one_hand A-C - B-D"]
+
+
 def test_parts_come_in_the_order_of_their_pairs_in_every_run() -> None:
     """One hand meets five pairs, two hands one of them: a part for each pair, not in the order of their hashes."""
     pairs = [("A", "C"), ("A", "D"), ("B", "D"), ("B", "E"), ("C", "E")]

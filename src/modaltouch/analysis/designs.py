@@ -17,6 +17,7 @@ from modaltouch.analysis.intervals import Interval
 from modaltouch.analysis.measures import (
     IndividualValue,
     Measure,
+    Places,
     cells,
     contrast_findings,
     group_findings,
@@ -85,25 +86,27 @@ class DesignAnalysis:
         return certificates_in_words(dict.fromkeys(names))
 
 
-def analyse_design(responses: Responses) -> DesignAnalysis:
+def analyse_design(responses: Responses, parts: Sequence[Places] | None = None) -> DesignAnalysis:
     """Compute the individual measures of a design, and compare groups.
 
     Parameters
     ----------
     responses : Responses
         The answers as given.
+    parts : sequence of Places, optional
+        Places of each crossed part of a design that is not crossed; shares are compared between parts.
     """
     task, scale, groups = responses.task, scale_of(responses.frame.columns), responses.groups
     fits, names = fit_cells(responses, task), tuple(dict.fromkeys(groups.values()))
     values = tuple(_measures(responses, fits))
-    is_within = bool(responses.stimuli or responses.kinds)
+    is_within = bool(responses.stimuli or responses.kinds) or len(parts or ()) > 1
     shares = tuple(_shares(responses)) if groups or is_within else ()
     every = (*values, *shares)
     shared = {some: _shared(responses, some, every) for some in (*combinations(names, 2), names) if some}
     findings = (
         *catch_findings(responses),
         *mean_findings(values, scale, groups),
-        *contrast_findings(every if is_within else values),
+        *contrast_findings(every if is_within else values, parts),
         *level_findings(values, groups),
         *(row for two in combinations(names, 2) for row in group_findings(every, shared[two], groups, two)),
     )

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any, cast
@@ -198,10 +198,21 @@ def mean_findings(values: Sequence[IndividualValue], scale: LevelScale, groups: 
         yield replace(row, note="; ".join(filter(None, (row.note, coverage_note(row)))))
 
 
-def contrast_findings(values: Sequence[IndividualValue]) -> Iterator[Finding]:
+Places = Collection[tuple[str, str]]
+"""Finger conditions and pairs of zones."""
+
+
+def contrast_findings(values: Sequence[IndividualValue], tested: Sequence[Places] | None = None) -> Iterator[Finding]:
     """Compare each measure between two finger conditions, pairs of zones, stimuli or kinds of session.
 
     A participant's difference is the mean over the levels with values in both.
+
+    Parameters
+    ----------
+    values : sequence of IndividualValue
+        Values of the participants.
+    tested : sequence of Places, optional
+        Places whose shares have tests of counts, and are not compared here; by default all.
     """
     for measure, own in by_measure(values).items():
         tables: dict[tuple[str, str], dict[tuple[str, str], float]] = {}
@@ -210,7 +221,7 @@ def contrast_findings(values: Sequence[IndividualValue]) -> Iterator[Finding]:
         places = {place: [each for each in own if (each.finger_condition, each.pair) == place] for place in tables}
         for (a, first), (b, second) in combinations(tables.items(), 2):
             differ = [x != y for x, y in zip(_factors(*a), _factors(*b), strict=True)]
-            if sum(differ) != 1 or (measure.question == "shares" and any(differ[:2])):
+            if sum(differ) != 1 or (measure.question == "shares" and any(differ[:2]) and _is_tested(tested, a, b)):
                 continue
             if first.keys().isdisjoint(second):
                 continue  # different participants, e.g. in groups
@@ -223,6 +234,11 @@ def contrast_findings(values: Sequence[IndividualValue]) -> Iterator[Finding]:
             gaps = np.array([np.mean([x - y for x, y in each]) for each in paired.values()])
             yield from _compared(measure, name, scope, gaps, _remarks(measure, places[a], places[b]))
     yield from _joint_findings(values)
+
+
+def _is_tested(tested: Sequence[Places] | None, *places: tuple[str, str]) -> bool:
+    own = {(condition, label.split(" ")[0]) for condition, label in places}
+    return tested is None or any(own <= {*each} for each in tested)
 
 
 def _joint_findings(values: Sequence[IndividualValue]) -> Iterator[Finding]:

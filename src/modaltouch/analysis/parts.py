@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import pandas as pd
@@ -170,10 +171,12 @@ def analyse_parts(responses: Responses) -> PartsAnalysis:
             found += [(part, finding) for finding in uncorrected(part.counts, part.frame)]
     corrected = correct(finding for _, finding in found)
     design = None
-    if given.has_individual_results or given.stimuli or given.kinds:
+    if given.has_individual_results or given.stimuli or given.kinds or len(parts) > 1:
         from modaltouch.analysis.designs import analyse_design
 
-        design = analyse_design(given)
+        labels = [[pair.label for pair in part.counts.pairs] for part in parts]
+        places = [[*product(part.counts.finger_conditions, own)] for part, own in zip(parts, labels, strict=True)]
+        design = analyse_design(given, places)
     of_parts = tuple(zip((part for part, _ in found), corrected, strict=True))
     return PartsAnalysis(responses, parts, of_parts, design)
 
