@@ -125,21 +125,16 @@ def _window() -> MachineCheck:
         ):
             screen.draw(Picture("letter", (Words("A", Box(0.0, 0.0, 0.8, 0.8), 0.5, "#ffffff"),)))
             screen.flip(Path(folder) / "letter.png")
-            lit = _share_lit(Path(folder) / "letter.png")
+            from matplotlib.image import imread  # loaded after PsychoPy, which it would slow down
+
+            is_lit = (imread(Path(folder) / "letter.png")[..., :3] > 0.5).any()
             renderer = screen.describe()["renderer"]
     except WindowError as error:
         return MachineCheck("window", "fault", *str(error).split("; ", 1))
-    if not lit:
+    if not is_lit:
         found = f"no letter can be seen on {where}"
         return MachineCheck("window", "fault", found, "install fonts and a driver for OpenGL")
     return MachineCheck("window", "ok", f"a letter is drawn on {where} ({renderer})")
-
-
-def _share_lit(picture: Path) -> float:
-    """Return the share of bright pixels in a picture [1]."""
-    from matplotlib.image import imread
-
-    return float((imread(picture)[..., :3] > 0.5).any(axis=2).mean())
 
 
 def _sound(*, quick: bool) -> MachineCheck:
