@@ -58,7 +58,7 @@ class Buttons:
         labels = tuple(self.texts.label(each.name) for each in self.answers.offered if each.is_below)
         size = common_size(typesetter_of(self.texts), labels, middle, min(self._answer_size, 0.5 * box.height))
         # The caps are as high as those of the row above.
-        beside = Box(box.x + 0.36 * box.width, box.y, box.width * 0.2, 0.25 * self._row_height)
+        beside = Box(box.x + 0.36 * box.width, box.y, box.width * 0.2, 0.47 * box.height)
         return (
             *framed(box, 0.018 * unit, theme.button_edge, fill, 0.006 * unit),
             Words(self.texts.label(answer), middle, size, ink, bold=True),
@@ -86,10 +86,6 @@ class Buttons:
             *arrows,
         )
 
-    @property
-    def _row_height(self) -> float:
-        return next(iter(self.layout.buttons.values())).height
-
     @cached_property
     def _share(self) -> float:
         """Share of a button's width for its label, between arrows if answers name fingers."""
@@ -99,7 +95,7 @@ class Buttons:
     def _answer_size(self) -> float:
         """Type size at which every answer of the row fits its button, on several lines if that is larger."""
         labels = tuple(self.texts.label(each.name) for each in self.answers.offered if not each.is_below)
-        box = Box(0, 0, self.layout.answer_width * self._share, 0.52 * self._row_height)
+        box = Box(0, 0, self.layout.answer_width * self._share, 0.52 * next(iter(self.layout.buttons.values())).height)
         return common_size(typesetter_of(self.texts), labels or ("-",), box, 0.062 * self.layout.type_scale)
 
 

@@ -158,7 +158,7 @@ class Experimenter:
                 case "answer" if (answer := status.answer_by(request.text)) is not None:
                     return window.Event(request.at, "answer", request.text, answer=answer)
                 case "pause":
-                    return window.Event(request.at, "continue" if status.paused else "pause")
+                    return window.Event(request.at, "continue" if status.facts()["state"] == "paused" else "pause")
                 case "go_on":
                     return window.Event(request.at, "continue")
                 case "end_after_block":

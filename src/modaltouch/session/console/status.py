@@ -204,11 +204,6 @@ class Status:
         keys = question["keys"].items() if question is not None and question["open"] else ()
         return next((answer for answer, named in keys if key in named), None)
 
-    @property
-    def paused(self) -> bool:
-        """Whether the session is paused."""
-        return bool(self._facts["state"] == "paused")
-
     def facts(self) -> SessionState:
         """Return the state of the session."""
         left = max(self._total - len(self._trials), 0)
