@@ -235,6 +235,10 @@ IN_BOTH: dict[str, tuple[Lie, str]] = {
         lambda events: to_line(last(events, "stop"), n_answered=11),
         "says that 11 trials are answered, but 12 are",
     ),
+    "a completion": (
+        lambda events: to_line(last(events, "stop"), complete=False),
+        "says complete: false, which does not follow from trials and form",
+    ),
     "the seed": (start_says(seed=2), "seed 2 draws a different order"),
     "the codes": (start_says(stimulus__content_hash="0" * 64), "the recomputed drive has the hash"),
     "a speed at a zone": (

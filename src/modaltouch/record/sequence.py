@@ -274,7 +274,11 @@ class EventSequence:
         n_done = sum(n > 0 for (practice, _), n in self._done.items() if not practice)
         is_complete = n_done >= self._n_trials and self._filled >= self._given.protocol.form.keys()
         if number > self._whole_from and (event["n_answered"], event["complete"]) != (n_done, is_complete):
-            yield f"says that {event['n_answered']} trials are answered, but {n_done} are"
+            yield (
+                f"says that {event['n_answered']} trials are answered, but {n_done} are"
+                if event["n_answered"] != n_done
+                else f"says complete: {str(event['complete']).lower()}, which does not follow from trials and form"
+            )
 
 
 def _key(trial: Trial) -> tuple[bool, int, float]:
