@@ -74,7 +74,7 @@ class Buttons:
         fill, ink = (theme.pressed, theme.pressed_text) if pressed else (theme.button, theme.text)
         upper = Box(box.x, box.y + 0.18 * box.height * with_keys, box.width * self._share, 0.52 * box.height)
         size = min(0.018 * unit, 0.065 * box.width)
-        beside = 0.5 * box.width - size - 0.012 * unit  # within the frame
+        beside = min(0.4 * box.width, 0.5 * box.width - size - 0.012 * unit)  # within the frame
         arrows = [
             triangle(way, box.x + sign * beside, upper.y, size, ink if pressed else edge)
             for way, sign in (("left", -1), ("right", 1))
