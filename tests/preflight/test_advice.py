@@ -88,6 +88,15 @@ def test_a_session_longer_than_an_hour_is_told(edit: Edit) -> None:
     assert said.endswith("longer than an hour: use fewer repetitions, or several sessions")
 
 
+def test_practice_that_is_judged_but_does_not_take_place_is_told(edit: Edit) -> None:
+    """A criterion without practice trials lets everybody pass."""
+    judged = ("practice_trials: 3", "practice_trials: 3\n  practice_criterion: 0.5")
+    assert not any("no effect" in each for each in design_warnings(read(edit, judged)))
+    none = ("practice_trials: 3", "practice_trials: 0")  # in the file that was just changed
+    (said,) = [each for each in design_warnings(read(edit, none)) if "no effect" in each]
+    assert said == "schedule.practice_criterion has no effect, since practice_trials is 0: there is no practice"
+
+
 def test_a_single_group_and_sessions_that_nobody_analyses_are_told(edit: Edit) -> None:
     """Each passes, as each can be run; neither can answer what it is for."""
     kinds = "groups: {low: {}}\nschedule:\n  sessions: [{name: training, analysed: false}]\n"

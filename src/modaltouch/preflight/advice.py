@@ -161,6 +161,9 @@ def design_warnings(protocol: Protocol) -> Iterator[str]:
         fewest = 1 + math.ceil(math.log2(n_pairs * n_fingers / _ALPHA))
         if protocol.answers.offered.compares:
             yield f"with fewer than {fewest} participants no test can tell which zone of a pair is chosen more"
+    idle = [key for key in ("practice_feedback", "practice_criterion") if getattr(protocol.schedule, key)]
+    if idle and not (protocol.schedule.practice_trials or kinds):
+        yield f"schedule.{idle[0]} has no effect, since practice_trials is 0: there is no practice"
     minutes = estimated_duration(protocol)
     if minutes > _LONG:
         yield (
@@ -237,9 +240,7 @@ def _in_words(value: Any) -> str:
 def sound_warnings(protocol: Protocol, apparatus: Apparatus) -> list[str]:
     """Return warnings about masking noise at an unknown or harmful level."""
     section, sound = protocol.masking, apparatus.sound
-    if section is None:
-        return []
-    level = section.level(sound)
+    level = None if section is None else section.level(sound)
     if level is None:
         return []
     if sound.full_scale_dB_SPL is None:
