@@ -72,6 +72,25 @@ def test_two_drivers_in_two_processes_never_share(instrument: Simulator, apparat
         assert second.fire(0.1).started
 
 
+@pytest.mark.parametrize("serial", ["C012345", "SIMULATED", "0"])
+def test_instrument_is_known_by_its_serial_number_under_another_address(
+    simulator: Simulator, apparatus: Apparatus, burst: Burst, serial: str
+) -> None:
+    """A generator on VXI-11 is reached by a raw socket, too; units without a serial number cannot be told apart."""
+    simulator.afg.identity = f"TEKTRONIX,AFG3022B,{serial},SCPI:99.0 FV:3.2.2"
+    other = f"TCPIP::127.0.0.1::{simulator.server.port}::SOCKET"
+    with Generator(simulator.address, apparatus) as first:
+        first.load(burst)
+        if serial == "C012345":
+            with pytest.raises(RigError, match="is in use: another program on this machine .*it was left as it is"):
+                Generator(other, apparatus)
+            assert first.fire(0.1).started
+        else:
+            Generator(other, apparatus).close()
+    with Generator(other, apparatus) as second:
+        assert second.identity == simulator.afg.identity
+
+
 def test_session_that_is_just_dying_is_waited_for(simulator: Simulator, apparatus: Apparatus, burst: Burst) -> None:
     """`modaltouch resume` right after a kill: the old watchdog is switching off, for less than a second."""
     dying = VisaSession(simulator.address)

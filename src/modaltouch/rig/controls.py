@@ -151,6 +151,8 @@ class Controls:
         except Exception as error:
             self.close(broken=True)
             self.log("scpi", sent=shown, **facts, failed=describe_error(error), seconds=_since(started))
+            if isinstance(error, InUse):
+                raise
             raise LinkError(f"'{shown[:60]}' failed ({describe_error(error)})") from error
         except BaseException:
             # After an interruption by a signal a reply may still arrive, so the session is no longer usable.

@@ -115,6 +115,9 @@ LOCK_TIMEOUT = 3.0
 FORGOTTEN = 1.0
 """Time within which an instrument notices the reset of a session and releases the session [s]."""
 
+IDENTIFY = b"*IDN?\n"
+"""Query whose reply contains the serial number of the instrument."""
+
 NO_MORE_SESSIONS = "error creating link: 9"
 """pyvisa-py's message for "out of resources" (VXI-11, B.5.2): all sessions of the instrument are in use."""
 
@@ -122,9 +125,10 @@ NO_MORE_SESSIONS = "error creating link: 9"
 class VisaSession:
     """A VISA session with one instrument, as a `Transport`.
 
-    A lock file ensures that only one program on this machine uses an instrument at a time. The VXI-11 lock of the
-    instrument is not used, since a lock held by a dead link would prevent any program from switching the outputs off.
-    Interference from another computer is detected by reading back changed settings.
+    Lock files ensure that only one program on this machine uses an instrument at a time: one for its address, and one
+    for its serial number once it has answered ``*IDN?``, since an instrument may have several addresses. The VXI-11
+    lock of the instrument is not used, since a lock held by a dead link would prevent any program from switching the
+    outputs off. Interference from another computer is detected by reading back changed settings.
 
     Parameters
     ----------
@@ -142,7 +146,7 @@ class VisaSession:
         self._shares = shares
         self._is_socket = self._address.upper().endswith("SOCKET")
         self._acknowledges = not self._is_socket and "HISLIP" not in self._address.upper()
-        self._lock: int | None = None
+        self._locks: dict[str, int] = {}
         self._counted_until = 0.0
 
     def open(self) -> str:
@@ -158,8 +162,7 @@ class VisaSession:
         import pyvisa
 
         self.close(broken=False)
-        if self._lock is None and not self._shares:
-            self._lock = _take_instrument(self._address)
+        self._reserve(lock_name(self._address))
         check_port(self._address)
         resource = None
         while resource is None:
@@ -184,6 +187,13 @@ class VisaSession:
 
         Without a reply, return when the instrument has accepted the message. A link without acknowledgement is polled
         with an additional query, unless the message contains a block.
+
+        Raises
+        ------
+        InUse
+            If another program on this machine uses the instrument under another address.
+        Exception
+            Any error of the backend.
         """
         if not (reply or self._acknowledges or b"#" in message):
             self.exchange(message.rstrip() + b";*STB?\n", timeout=timeout, reply=True)
@@ -199,7 +209,14 @@ class VisaSession:
             # On a raw socket, reads end at line feeds within a block, and a line feed follows the block.
             while len(data) < block_bounds(data)[1] + self._is_socket:
                 data += resource.read_raw()
+        if message == IDENTIFY:
+            self._reserve(serial_number(data))
         return data
+
+    def _reserve(self, name: str) -> None:
+        """Lock an instrument by one of its names; an empty name reserves nothing."""
+        if name and name not in self._locks and not self._shares:
+            self._locks[name] = _take_instrument(name)
 
     def close(self, *, broken: bool) -> None:
         """Close the session; if broken, without notifying the other end. Never raises."""
@@ -216,9 +233,8 @@ class VisaSession:
     def release(self) -> None:
         """Close the session and release the instrument to other programs; never raises."""
         self.close(broken=False)
-        descriptor, self._lock = self._lock, None
-        if descriptor is not None:
-            os.close(descriptor)
+        while self._locks:
+            os.close(self._locks.popitem()[1])
 
 
 def lock_name(address: str) -> str:
@@ -230,10 +246,18 @@ def lock_name(address: str) -> str:
     return re.sub("0x[0-9a-f]+", lambda number: str(int(number[0], 16)), address.lower())
 
 
-def _take_instrument(address: str) -> int:
+def serial_number(identity: bytes) -> str:
+    """Return maker, model and serial number of a reply to ``*IDN?``; empty if it does not tell one unit from another.
+
+    A serial number of 0 stands for none (IEEE 488.2, 10.14.3), and all twins are called SIMULATED.
+    """
+    fields = [field.strip() for field in identity.decode("latin1").lower().split(",")[:3]]
+    return ",".join(fields) if len(fields) == 3 and fields[2] not in ("", "0", "simulated") else ""
+
+
+def _take_instrument(name: str) -> int:
     """Return the descriptor of a lock file that reserves an instrument on this machine until closed."""
-    name = hashlib.sha256(lock_name(address).encode()).hexdigest()[:16]
-    path = Path(tempfile.gettempdir()) / f"modaltouch-{name}.lock"
+    path = Path(tempfile.gettempdir()) / f"modaltouch-{hashlib.sha256(name.encode()).hexdigest()[:16]}.lock"
     # Another user's file in a shared folder may be opened, but not with the flag O_CREAT.
     flags = os.O_RDONLY if path.exists() else os.O_RDWR | os.O_CREAT
     descriptor = os.open(path, flags, 0o644)
