@@ -21,7 +21,7 @@ from modaltouch.analysis.intervals import BoundedMean, Interval, student_interva
 from modaltouch.analysis.permutation import by_ranks, flip_test, friedman, rank_test, shuffle_test, shuffle_together
 from modaltouch.analysis.psychometric import JND_OF_SPREAD, MOST_LAPSE, Fits, fit_counts
 from modaltouch.analysis.ratings import power_law
-from modaltouch.protocol.adaptive import StaircaseSection
+from modaltouch.protocol.conditions import StaircaseSection
 
 ALPHA = 0.05
 TIES = 1 + 1e-9

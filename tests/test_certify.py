@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from modaltouch.analysis.statistics import STATISTICS
-from modaltouch.protocol.adaptive import StaircaseSection
+from modaltouch.protocol.conditions import StaircaseSection
 from modaltouch.protocol.levels import follow
 
 PLACE = Path(__file__).with_name("certify.py")

@@ -56,7 +56,7 @@ def chance(level: float, threshold: float, spread: float, guess: float, lapse: f
 
 def staircase(threshold: float, seed: int, n_trials: int = 40) -> Psychometric:
     """Return the fit of a simulated one-up-one-down run: spread 4 dB, 3 % guesses, 2 % lapses, 5 catch trials."""
-    from modaltouch.protocol.adaptive import StaircaseSection
+    from modaltouch.protocol.conditions import StaircaseSection
 
     rng, rule = np.random.default_rng(seed), StaircaseSection(steps_dB=(8.0, 4.0, 2.0))
     levels, successes = [], list[bool]()
@@ -155,7 +155,7 @@ def test_guessing_observers_are_seldom_given_a_threshold() -> None:
 
 def forced_choice(chance_of: Callable[[float], float], seed: int) -> Psychometric:
     """Return the fit of a simulated run of 30 trials of two alternatives, down after two successes."""
-    from modaltouch.protocol.adaptive import StaircaseSection
+    from modaltouch.protocol.conditions import StaircaseSection
 
     rng, rule = np.random.default_rng(seed), StaircaseSection(steps_dB=(8.0, 4.0, 2.0), down_after=2)
     levels, successes = [], list[bool]()

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from modaltouch.preflight import examine
-from modaltouch.protocol.adaptive import SensationLevelsSection
+from modaltouch.protocol.conditions import SensationLevelsSection
 
 NAME = "sensation_levels.yaml"
 

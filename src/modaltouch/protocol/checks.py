@@ -7,10 +7,9 @@ from collections.abc import Iterator
 from itertools import pairwise
 from typing import Any
 
-from modaltouch.protocol.adaptive import check_adaptive, check_sensation_levels, contacts, is_adaptive, offered_answers
 from modaltouch.protocol.answers import SHIPPED
 from modaltouch.protocol.apparatus import Apparatus
-from modaltouch.protocol.conditions import check_contacts
+from modaltouch.protocol.conditions import check_contacts, contacts, is_adaptive, offered_answers
 from modaltouch.protocol.intervals import check_intervals, presented_levels
 from modaltouch.protocol.people import check_people
 from modaltouch.protocol.questions import MOST_ANSWERS, check_key, check_questions
@@ -112,13 +111,20 @@ def check_protocol(reading: Reading[Protocol]) -> list[Problem]:
         *check_contacts(reading),
         *_check_doubles(reading),
         *check_schedule(reading),
-        *check_adaptive(reading),
-        *check_sensation_levels(reading),
+        *_check_own_levels(reading),
         *check_intervals(reading),
         *_check_keys(reading),
         *check_questions(reading),
         *check_people(reading),
     ]
+
+
+def _check_own_levels(reading: Reading[Protocol]) -> Iterator[Problem]:
+    # Most designs give fixed levels, so the code for others is imported only if needed.
+    if is_adaptive(reading) or reading.find(("conditions", "sensation_levels")) is not None:
+        from modaltouch.protocol.levels import check_own_levels
+
+        yield from check_own_levels(reading)
 
 
 def _check_stimulus(reading: Reading[Protocol]) -> Iterator[Problem]:

@@ -1,4 +1,4 @@
-"""The section ``conditions`` of a protocol: fingers, zones and levels, and the design that they define."""
+"""The sections ``conditions`` and ``adaptive`` of a protocol: fingers, zones, and levels given or found."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from typing import Annotated, Any, Literal, get_args
 
 from pydantic import ConfigDict, Field
 
-from modaltouch.protocol.adaptive import SensationLevelsSection, contacts, offered_answers
+from modaltouch.protocol.answers import AnswerList
 from modaltouch.protocol.reading import Reading
-from modaltouch.protocol.section import Count, Positive, Section, Text, Word, described
+from modaltouch.protocol.section import Count, FileName, Positive, Section, Text, Word, described
 from modaltouch.protocol.source import Problem
 from modaltouch.protocol.stimulus_sections import ZoneName
 from modaltouch.protocol.trial import FINGERS, SIDES, Condition
@@ -33,6 +33,97 @@ _TWO = (
 )
 ZonePair = Annotated[tuple[ZoneName, ZoneName], Field(json_schema_extra={"x-allowed": _TWO})]
 Contacts = Annotated[tuple[ZoneName, ...], Field(min_length=1, max_length=3)]
+Decibels = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0, le=40)]
+GuessRate = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0, le=0.6)]
+LapseRate = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0, le=0.2)]
+Multiple = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0, le=1000)]
+
+
+class StaircaseSection(Section):
+    """Weighted, transformed up-down staircase: down after a number of consecutive successes, up after each failure."""
+
+    down_after: Annotated[Count, Field(le=6)] = described(
+        "Number of successes in a row that lowers the level; each failure raises it.", default=1
+    )
+    steps_dB: tuple[Decibels, ...] = described(  # noqa: N815
+        "Sizes of the steps down: the next size after each reversal, the last one for the rest of the run [dB, 20 per "
+        "decade].",
+        default=(8.0, 4.0, 2.0),
+        min_length=1,
+        max_length=20,
+    )
+    up_over_down: Annotated[float, Field(strict=True, gt=0, le=10)] = described(
+        "Size of a step up relative to a step down.", default=1.0
+    )
+
+    @property
+    def target(self) -> float:
+        """Probability of success to which the staircase converges [1].
+
+        At this p the expected steps down and up balance: p^n / (1 - p^n) = up / down (Kaernbach, Perception &
+        Psychophysics 49 (1991) 227-229, for n = 1; Levitt, J. Acoust. Soc. Am. 49 (1971) 467-477, for equal steps).
+        """
+        return float((self.up_over_down / (1 + self.up_over_down)) ** (1 / self.down_after))
+
+
+class AdaptiveSection(Section):
+    """An adaptive run of the level for each finger condition, pair of zones and stimulus, instead of fixed levels."""
+
+    method: Literal["staircase", "quest_plus"] = described(
+        "staircase: up and down according to the latest answers; quest_plus: the level expected to be most "
+        "informative.",
+        default="quest_plus",
+    )
+    trials: Annotated[int, Field(strict=True, ge=8, le=1000)] = described(
+        "Trials in each run; there is one run for each finger condition, pair and stimulus.", default=40
+    )
+    start_mm_s: Positive = described("Level of the first trial of each run [mm/s].")
+    success: Literal["focus_named", "felt", "correct"] | Word = described(
+        "Which answers count as success: focus_named, only the finger on the focus; felt, any but none; correct, the "
+        "right one if a trial has several intervals; or the name of one answer, such as stronger.",
+        default="focus_named",
+    )
+    guess_rate: GuessRate = described(
+        "Share of successes where nothing is felt [1]; fitted instead if there are catch trials.", default=0.0
+    )
+    lapse_rate: LapseRate = described(
+        "Share of failures where everything is felt: the value that quest_plus assumes, and the largest that a fit may "
+        "find [1].",
+        default=0.06,
+    )
+    staircase: StaircaseSection = described("Rule of the staircase.", default=StaircaseSection())
+
+    @property
+    def algorithm(self) -> dict[str, Any]:
+        """Algorithm that sets the levels, as written to the record."""
+        if self.method == "staircase":
+            return {"algorithm": "modaltouch staircase 2", "target": round(self.staircase.target, 4)}
+        from importlib.metadata import version
+
+        return {"algorithm": "modaltouch quest_plus 2", "questplus": version("questplus")}
+
+
+class SensationLevelsSection(Section):
+    """Levels as multiples of the participant's threshold: sensation levels, as ratios rather than in dB."""
+
+    thresholds_from: FileName = described(
+        "Name of the adaptive protocol whose latest complete session gives the participant's threshold: the geometric "
+        "mean over its runs."
+    )
+    multiples: tuple[Multiple, ...] = described(
+        "Levels as multiples of that threshold [1].",
+        min_length=1,
+        max_length=100,
+        json_schema_extra={"uniqueItems": True},
+    )
+
+    def levels(self, threshold_mm_s: float) -> tuple[float, ...]:
+        """Return the levels of a participant [mm/s], to four digits, the resolution of the generator's amplitude."""
+        return tuple(float(f"{multiple * threshold_mm_s:.4g}") for multiple in self.multiples)
+
+    def thresholds(self, lowest_mm_s: float, highest_mm_s: float) -> tuple[float, float]:
+        """Return the lowest and highest thresholds for which all levels lie within bounds [mm/s]."""
+        return lowest_mm_s / min(self.multiples), highest_mm_s / max(self.multiples)
 
 
 class CellsSection(Section):
@@ -298,3 +389,22 @@ def check_way(reading: Reading[Any], name: str) -> Iterator[Problem]:
             "lifting, foot_switch or experimenter",
             f"write `ways: {{{name}: lifting}}` under answers",
         )
+
+
+def is_adaptive(reading: Reading[Any]) -> bool:
+    """Test whether a protocol has a section ``adaptive``, valid or not."""
+    return reading.keys("adaptive") is not None
+
+
+def contacts(reading: Reading[Any]) -> list[tuple[tuple[str, str, int], tuple[str, ...]]]:
+    """Return the zones under the fingers with their paths, from the key that lists them."""
+    keys = ("zones", "zone_pairs")
+    return [(("conditions", key, index), zones) for key in keys for index, zones in reading.items("conditions", key)]
+
+
+def offered_answers(reading: Reading[Any]) -> AnswerList:
+    """Return the answers that a protocol offers, from its valid parts."""
+    fingers, below = dict(reading.items("answers", "fingers")), [name for _, name in reading.items("answers", "below")]
+    keys, scale = reading.keys("answers", "keys") or (), bool(reading.keys("answers", "scale"))
+    section = {"keys": keys, "fingers": fingers, "below": below, "scale": scale}
+    return AnswerList.of(section | {"intervals": dict(reading.items("answers", "intervals"))})

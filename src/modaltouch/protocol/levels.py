@@ -1,4 +1,6 @@
-"""Levels of adaptive runs, computed from the record alone, so that a resumed run continues as if uninterrupted.
+"""Levels that depend on a participant's answers: checks of their keys, and the levels of adaptive runs.
+
+These are computed from the record alone, so that a resumed run continues as if uninterrupted.
 
 References
 ----------
@@ -11,7 +13,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import product
 from typing import Any
@@ -19,9 +21,182 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.protocol.adaptive import StaircaseSection
+from modaltouch.protocol.answers import AnswerList
+from modaltouch.protocol.conditions import StaircaseSection, contacts, is_adaptive, offered_answers
+from modaltouch.protocol.reading import Reading
 from modaltouch.protocol.sections import Protocol
+from modaltouch.protocol.source import Problem
 from modaltouch.protocol.trial import TIME_OUT, Condition, Trial
+
+_SECTION = ("conditions", "sensation_levels")
+
+
+def check_own_levels(reading: Reading[Any]) -> Iterator[Problem]:
+    """Yield a problem for each inconsistency of ``adaptive`` or ``sensation_levels`` with the other sections."""
+    if is_adaptive(reading):
+        yield from _check_adaptive(reading)
+    if reading.keys(*_SECTION) is not None:
+        yield from _check_sensation_levels(reading)
+
+
+def _check_sensation_levels(reading: Reading[Any]) -> Iterator[Problem]:
+    if is_adaptive(reading):
+        yield reading.problem(
+            _SECTION,
+            "levels calibrated by participant, but runs are adaptive and find their own",
+            "one of the two",
+            "remove this section or the section adaptive",
+        )
+        return
+    if reading.sound(*_SECTION, "thresholds_from") == (name := reading.sound("protocol")) and name is not None:
+        path, given = (*_SECTION, "thresholds_from"), f"'{name}', this protocol itself"
+        yield reading.problem(path, given, "the name of an adaptive protocol", "give the one that finds thresholds")
+    multiples = dict(reading.items(*_SECTION, "multiples"))
+    yield from _check_doubles(reading, multiples)
+    faults = list(_check_bounds(reading, "they are calibrated by participant", "anyone may get"))
+    yield from faults
+    levels = [level for _, level in reading.items("conditions", "peak_velocities_mm_s")]
+    if faults or len(levels) != 2 or not multiples:
+        return
+    if max(multiples.values()) / min(multiples.values()) > levels[1] / levels[0]:
+        yield reading.problem(
+            (*_SECTION, "multiples"),
+            f"{min(multiples.values()):g} to {max(multiples.values()):g}, a wider range than that of the levels",
+            f"a ratio of at most {levels[1] / levels[0]:.4g}, that of conditions.peak_velocities_mm_s",
+            "bring them closer together, or allow lower or higher levels",
+        )
+
+
+def _check_doubles(reading: Reading[Any], multiples: dict[int, float]) -> Iterator[Problem]:
+    """Yield multiples too close for the four-digit resolution of the generator's amplitude."""
+    seen: dict[int, float] = {}
+    for index, value in multiples.items():
+        like = next((at for at, other in seen.items() if math.isclose(value, other, rel_tol=2e-3)), None)
+        if like is not None:
+            yield reading.problem(
+                (*_SECTION, "multiples", index),
+                f"{value:g}, almost the same as multiples[{like}]",
+                "multiples at least 0.2 % apart",
+                "remove one of them",
+            )
+        seen[index] = value
+
+
+def _check_adaptive(reading: Reading[Any]) -> Iterator[Problem]:
+    yield from _check_levels(reading)
+    repetitions, order = reading.sound("schedule", "repetitions"), reading.sound("schedule", "order")
+    yield from reading.faults(
+        (
+            repetitions not in (None, 1),
+            ("schedule", "repetitions"),
+            f"{repetitions}, but runs are adaptive",
+            "1",
+            "remove it; adaptive.trials sets the length of a run",
+        ),
+        (
+            order in ("by_velocity", "latin_square"),
+            ("schedule", "order"),
+            f"{order}, but the levels are not known beforehand",
+            "shuffled or by_pair",
+            "shuffle the runs together, or present one after the other",
+        ),
+    )
+    yield from _check_success(reading)
+
+
+def _check_bounds(reading: Reading[Any], when: str, reached: str) -> Iterator[Problem]:
+    """Yield a problem if the peak velocities are not the lowest and the highest level, in this order."""
+    path = ("conditions", "peak_velocities_mm_s")
+    levels = [level for _, level in reading.items(*path)]
+    given = reading.length(*path)
+    if given is not None and given != 2:
+        words = f"{given} levels, but {when}"
+        yield reading.problem(path, words, f"two: the lowest and the highest that {reached}", "give these two")
+    elif len(levels) == 2 and not levels[0] < levels[1]:
+        words = f"[{levels[0]:g}, {levels[1]:g}], but {when}"
+        yield reading.problem(path, words, "the lowest level first, then a higher one", "write the lowest first")
+
+
+def _check_levels(reading: Reading[Any]) -> Iterator[Problem]:
+    yield from _check_bounds(reading, "runs are adaptive", "a run may reach")
+    levels = [level for _, level in reading.items("conditions", "peak_velocities_mm_s")]
+    start = reading.sound("adaptive", "start_mm_s")
+    if start is not None and len(levels) == 2 and levels[0] < levels[1] and not levels[0] <= start <= levels[1]:
+        yield reading.problem(
+            ("adaptive", "start_mm_s"),
+            f"{start:g} mm/s",
+            f"{levels[0]:g} to {levels[1]:g} mm/s, the levels of conditions.peak_velocities_mm_s",
+            "start within this range",
+        )
+
+
+def _check_success(reading: Reading[Any]) -> Iterator[Problem]:
+    success = reading.sound("adaptive", "success") or "focus_named"
+    focus = reading.sound("stimulus", "focus")
+    # Several stimuli are checked one by one; their shared section need not be a stimulus itself.
+    if success == "focus_named" and focus is not None and not reading.sound("stimuli"):
+        for path, zones in contacts(reading):
+            if focus not in zones:
+                yield reading.problem(
+                    path,
+                    f"[{', '.join(zones)}] without the focus, but success is naming the focus",
+                    f"a pair with {focus}",
+                    "remove it, or count `felt` as success",
+                )
+    offered, at = offered_answers(reading), ("adaptive", "success")
+    several = reading.keys("intervals") is not None
+    if success == "correct":
+        yield from _check_correct(reading, offered)
+    elif success not in ("focus_named", "felt", *offered.names):
+        yield reading.unknown(
+            at, "a rule or an answer", dict.fromkeys(["focus_named", "felt", "correct", *offered.names])
+        )
+    yield from reading.faults(
+        (
+            success == "felt" and "felt" not in offered.names and offered.naming() is None,
+            at,
+            "felt, but no answer says that nothing was felt",
+            "correct" if several else "focus_named, or keys for `none`",
+            "count `correct` as success" if several else "give the keys",
+        ),
+        (
+            success == "focus_named" and not offered.compares,
+            at,
+            "focus_named, but the answers do not name each finger alone",
+            "keys for `left` and `right`, or other answers for these fingers under answers.fingers",
+            "add them, or count `felt` or one of the answers as success",
+        ),
+    )
+
+
+def _check_correct(reading: Reading[Any], offered: AnswerList) -> Iterator[Problem]:
+    """Yield a problem if success cannot be `correct`: no answer names an interval, or the guess rate does not fit."""
+    intervals = [answer.interval for answer in offered if answer.interval is not None]
+    if reading.keys("intervals") is None or not intervals:
+        yield reading.problem(
+            ("adaptive", "success"),
+            "correct, but no answer refers to intervals",
+            "a section intervals, and answers.intervals",
+            "add them, or choose another success",
+        )
+        return
+    guess_rate, rule = (reading.sound("adaptive", name) for name in ("guess_rate", "staircase"))
+    chance = 1 / len(intervals)
+    if guess_rate is not None and isinstance(intervals[0], int) and abs(guess_rate - chance) > 0.01:
+        yield reading.problem(
+            ("adaptive", "guess_rate"),
+            f"{guess_rate:g}, but one of {len(intervals)} intervals is named",
+            f"{chance:.4g}",
+            f"write `guess_rate: {chance:.4g}`",
+        )
+    elif rule is not None and reading.sound("adaptive", "method") == "staircase" and rule.target <= (guess_rate or 0):
+        yield reading.problem(
+            ("adaptive", "staircase"),
+            f"a staircase that converges to {rule.target:.4g}, the rate of guessing",
+            f"a target above {guess_rate:g}",
+            "write `down_after: 2` or more",
+        )
+
 
 FloatArray = NDArray[np.float64]
 

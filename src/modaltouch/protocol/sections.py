@@ -9,9 +9,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from modaltouch.protocol.adaptive import AdaptiveSection
 from modaltouch.protocol.answers import AnswerList, Side
-from modaltouch.protocol.conditions import Cell, CellsSection, ConditionsSection, FingerCondition
+from modaltouch.protocol.conditions import AdaptiveSection, Cell, CellsSection, ConditionsSection, FingerCondition
 from modaltouch.protocol.intervals import IntervalsSection, Meaning
 from modaltouch.protocol.people import PersonField, read_people
 from modaltouch.protocol.questions import AskedSection, KeyName, QuestionSection

@@ -9,9 +9,8 @@ from typing import Annotated
 
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator
 
-from modaltouch.protocol.adaptive import offered_answers
 from modaltouch.protocol.answers import SHIPPED
-from modaltouch.protocol.conditions import FingerName
+from modaltouch.protocol.conditions import FingerName, offered_answers
 from modaltouch.protocol.reading import Reading
 from modaltouch.protocol.section import Section, Text, Word, described, plain_word
 from modaltouch.protocol.sections import Protocol

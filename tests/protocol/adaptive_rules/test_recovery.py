@@ -22,8 +22,8 @@ from modaltouch.analysis.psychometric import fit_psychometric
 from modaltouch.planning.observer import Observer
 from modaltouch.planning.participant import Participant
 from modaltouch.preflight import examine
-from modaltouch.protocol.adaptive import AdaptiveSection
 from modaltouch.protocol.answers import AnswerList
+from modaltouch.protocol.conditions import AdaptiveSection
 from modaltouch.protocol.levels import Quest, follow, from_dB, to_dB
 from modaltouch.protocol.trial import Condition, Trial
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from modaltouch.protocol.adaptive import StaircaseSection
+from modaltouch.protocol.conditions import StaircaseSection
 from modaltouch.protocol.levels import follow
 
 BOUNDS = (0.0, 60.0)
