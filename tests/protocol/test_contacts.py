@@ -9,9 +9,8 @@ from pathlib import Path
 import pytest
 
 from modaltouch.protocol import Findings
-from modaltouch.protocol.answers import AnswerList
 from modaltouch.protocol.schedule import Schedule
-from modaltouch.protocol.trial import Condition, Trial
+from modaltouch.protocol.trial import AnswerList, Condition, Trial
 
 Edit = Callable[..., Path]
 FINGERS = "finger_conditions: [one_hand, two_hands]"

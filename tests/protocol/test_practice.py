@@ -11,9 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from modaltouch.protocol import Findings, Trial
-from modaltouch.protocol.answers import AnswerList
 from modaltouch.protocol.schedule import Round, judge_round
-from modaltouch.protocol.trial import Condition
+from modaltouch.protocol.trial import AnswerList, Condition
 
 PAPER = AnswerList.of({})
 SHIPPED = Path(__file__).parents[2] / "protocols"

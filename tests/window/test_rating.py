@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from modaltouch.planning.participant import Participant
-from modaltouch.protocol.answers import AnswerList
 from modaltouch.protocol.questions import QuestionSection, ScaleSection
-from modaltouch.protocol.trial import Response, Trial
+from modaltouch.protocol.trial import AnswerList, Response, Trial
 from modaltouch.window.controls import Entry, draw_scale, typesetter_of
 from modaltouch.window.display_loop import Robot
 from modaltouch.window.interface import Event, Progress, SessionStopped

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 from modaltouch.system import lazily
 
 if TYPE_CHECKING:
-    from modaltouch.protocol.answers import AnswerList
     from modaltouch.protocol.apparatus import Apparatus
     from modaltouch.protocol.calibration import Calibration
     from modaltouch.protocol.findings import Experiment, Findings
@@ -25,12 +24,11 @@ if TYPE_CHECKING:
     from modaltouch.protocol.source import InputError, Problem, Source, Sources, suggest
     from modaltouch.protocol.stimulus_sections import MaskingSection, StimulusSection
     from modaltouch.protocol.texts import Texts
-    from modaltouch.protocol.trial import TIME_OUT, Response, Trial
+    from modaltouch.protocol.trial import TIME_OUT, AnswerList, Response, Trial
 else:
     __getattr__ = lazily(
         __name__,
         {
-            "answers": "AnswerList",
             "apparatus": "Apparatus",
             "calibration": "Calibration",
             "findings": "Experiment Findings",
@@ -42,7 +40,7 @@ else:
             "source": "InputError Problem Source Sources suggest",
             "stimulus_sections": "MaskingSection StimulusSection",
             "texts": "Texts",
-            "trial": "Response TIME_OUT Trial",
+            "trial": "AnswerList Response TIME_OUT Trial",
         },
     )
 

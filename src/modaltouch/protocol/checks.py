@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from itertools import pairwise
 from typing import Any
 
-from modaltouch.protocol.answers import SHIPPED
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.conditions import check_contacts, contacts, is_adaptive, offered_answers
 from modaltouch.protocol.intervals import check_intervals, presented_levels
@@ -18,7 +17,7 @@ from modaltouch.protocol.schedule_section import LIMITS
 from modaltouch.protocol.sections import AnswersSection, Protocol
 from modaltouch.protocol.source import Problem, suggest
 from modaltouch.protocol.stimulus_sections import check_masking, check_target_field, is_elsewhere
-from modaltouch.protocol.trial import TIME_OUT
+from modaltouch.protocol.trial import SHIPPED, TIME_OUT
 
 TRIAL_LIMIT = 10_000
 """Largest number of trials of a session, about a day's worth."""

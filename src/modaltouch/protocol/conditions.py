@@ -7,12 +7,11 @@ from typing import Annotated, Any, Literal, get_args
 
 from pydantic import ConfigDict, Field
 
-from modaltouch.protocol.answers import AnswerList
 from modaltouch.protocol.reading import Reading
 from modaltouch.protocol.section import Count, FileName, Positive, Section, Text, Word, described
 from modaltouch.protocol.source import Problem
 from modaltouch.protocol.stimulus_sections import ZoneName
-from modaltouch.protocol.trial import FINGERS, SIDES, Condition
+from modaltouch.protocol.trial import FINGERS, SIDES, AnswerList, Condition
 
 FingerCondition = Annotated[Word, Field(json_schema_extra={"x-allowed": "one_hand, two_hands or a name of your own"})]
 FingerName = Literal[

@@ -18,6 +18,7 @@ from modaltouch.protocol.source import InputError, Problem, Source, Sources
 from modaltouch.protocol.stimulus_sections import MEASURED, NO_FINGERS, StimulusSection, read_points
 from modaltouch.protocol.texts import Texts, check_words
 from modaltouch.protocol.tree import parse_tree
+from modaltouch.protocol.trial import Condition
 
 if TYPE_CHECKING:
     import numpy as np
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
     from modaltouch.protocol.calibration import Calibration
     from modaltouch.protocol.fingers import FingersFile
     from modaltouch.protocol.placements import Placements
-    from modaltouch.protocol.trial import Condition
 
 
 @dataclass(frozen=True)
@@ -179,8 +179,6 @@ class Findings:
 
     def placement_of(self, finger_condition: str, left: str, right: str) -> str:
         """Return the placement name of a finger condition on two zones of the unturned beam; empty for none."""
-        from modaltouch.protocol.trial import Condition
-
         return self.placement(Condition(finger_condition, left, right, velocity_mm_s=0.0))
 
     def placement(self, condition: Condition) -> str:

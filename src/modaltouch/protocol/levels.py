@@ -21,12 +21,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.protocol.answers import AnswerList
 from modaltouch.protocol.conditions import StaircaseSection, contacts, is_adaptive, offered_answers
 from modaltouch.protocol.reading import Reading
 from modaltouch.protocol.sections import Protocol
 from modaltouch.protocol.source import Problem
-from modaltouch.protocol.trial import TIME_OUT, Condition, Trial
+from modaltouch.protocol.trial import TIME_OUT, AnswerList, Condition, Trial
 
 _SECTION = ("conditions", "sensation_levels")
 

@@ -9,13 +9,12 @@ from typing import Annotated
 
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator
 
-from modaltouch.protocol.answers import SHIPPED
 from modaltouch.protocol.conditions import FingerName, offered_answers
 from modaltouch.protocol.reading import Reading
 from modaltouch.protocol.section import Section, Text, Word, described, plain_word
 from modaltouch.protocol.sections import Protocol
 from modaltouch.protocol.source import Problem, fault, suggest
-from modaltouch.protocol.trial import RATED
+from modaltouch.protocol.trial import RATED, SHIPPED
 
 _PLACEHOLDERS: dict[str, frozenset[str]] = {
     "how_to_answer": frozenset({"pause_key"}),

@@ -9,11 +9,10 @@ import pytest
 from scipy.stats import norm
 
 from modaltouch.protocol import Findings, Protocol
-from modaltouch.protocol.answers import AnswerList
 from modaltouch.protocol.conditions import StaircaseSection
 from modaltouch.protocol.levels import Levels, from_dB, to_dB
 from modaltouch.protocol.schedule import Schedule
-from modaltouch.protocol.trial import Trial
+from modaltouch.protocol.trial import AnswerList, Trial
 
 SHIPPED = Path(__file__).parents[3] / "protocols" / "threshold.yaml"
 

@@ -22,10 +22,9 @@ from modaltouch.analysis.psychometric import fit_psychometric
 from modaltouch.planning.observer import Observer
 from modaltouch.planning.participant import Participant
 from modaltouch.preflight import examine
-from modaltouch.protocol.answers import AnswerList
 from modaltouch.protocol.conditions import AdaptiveSection
 from modaltouch.protocol.levels import Quest, follow, from_dB, to_dB
-from modaltouch.protocol.trial import Condition, Trial
+from modaltouch.protocol.trial import AnswerList, Condition, Trial
 
 PROTOCOL = Path(__file__).parents[3] / "protocols" / "threshold.yaml"
 BOUNDS = (2.0, 200.0)
