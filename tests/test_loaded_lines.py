@@ -53,6 +53,7 @@ def test_a_simulated_session_loads_neither_lab_nor_analysis_nor_screen(tmp_path)
         "planning.power",
         "protocol.calibration",
         "protocol.levels",
+        "protocol.wording",
         "record.audit",
         "rig.scope",
         "rig.watchdog_client",

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 from pydantic import Field, TypeAdapter, ValidationError, create_model, model_validator
 
 from modaltouch.protocol.reading import Reading, read
-from modaltouch.protocol.section import Number, Section, Text, describe, described
+from modaltouch.protocol.section import Number, Section, Text, described
 from modaltouch.protocol.source import Problem, Source, fault
 
 if TYPE_CHECKING:
@@ -70,6 +70,8 @@ class PersonField(Section):
     @property
     def allowed(self) -> str:
         """Description of the allowed answers."""
+        from modaltouch.protocol.wording import describe
+
         return describe(model_of({"answer": self}), ("answer",)).replace("null", "nothing")
 
     def read(self, words: str) -> float | str | None:

@@ -2,25 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Hashable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Generic, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from modaltouch.protocol.section import (
-    LARGEST,
-    SMALLEST,
-    Step,
-    adapter,
-    annotation_at,
-    describe,
-    keys_of,
-    plain_word,
-    suggest_number,
-    unit_of,
-)
+from modaltouch.protocol.section import Step, adapter, annotation_at
 from modaltouch.protocol.source import YAML_FILE, InputError, Problem, Source, format_path, suggest
 from modaltouch.protocol.tree import Node, parse_tree
 
@@ -123,6 +111,8 @@ class Reading(Generic[Model]):
 
     def is_misspelt(self, *path: str) -> bool:
         """Test whether a key is missing because it is misspelt, which is reported at the misspelt key."""
+        from modaltouch.protocol.wording import keys_of
+
         known, written = keys_of(self.model, path[:-1]), self.keys(*path[:-1]) or []
         return path[-1] not in written and any(suggest(key, path[-1:]) for key in written if key not in known)
 
@@ -230,124 +220,11 @@ def read_tree(source: Source, model: type[Model], root: Node | None, problems: I
     try:
         value = model.model_validate(root.plain())
     except ValidationError as error:
-        errors = error.errors(include_url=False)
-        problems += [_translate(bare, each) for each in errors if not _follows(each, errors)]
+        # Only here, since valid files need no words.
+        from modaltouch.protocol.wording import problems_of
+
+        problems += problems_of(bare, error)
     return Reading(source, model, root, None if problems else value, tuple(problems))
-
-
-def _follows(details: Any, errors: Iterable[Any]) -> bool:
-    """Test whether a list is too short only because of invalid items, or a key missing only because it is misspelt."""
-    loc, kind = details["loc"], details["type"]
-    return any(
-        (kind == "too_short" and len(other["loc"]) > len(loc) and other["loc"][: len(loc)] == loc)
-        or (
-            (kind, other["type"]) == ("missing", "extra_forbidden")
-            and other["loc"][:-1] == loc[:-1]
-            and suggest(str(other["loc"][-1]), [str(loc[-1])])
-        )
-        for other in errors
-    )
-
-
-def _translate(reading: Reading[Any], details: Any) -> Problem:
-    """Convert a pydantic error to a problem."""
-    kind, path = str(details["type"]), _real_path(reading, details)
-    context = details.get("ctx", {})
-    if kind == "modaltouch":
-        return reading.problem(path, context["given"], context["allowed"], context["remedy"])
-    if kind == "extra_forbidden":
-        known = keys_of(reading.model, path[:-1])
-        return reading.unknown(path, "a key here", known, _home_of(reading.model, path), at_key=True)
-    if details["loc"] and details["loc"][-1] == "[key]":
-        allowed = context.get("expected") or "a word of letters, digits, _ and -"
-        return reading.problem(
-            path,
-            f"{path[-1]!r} as a key",
-            allowed.replace(" or ", ", "),
-            f"write '{meant}'" if "expected" not in context and (meant := plain_word(path[-1])) else "",
-            at_key=True,
-        )
-    if kind == "missing" and path and isinstance(path[-1], str):
-        return reading.problem(path, "nothing", describe(reading.model, path), f"add the missing key `{path[-1]}`")
-    if kind == "missing":
-        path = path[:-1]
-    node = reading.find(path)
-    if kind == "string_type" and isinstance(details["input"], bool | int | float):
-        return reading.problem(path, f"{_in_words(node)}, which is not text", "text", "write it in quotes")
-    return reading.problem(
-        path,
-        _in_words(node) + (", which is not finite" if kind == "finite_number" else ""),
-        describe(reading.model, path) + _beyond_all(details["input"]),
-        _remedy(reading, path, node),
-    )
-
-
-def _home_of(model: type[BaseModel], path: tuple[Step, ...]) -> str:
-    """Return a phrase with the section to which a misplaced key belongs; empty if there is none."""
-    homes = ["the top of the file, not indented"] * (len(path) > 1 and path[-1] in model.model_fields)
-    homes += [f"the section {name}" for name in model.model_fields if path[-1] in keys_of(model, (name,))]
-    return f"it belongs to {' or '.join(homes[:2])}" if homes else ""
-
-
-def _beyond_all(value: object) -> str:
-    """Return a phrase with the general bound of quantities if a value exceeds it, since `describe` does not have it."""
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        return ""
-    if abs(value) > LARGEST:
-        return f", of at most {LARGEST:g} either way"
-    return f", not that small: at least {SMALLEST:g}" if 0 < value < SMALLEST else ""
-
-
-def _real_path(reading: Reading[Any], details: Any) -> tuple[Step, ...]:
-    """Return the path of an error without pydantic's additions (branch tags, ``[key]``)."""
-    path: list[Step] = []
-    node = reading.root
-    loc = details["loc"]
-    for position, step in enumerate(loc):
-        child = node.child(step) if node is not None else None
-        if child is not None:
-            path.append(step)
-            node = child
-        elif details["type"] == "missing" and position == len(loc) - 1:
-            path.append(step)
-    return tuple(path)
-
-
-def _in_words(node: Node | None) -> str:
-    """Describe the content of a node."""
-    if node is None or node.content is None:
-        return "nothing"
-    if isinstance(node.content, list):
-        return "an empty list" if not node.content else f"a list of {len(node.content)}"
-    if isinstance(node.content, dict):
-        return "a mapping"
-    if isinstance(node.content, str):
-        return repr(_shortened(node.content))
-    return _shortened(node.text)
-
-
-def _shortened(text: str) -> str:
-    return text if len(text) <= 60 else text[:57] + "..."
-
-
-def _remedy(reading: Reading[Any], path: tuple[Step, ...], node: Node | None) -> str:
-    """Return the remedy for a value of the wrong kind."""
-    allowed = describe(reading.model, path)
-    if node is None:
-        return ""
-    if isinstance(node.content, str):
-        number, after = suggest_number(node.content) if "number" in allowed else ("", "")
-        if number:
-            unit = unit_of(path)
-            only = f"write only the number: {number}" + ("; the unit is part of the key" if unit else "")
-            return f"write the number in {unit}, without the unit" if unit and after not in ("", unit) else only
-        meant = suggest(node.content, allowed.split(", "))
-        return f"did you mean '{meant}'?" if meant else ""
-    if allowed == "text" and not isinstance(node.content, list | dict | None):
-        return f'write "{node.text}" in quotes'
-    if isinstance(node.content, float) and "whole number" in allowed and node.content == node.content // 1:
-        return f"write {node.content:.0f}"
-    return ""
 
 
 def _absent(section: type[BaseModel], node: Node | None, prefix: str) -> Iterator[dict[str, Any]]:

@@ -9,8 +9,9 @@ import pytest
 from pydantic import Field
 
 from modaltouch.protocol.reading import read
-from modaltouch.protocol.section import Count, Positive, Section, Text, describe, suggest_number
+from modaltouch.protocol.section import Count, Positive, Section, Text
 from modaltouch.protocol.source import Source
+from modaltouch.protocol.wording import describe, suggest_number
 
 
 class Inner(Section):
