@@ -11,7 +11,8 @@ import pytest
 from modaltouch.preflight import estimated_duration
 from modaltouch.preflight.advice import interval_warnings
 from modaltouch.protocol import Findings, Protocol, Schedule, Trial
-from modaltouch.protocol.intervals import IntervalsSection, StandardSection, draw_intervals
+from modaltouch.protocol.intervals import draw_intervals
+from modaltouch.protocol.stimulus_sections import IntervalsSection, StandardSection
 from modaltouch.protocol.streams import Stream
 from modaltouch.protocol.trial import Condition
 

@@ -12,7 +12,6 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, RootModel
 
 from modaltouch.protocol.apparatus import Apparatus
-from modaltouch.protocol.intervals import presented_levels
 from modaltouch.protocol.reading import Reading, read
 from modaltouch.protocol.section import (
     DampingRatio,
@@ -27,7 +26,7 @@ from modaltouch.protocol.section import (
 )
 from modaltouch.protocol.sections import Protocol
 from modaltouch.protocol.source import Problem, Source
-from modaltouch.protocol.stimulus_sections import StimulusSection
+from modaltouch.protocol.stimulus_sections import StimulusSection, presented_levels
 
 Hash = Annotated[Text, Field(pattern=r"^[0-9a-f]{64}$", json_schema_extra={"x-allowed": "64 hexadecimal digits"})]
 

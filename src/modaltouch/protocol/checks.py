@@ -9,28 +9,21 @@ from typing import Any
 
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.conditions import check_contacts, contacts, is_adaptive, offered_answers
-from modaltouch.protocol.intervals import check_intervals, presented_levels
 from modaltouch.protocol.people import check_people
 from modaltouch.protocol.questions import MOST_ANSWERS, check_key, check_questions
 from modaltouch.protocol.reading import Reading, repeats
 from modaltouch.protocol.schedule_section import LIMITS
 from modaltouch.protocol.sections import AnswersSection, Protocol
 from modaltouch.protocol.source import Problem, suggest
-from modaltouch.protocol.stimulus_sections import check_masking, check_target_field, is_elsewhere
+from modaltouch.protocol.stimulus_sections import check_masking, check_target_field, is_elsewhere, presented_levels
 from modaltouch.protocol.trial import SHIPPED, TIME_OUT
 
 TRIAL_LIMIT = 10_000
 """Largest number of trials of a session, about a day's worth."""
 
 
-def check_schedule(reading: Reading[Protocol]) -> Iterator[Problem]:
+def _check_schedule(reading: Reading[Protocol]) -> Iterator[Problem]:
     """Yield a problem for each inconsistency between keys of ``conditions`` and ``schedule``, as far as valid."""
-    # Most designs neither list nor exclude cells, so the code for it is imported only if needed.
-    if any(reading.find(("conditions", key)) for key in ("table", "cells", "exclude")):
-        from modaltouch.protocol.cell_table import check_cells
-
-        yield from check_cells(reading)
-    yield from _check_stimuli(reading)
     own = ("sensation_levels", "multiples") if reading.sound("conditions", "sensation_levels") else None
     n_pairs, n_levels = len(contacts(reading)), len(reading.items("conditions", *(own or ("peak_velocities_mm_s",))))
     n_blocks = len(reading.items("conditions", "finger_conditions"))
@@ -76,24 +69,26 @@ def check_schedule(reading: Reading[Protocol]) -> Iterator[Problem]:
 
 def _check_stimuli(reading: Reading[Protocol]) -> Iterator[Problem]:
     """Yield the keys of individual stimuli that have no effect in this protocol."""
-    until = reading.sound("answers", "stimulus_until")
+    until, noise = reading.sound("answers", "stimulus_until"), reading.sound("masking")
     for name in reading.sound("stimuli") or ():
-        path = ("stimuli", name, "presentation_bursts")
-        if until == "answer" and (n_bursts := reading.sound(*path)) is not None:
-            yield reading.problem(
-                path,
+        bursts, masked = ("stimuli", name, "presentation_bursts"), ("stimuli", name, "masked")
+        n_bursts = reading.sound(*bursts)
+        yield from reading.faults(
+            (
+                until == "answer" and n_bursts is not None,
+                bursts,
                 f"{n_bursts}, but the stimulus plays until the answer",
                 "only for a stimulus that stops before the question (answers)",
                 "write stimulus_until: question",
-            )
-        path = ("stimuli", name, "masked")
-        if reading.sound(*path) is not None and reading.sound("masking") is None:
-            yield reading.problem(
-                path,
+            ),
+            (
+                noise is None and reading.sound(*masked) is not None,
+                masked,
                 "a choice of masking, but there is no noise",
                 "only with a section masking",
                 "add that section, or leave this out",
-            )
+            ),
+        )
 
 
 TAKEN_NAMES = frozenset(
@@ -109,21 +104,29 @@ def check_protocol(reading: Reading[Protocol]) -> list[Problem]:
         *check_target_field(reading),
         *check_contacts(reading),
         *_check_doubles(reading),
-        *check_schedule(reading),
-        *_check_own_levels(reading),
-        *check_intervals(reading),
+        *_check_stimuli(reading),
+        *_check_schedule(reading),
+        *_check_if_given(reading),
         *_check_keys(reading),
         *check_questions(reading),
         *check_people(reading),
     ]
 
 
-def _check_own_levels(reading: Reading[Protocol]) -> Iterator[Problem]:
-    # Most designs give fixed levels, so the code for others is imported only if needed.
+def _check_if_given(reading: Reading[Protocol]) -> Iterator[Problem]:
+    # Most designs are crossed, with fixed levels and one stimulus per trial: other code is imported only if needed.
+    if any(reading.find(("conditions", key)) for key in ("table", "cells", "exclude")):
+        from modaltouch.protocol.cell_table import check_cells
+
+        yield from check_cells(reading)
     if is_adaptive(reading) or reading.find(("conditions", "sensation_levels")) is not None:
         from modaltouch.protocol.levels import check_own_levels
 
         yield from check_own_levels(reading)
+    if any(reading.find((*section, "intervals")) for section in ((), ("answers",))):
+        from modaltouch.protocol.intervals import check_intervals
+
+        yield from check_intervals(reading)
 
 
 def _check_stimulus(reading: Reading[Protocol]) -> Iterator[Problem]:
@@ -301,13 +304,15 @@ def _check_answers(reading: Reading[Protocol], names: list[str] | None) -> Itera
             "add a key, such as `left`, `both` or `right`" if len(names) < 2 else "offer fewer",
         )
     zones = {zone for _, listed in contacts(reading) for zone in listed}
-    why = dict.fromkeys(zones, "which is a zone, and tables label answers by zone")
-    why |= dict.fromkeys(TAKEN_NAMES, "which is also a column of the table of counts")
-    why |= {TIME_OUT: "which is recorded when no answer comes in time"}
+    why = {
+        **dict.fromkeys(zones, "which is a zone, and tables label answers by zone"),
+        **dict.fromkeys(TAKEN_NAMES, "which is also a column of the table of counts"),
+        TIME_OUT: "which is recorded when no answer comes in time",
+    }
     for name in [name for name in names or () if name in why]:
         yield reading.problem((*path, name), f"{name}, {why[name]}", "any other name", "choose another")
-    for name in [str(step) for step, _ in reading.items("answers", "fingers")]:
-        yield from _check_fingers(reading, name)
+    for step, _ in reading.items("answers", "fingers"):
+        yield from _check_fingers(reading, str(step))
     for section in ("fingers", "below", "intervals"):
         for step, value in reading.items("answers", section):
             name = value if section == "below" else step
@@ -392,19 +397,15 @@ def _check_modes(protocol: Reading[Protocol], apparatus: Reading[Apparatus]) -> 
     if (n_modes := apparatus.length("modes")) is None:
         return
     labels = [apparatus.sound("modes", index, "label") for index in range(n_modes)]
-    selection = protocol.sound("stimulus", "selected_modes")
+    path = ("stimulus", "selected_modes")
+    selection = protocol.sound(*path)
     if isinstance(selection, int) and selection > n_modes:
         given = f"{selection}, more than the {n_modes} modelled modes"
-        path = ("stimulus", "selected_modes")
         yield protocol.problem(path, given, f"1 to {n_modes}", "select fewer or add modes to the apparatus")
-    if None not in labels:
-        for index, label in protocol.items("stimulus", "selected_modes"):
-            if label not in labels:
-                yield protocol.problem(
-                    ("stimulus", "selected_modes", index),
-                    f"{label}, which is not a modelled mode",
-                    ", ".join(str(known) for known in labels),
-                )
+    allowed = ", ".join(map(str, labels))
+    for index, label in protocol.items(*path) if None not in labels else ():
+        if label not in labels:
+            yield protocol.problem((*path, index), f"{label}, which is not a modelled mode", allowed)
     yield from _check_sampling(protocol, apparatus, n_modes)
 
 

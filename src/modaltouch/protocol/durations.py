@@ -9,11 +9,10 @@ from collections.abc import Iterator
 
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.conditions import check_way
-from modaltouch.protocol.intervals import STANDARD_LEVEL
 from modaltouch.protocol.reading import Reading
 from modaltouch.protocol.sections import AnswersSection, Protocol, whole_bursts
 from modaltouch.protocol.source import Problem
-from modaltouch.protocol.stimulus_sections import is_elsewhere
+from modaltouch.protocol.stimulus_sections import STANDARD_LEVEL, is_elsewhere
 
 WHOLE = 5e-3
 """Tolerance of a duration for rounding in the file [bursts]."""

@@ -10,12 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 from modaltouch.protocol.apparatus import Apparatus, examine_apparatus
 from modaltouch.protocol.checks import check_fit, check_protocol
-from modaltouch.protocol.intervals import presented_levels
 from modaltouch.protocol.reading import Reading, read, read_tree
 from modaltouch.protocol.schedule_section import LIMITS, Occasion, at_occasion, check_alike, check_groups, occasions_of
 from modaltouch.protocol.sections import Protocol
 from modaltouch.protocol.source import InputError, Problem, Source, Sources
-from modaltouch.protocol.stimulus_sections import MEASURED, NO_FINGERS, StimulusSection, read_points
+from modaltouch.protocol.stimulus_sections import MEASURED, NO_FINGERS, StimulusSection, presented_levels, read_points
 from modaltouch.protocol.texts import Texts, check_words
 from modaltouch.protocol.tree import parse_tree
 from modaltouch.protocol.trial import Condition

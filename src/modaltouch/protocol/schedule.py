@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from modaltouch.protocol.conditions import Cell, Placement
-from modaltouch.protocol.intervals import draw_intervals
 from modaltouch.protocol.orders import are_certain, insert_catches, order_cells, period_of_rows
 from modaltouch.protocol.schedule_section import NoOrderError
 from modaltouch.protocol.sections import Protocol
@@ -328,6 +327,8 @@ def _number(
     seen: Counter[Condition] = Counter()
     intervals = [0] * len(conditions)
     if protocol.intervals is not None:
+        from modaltouch.protocol.intervals import draw_intervals
+
         intervals = draw_intervals(protocol.intervals, conditions, stream)
     trials = []
     for index, (condition, interval) in enumerate(zip(conditions, intervals, strict=True), start=first):

@@ -10,12 +10,17 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from modaltouch.protocol.conditions import AdaptiveSection, Cell, CellsSection, ConditionsSection, FingerCondition
-from modaltouch.protocol.intervals import IntervalsSection, Meaning
 from modaltouch.protocol.people import PersonField, read_people
 from modaltouch.protocol.questions import AskedSection, KeyName, QuestionSection
 from modaltouch.protocol.schedule_section import Overrides, ScheduleSection
 from modaltouch.protocol.section import Count, FileName, NotNegative, Positive, Section, Text, Word, described
-from modaltouch.protocol.stimulus_sections import MaskingSection, StimulusSection, StimulusVariant
+from modaltouch.protocol.stimulus_sections import (
+    IntervalsSection,
+    MaskingSection,
+    Meaning,
+    StimulusSection,
+    StimulusVariant,
+)
 from modaltouch.protocol.trial import AnswerList, Side, Trial
 
 
