@@ -191,8 +191,8 @@ def test_age_is_counted_from_the_instant_and_not_from_the_file(shipped: Path) ->
         Protocol,
     )
     limit = datetime(2026, 5, 5, 10, 0, tzinfo=UTC)
-    assert check_age(calibration, protocol, limit - timedelta(minutes=30)) == []
-    assert len(check_age(calibration, protocol, limit + timedelta(minutes=30))) == 1
+    assert not list(check_age(calibration, protocol, limit - timedelta(minutes=30)))
+    assert len(list(check_age(calibration, protocol, limit + timedelta(minutes=30)))) == 1
 
 
 def test_another_serial_number_is_refused(shipped: Path) -> None:

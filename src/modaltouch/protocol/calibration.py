@@ -390,8 +390,8 @@ def _check_levels(calibration: CalibrationFile, protocol: Reading[Protocol]) -> 
 
 def check_age(
     calibration: Reading[Calibration], protocol: Reading[Protocol], now: datetime | None = None
-) -> list[Problem]:
-    """Return a problem if a calibration is too old for a protocol or dated in the future.
+) -> Iterator[Problem]:
+    """Yield a problem if a calibration is too old for a protocol or dated in the future.
 
     Parameters
     ----------
@@ -402,40 +402,21 @@ def check_age(
     now : datetime, optional
         Current time with its UTC offset.
     """
-    made_text = calibration.sound("made")
-    if made_text is None:
-        return []
+    made, path = calibration.sound("made"), ("calibration", "max_age_days")
+    if made is None:
+        return
     try:
-        days = ((now or datetime.now(UTC)) - datetime.fromisoformat(made_text)).total_seconds() / 86400
+        days = ((now or datetime.now(UTC)) - datetime.fromisoformat(made)).total_seconds() / 86400
     except (ValueError, TypeError):
-        return [
-            calibration.problem(
-                ("made",),
-                f"{made_text!r}, which is not a valid instant",
-                "a date and time with its offset from UTC, as in 2026-05-04T10:30:00+00:00",
-                AGAIN,
-            )
-        ]
+        allowed = "a date and time with its offset from UTC, as in 2026-05-04T10:30:00+00:00"
+        yield calibration.problem(("made",), f"{made!r}, which is not a valid instant", allowed, AGAIN)
+        return
     if days < -1 / 24:
-        return [
-            calibration.problem(
-                ("made",),
-                f"{made_text}, which lies in the future",
-                "a time before now",
-                "set this machine's clock right",
-            )
-        ]
-    limit = protocol.sound("calibration", "max_age_days")
-    if limit is not None and days > limit:
-        return [
-            protocol.problem(
-                ("calibration", "max_age_days"),
-                f"{limit:g} days, but the calibration {calibration.source.path} is {days:.1f} days old ({made_text})",
-                "a more recent calibration",
-                AGAIN,
-            )
-        ]
-    return []
+        given, remedy = f"{made}, which lies in the future", "set this machine's clock right"
+        yield calibration.problem(("made",), given, "a time before now", remedy)
+    if (limit := protocol.sound(*path)) is not None and days > limit:
+        given = f"{limit:g} days, but the calibration {calibration.source.path} is {days:.1f} days old ({made})"
+        yield protocol.problem(path, given, "a more recent calibration", AGAIN)
 
 
 def _words(value: object) -> str:

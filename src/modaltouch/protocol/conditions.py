@@ -397,13 +397,20 @@ def is_adaptive(reading: Reading[Any]) -> bool:
 
 def contacts(reading: Reading[Any]) -> list[tuple[tuple[str, str, int], tuple[str, ...]]]:
     """Return the zones under the fingers with their paths, from the key that lists them."""
-    keys = ("zones", "zone_pairs")
-    return [(("conditions", key, index), zones) for key in keys for index, zones in reading.items("conditions", key)]
+    return [
+        (("conditions", key, index), zones)
+        for key in ("zones", "zone_pairs")
+        for index, zones in reading.items("conditions", key)
+    ]
 
 
 def offered_answers(reading: Reading[Any]) -> AnswerList:
     """Return the answers that a protocol offers, from its valid parts."""
-    fingers, below = dict(reading.items("answers", "fingers")), [name for _, name in reading.items("answers", "below")]
-    keys, scale = reading.keys("answers", "keys") or (), bool(reading.keys("answers", "scale"))
-    section = {"keys": keys, "fingers": fingers, "below": below, "scale": scale}
-    return AnswerList.of(section | {"intervals": dict(reading.items("answers", "intervals"))})
+    section = {
+        "keys": reading.keys("answers", "keys"),
+        "scale": reading.keys("answers", "scale"),
+        "below": [name for _, name in reading.items("answers", "below")],
+        "fingers": dict(reading.items("answers", "fingers")),
+        "intervals": dict(reading.items("answers", "intervals")),
+    }
+    return AnswerList.of(section)

@@ -299,8 +299,7 @@ class Findings:
     def recorded(cls, start: dict[str, Any]) -> Findings:
         """Return the findings for the copies in a session's start record, on its occasion."""
         own = start.get("schedule", {})
-        occasion = str(own.get("group", "")), str(own.get("session_kind", ""))
-        return cls.restored(Sources.from_dict(start["sources"]), occasion)
+        return cls.restored(Sources.from_dict(start["sources"]), (own.get("group", ""), own.get("session_kind", "")))
 
     @classmethod
     def read(

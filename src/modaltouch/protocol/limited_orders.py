@@ -320,8 +320,9 @@ class Limit(Generic[Item]):
 
     def n_broken(self, order: Sequence[Item]) -> int:
         """Count the violations in an order, each at its last trial."""
-        places = range(1, len(order))
-        return sum(self.n_broken_between(order[max(0, n - self.reach) : n], order[n : n + 1]) for n in places)
+        return sum(
+            self.n_broken_between(order[max(0, n - self.reach) : n], order[n : n + 1]) for n in range(1, len(order))
+        )
 
 
 def draw_by_walk(

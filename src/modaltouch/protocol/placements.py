@@ -75,9 +75,11 @@ class Placements:
         self, finger_condition: str, zones: tuple[str, ...], placement: str = "normal"
     ) -> dict[str, tuple[str, Finger]]:
         """Return zone and values of each finger of a finger condition, by name, from the left end of the beam."""
-        laid = self._laid(Condition.on(zones, finger_condition, 0.0, placement))
-        found = [(name, zone, self.file.of(name)) for zone, name in laid]
-        return {name: (zone, each.at(self._centre(zone))) for name, zone, each in found if each is not None}
+        return {
+            name: (zone, section.at(self._centre(zone)))
+            for zone, name in self._laid(Condition.on(zones, finger_condition, 0.0, placement))
+            if (section := self.file.of(name)) is not None
+        }
 
     def measured(self, fingers: Mapping[str, Mapping[str, Any]]) -> dict[str, Finger]:
         """Return fingers by zone, from the keys of each in a file, including ``zone``."""

@@ -28,8 +28,10 @@ SCHEMAS: dict[str, type[BaseModel]] = {
 
 def schema(name: str) -> dict[str, Any]:
     """Return the JSON Schema of a kind of file, by its name in `SCHEMAS`."""
-    bare = _without(SCHEMAS[name].model_json_schema(), "x-allowed")
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **bare}
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        **_without(SCHEMAS[name].model_json_schema(), "x-allowed"),
+    }
 
 
 def write_schemas(folder: Path) -> tuple[Path, ...]:

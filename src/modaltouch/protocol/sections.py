@@ -161,8 +161,7 @@ class AnswersSection(AskedSection):
     @property
     def offered(self) -> AnswerList:
         """The answers in screen order."""
-        keys = ("keys", "fingers", "below", "intervals", "scale")
-        return AnswerList.of({name: getattr(self, name) for name in keys})
+        return AnswerList.of({name: getattr(self, name) for name in ("keys", "fingers", "below", "intervals", "scale")})
 
     @property
     def further(self) -> dict[str, AnswersSection]:
@@ -445,5 +444,5 @@ class Protocol(Section):
 
     def with_levels(self, levels_mm_s: tuple[float, ...]) -> Protocol:
         """Return the protocol with a participant's levels [mm/s] in place of sensation levels."""
-        update = {"peak_velocities_mm_s": levels_mm_s, "sensation_levels": None}
-        return self.model_copy(update={"conditions": self.conditions.model_copy(update=update)})
+        own = self.conditions.model_copy(update={"peak_velocities_mm_s": levels_mm_s, "sensation_levels": None})
+        return self.model_copy(update={"conditions": own})

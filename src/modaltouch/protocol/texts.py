@@ -228,11 +228,10 @@ class Texts(Section):
     def placing(self, fingers: tuple[str, ...], zones: tuple[str, ...]) -> str:
         """Return the instruction that assigns fingers to zones."""
         if len(zones) != 2:
-            laid = zip(fingers, zones, strict=True)
-            return "\n".join((self.place_each_finger or "").format(finger=f, zone=zone) for f, zone in laid)
-        (left, right), (left_zone, right_zone) = fingers, zones
+            each = self.place_each_finger or ""
+            return "\n".join(each.format(finger=f, zone=zone) for f, zone in zip(fingers, zones, strict=True))
         return self.place_fingers.format(
-            **{"left_finger": left, "left_zone": left_zone, "right_finger": right, "right_zone": right_zone}
+            left_finger=fingers[0], left_zone=zones[0], right_finger=fingers[1], right_zone=zones[1]
         )
 
     def label(self, answer: str) -> str:

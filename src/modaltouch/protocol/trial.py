@@ -387,5 +387,4 @@ class Response:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the response as a JSON-serialisable dict for the record."""
-        values = asdict(self)
-        return {name: value for name, value in values.items() if name not in _SELDOM or value not in (None, {})}
+        return {name: value for name, value in asdict(self).items() if name not in _SELDOM or value not in (None, {})}

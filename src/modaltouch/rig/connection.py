@@ -77,8 +77,7 @@ class OutputState:
     def faults(self) -> tuple[str, ...]:
         """Reasons why the stimulus played up to then is not confirmed; empty if there are none."""
         silent = [f"output {n} was off" for n, on in enumerate(self.outputs, start=1) if not on]
-        reported = [f"the generator reports {error}" for error in self.errors]
-        return (*silent, *self.differences, *reported)
+        return (*silent, *self.differences, *(f"the generator reports {error}" for error in self.errors))
 
 
 class Connection:

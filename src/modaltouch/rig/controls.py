@@ -173,7 +173,7 @@ class Controls:
 
     def outputs_off(self) -> tuple[tuple[bool, ...], tuple[str, ...]]:
         """Switch both outputs off with confirmation; return which were on, and the errors reported."""
-        outputs = [self._table.output.filled(channel=channel) for channel in self._instrument.channels]
+        outputs = self._instrument.on_all(self._table.output)
         asked = ";".join(f":{output.query}" for output in outputs)
         off = ";".join(f":{output.off.command}" for output in outputs)
         replies = split_reply(self.ask(f"{asked};{off};{asked};:SYST:ERR?"))
@@ -202,7 +202,7 @@ class Controls:
 
     def outputs_on(self) -> None:
         """Switch both outputs on in one message."""
-        self.apply([self._table.output.filled(channel=channel) for channel in self._instrument.channels])
+        self.apply(self._instrument.on_all(self._table.output))
 
     def apply(self, settings: Sequence[Setting]) -> tuple[str, ...]:
         """Apply settings in one message, read each back, check the error queue, and return the values read back."""

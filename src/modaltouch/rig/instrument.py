@@ -195,7 +195,7 @@ class Instrument:
     @property
     def off(self) -> str:
         """Message that switches all outputs off and queries their state."""
-        outputs = [self.commands.output.filled(channel=channel) for channel in self.channels]
+        outputs = self.on_all(self.commands.output)
         return ";".join(f":{part}" for part in [*(each.off.command for each in outputs), *(o.query for o in outputs)])
 
     def on_all(self, entry: Setting, **quantities: float) -> tuple[Setting, ...]:
@@ -294,8 +294,7 @@ class Limits:
 
     def guarded_settings(self) -> tuple[Setting, ...]:
         """Return the quiet settings of all channels that remain valid during stimuli: all except the amplitude."""
-        level = self.instrument.commands.level
-        levels = [level.filled(channel=channel).header for channel in self.instrument.channels]
+        levels = [level.header for level in self.instrument.on_all(self.instrument.commands.level)]
         quiet = [setting for channel in self.instrument.channels for setting in self.quiet_settings(channel)]
         return tuple(setting for setting in quiet if setting.header not in levels)
 

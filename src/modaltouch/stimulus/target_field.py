@@ -250,8 +250,7 @@ class Projection:
 
         They are scaled so that the field at its centre equals the level.
         """
-        chosen = np.isin(self.model.label, self.selected)
-        kept = np.where(chosen, self.coefficient, 0.0)
+        kept = np.where(np.isin(self.model.label, self.selected), self.coefficient, 0.0)
         at_centre = float(kept @ self.model.shapes([self.target_field.centre])[:, 0])
         if at_centre < _NOTHING:
             raise ValueError(
@@ -274,8 +273,7 @@ class Projection:
         """Labels of unselected modes above a tenth of the largest coefficient of the field, strongest first."""
         strength = np.abs(self.decomposition)
         order = np.argsort(-strength, kind="stable") + 1
-        least = 0.1 * strength.max()
-        return tuple(int(k) for k in order if strength[k - 1] > least and k not in self.selected)
+        return tuple(int(k) for k in order if strength[k - 1] > 0.1 * strength.max() and k not in self.selected)
 
     def unreached(self) -> str:
         """Return a sentence on the part of the target field out of reach of the selected modes, and on missing modes.

@@ -202,5 +202,4 @@ def _spoil_reply(data: bytes, met: dict[Kind, Fault]) -> Reply:
         data = data[: max(len(data) // 2, 1)]
     if "wrong_reply" in met:
         data = str(met["wrong_reply"].value).encode() + b"\n"
-    delay = float(met["delayed_reply"].value) if "delayed_reply" in met else 0.0
-    return Reply(data, delay)
+    return Reply(data, float(met["delayed_reply"].value) if "delayed_reply" in met else 0.0)

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from modaltouch.protocol import Apparatus, InputError, Problem, Schedule
+from modaltouch.protocol import Apparatus, InputError, Schedule
 from modaltouch.rig.simulator.timeline import Playback, PlayedBurst
 from modaltouch.rig.simulator.twin import MOST_SAMPLES, Twin
 from modaltouch.stimulus import Finger
@@ -59,10 +59,8 @@ class PlayedLog:
             self._file = path.open("a", encoding="utf-8", newline="\n")
         except OSError as error:
             given = f"a file that cannot be written ({error.strerror})"
-            remedy = "give another one with --played"
-            raise InputError(
-                [Problem(str(path), 0, 0, "", given, "a file in a folder you may write to", remedy)]
-            ) from error
+            allowed = "a file in a folder you may write to"
+            raise InputError.of(path, given, allowed, "give another one with --played") from error
         self._twin = twin
         self._settle = settle
         self._touched = touched
@@ -150,10 +148,8 @@ class FollowedSession:
 
     def __init__(self, path: Path, apparatus: Apparatus) -> None:
         if path.is_dir():
-            remedy = "give its session.jsonl with --follow"
-            raise InputError(
-                [Problem(str(path), 0, 0, "", "a folder", "the log of a session, even a future one", remedy)]
-            )
+            allowed = "the log of a session, even a future one"
+            raise InputError.of(path, "a folder", allowed, "give its session.jsonl with --follow")
         self._path, self._apparatus = path, apparatus
         self._read = self._n_placements = self._n_trials = 0
         self._who = 0, "", 0

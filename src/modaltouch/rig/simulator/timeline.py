@@ -276,8 +276,7 @@ class Timeline:
                 first = begin + (sent.delay if in_burst else 0.0)
                 spans[channel] = first, first + (situation.length[channel] if in_burst else self._cycle_length)
         if spans and self.caught is None and any(situation.outputs):
-            rows = zip(situation.sent, situation.outputs, strict=True)
-            self.caught = tuple(sent if on else None for sent, on in rows)
+            self.caught = tuple(s if on else None for s, on in zip(situation.sent, situation.outputs, strict=True))
         if spans:
             self._running[in_burst] = _Run(situation.sent, spans, link)
 
