@@ -10,7 +10,7 @@ import pytest
 
 from modaltouch.protocol import Experiment, Findings, InputError, Sources
 from modaltouch.protocol.apparatus import Apparatus
-from modaltouch.protocol.fingers import FingersFile
+from modaltouch.protocol.placements import FingersFile
 from modaltouch.protocol.schedule import Schedule
 from modaltouch.protocol.trial import Condition
 

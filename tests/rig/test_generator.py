@@ -17,8 +17,7 @@ import pytest
 
 from modaltouch.protocol import InputError
 from modaltouch.protocol.apparatus import Apparatus
-from modaltouch.protocol.apparatus_sections import Latency
-from modaltouch.protocol.fingers import FingerSection, FingerSpread
+from modaltouch.protocol.apparatus_sections import FingerSection, FingerSpread, Latency
 from modaltouch.rig.generator import Generator
 from modaltouch.rig.interface import Bursts, RigError
 from modaltouch.rig.pacing import HELD_UP

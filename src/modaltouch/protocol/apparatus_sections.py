@@ -1,4 +1,4 @@
-"""Sections of an apparatus file: the beam and its modes, as identified and in the simulated rig."""
+"""Sections of an apparatus file: the beam, its modes and fingertips, as identified and in the simulated rig."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from modaltouch.protocol.fingers import FingerSection, FingerSpread
 from modaltouch.protocol.reading import Reading
 from modaltouch.protocol.section import (
     Count,
@@ -19,6 +18,7 @@ from modaltouch.protocol.section import (
     Number,
     Positive,
     Section,
+    Spread,
     Text,
     Word,
     described,
@@ -26,7 +26,7 @@ from modaltouch.protocol.section import (
 from modaltouch.protocol.source import Problem, fault
 
 if TYPE_CHECKING:
-    from modaltouch.stimulus import MeasuredShapes
+    from modaltouch.stimulus import Finger, MeasuredShapes
 
 
 class Intervals(Section):
@@ -310,6 +310,79 @@ class TrueGenerator(Section):
     external_pulses_Hz: Positive | None = described(  # noqa: N815
         "Rate of the pulse source at the trigger input [Hz]; null if nothing is wired to it.", default=None
     )
+
+
+class MaxwellSection(Section):
+    """A Maxwell element: a spring in series with a damper."""
+
+    stiffness_N_per_mm: Positive = described("Stiffness before it relaxes [N/mm].")  # noqa: N815
+    relaxation_ms: Positive = described("Relaxation time [ms].")
+
+
+class SecondMassSection(Section):
+    """A mass behind a spring, such as the finger behind its pulp."""
+
+    mass_g: Positive = described("The mass [g].")
+    stiffness_N_per_mm: Positive = described("Stiffness of the spring [N/mm].")  # noqa: N815
+    damping_N_s_per_m: NotNegative = described("Damping between the mass and a point at rest [N s/m].", default=0.0)  # noqa: N815
+
+    @property
+    def values(self) -> tuple[float, float, float]:
+        """Mass [kg], stiffness [N/m] and damping [N s/m]."""
+        return self.mass_g * 1e-3, self.stiffness_N_per_mm * 1e3, self.damping_N_s_per_m
+
+
+class FingerSection(Section):
+    """Mechanical load of a fingertip on the beam."""
+
+    mass_g: NotNegative = described("Mass that moves with the beam [g].")
+    damping_N_s_per_m: NotNegative = described("Viscous damping [N s/m].")  # noqa: N815
+    stiffness_N_per_mm: NotNegative = described("Stiffness [N/mm].", default=0.0)  # noqa: N815
+    contact_width_mm: Positive = described("Width of the contact along the beam [mm].", default=10.0)
+    maxwell: Annotated[tuple[MaxwellSection, ...], Field(max_length=8)] = described(
+        "Springs in series with dampers, in addition to the rest.", default=()
+    )
+    second_mass: SecondMassSection | None = described("A second mass behind a spring; null for none.", default=None)
+    offset_mm: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-10, le=10)] = described(
+        "Distance from the centre of the zone that it rests on, positive as the zones' positions are [mm].", default=0.0
+    )
+
+    def at(self, centre: float) -> Finger:
+        """Return the finger in SI units on a zone centred at `centre` [m]."""
+        from modaltouch.stimulus import Finger
+
+        return Finger(
+            centre + self.offset_mm * 1e-3,
+            mass=self.mass_g * 1e-3,
+            damping=self.damping_N_s_per_m,
+            stiffness=self.stiffness_N_per_mm * 1e3,
+            width=self.contact_width_mm * 1e-3,
+            maxwell=tuple((each.stiffness_N_per_mm * 1e3, each.relaxation_ms * 1e-3) for each in self.maxwell),
+            second_mass=None if self.second_mass is None else self.second_mass.values,
+        )
+
+
+class FingerSpread(Section):
+    """Variability of fingertips: standard deviations of logarithms, and of the position."""
+
+    mass: Spread = described("Spread of the mass.", default=0.0)
+    damping: Spread = described("Spread of the damping.", default=0.0)
+    stiffness: Spread = described("Spread of the stiffness.", default=0.0)
+    offset_mm: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0, le=5)] = described(
+        "Spread of the position along the beam [mm].", default=0.0
+    )
+
+    def drawn(self, typical: FingerSection, rng: np.random.Generator) -> FingerSection:
+        """Draw the fingertip of a person, a placement or a trial around a typical one."""
+        mass, damping, stiffness = np.exp(rng.standard_normal(3) * (self.mass, self.damping, self.stiffness)).tolist()
+        values = {
+            "mass_g": typical.mass_g * mass,
+            "damping_N_s_per_m": typical.damping_N_s_per_m * damping,
+            "stiffness_N_per_mm": typical.stiffness_N_per_mm * stiffness,
+        }
+        if self.offset_mm:
+            values["offset_mm"] = typical.offset_mm + self.offset_mm * float(rng.standard_normal())
+        return typical.model_copy(update=values)
 
 
 class TwinSection(Section):

@@ -23,8 +23,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from modaltouch.protocol.calibration import Calibration
-    from modaltouch.protocol.fingers import FingersFile
-    from modaltouch.protocol.placements import Placements
+    from modaltouch.protocol.placements import FingersFile, Placements
 
 
 @dataclass(frozen=True)

@@ -1,15 +1,19 @@
-"""Placements of fingers on the beam in each condition, and their names, under which designs are stored."""
+"""A fingers file, and the placements of its fingers on the beam, by whose names designs are stored."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import product
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from pydantic import Discriminator, Field, Tag
 
 from modaltouch.protocol.apparatus import Apparatus
-from modaltouch.protocol.fingers import FingerSection, FingersFile
+from modaltouch.protocol.apparatus_sections import FingerSection, FingerSpread
 from modaltouch.protocol.reading import Reading, read
+from modaltouch.protocol.section import Interval, NotNegative, Number, Section, Text, described
 from modaltouch.protocol.sections import Protocol
 from modaltouch.protocol.source import InputError, Problem, Source
 from modaltouch.protocol.stimulus_sections import MEASURED, NO_FINGERS
@@ -19,6 +23,80 @@ if TYPE_CHECKING:
     import numpy as np
 
     from modaltouch.stimulus import Finger
+
+
+class HandSection(Section):
+    """The fingers of a hand."""
+
+    index: FingerSection | None = described("The index finger.", default=None)
+    middle: FingerSection | None = described("The middle finger.", default=None)
+    ring: FingerSection | None = described("The ring finger.", default=None)
+    little: FingerSection | None = described("The little finger.", default=None)
+    thumb: FingerSection | None = described("The thumb.", default=None)
+
+
+class HandsSection(Section):
+    """Fingers by hand."""
+
+    left: HandSection = described("The left hand.", default=HandSection())
+    right: HandSection = described("The right hand.", default=HandSection())
+
+
+def _kind_of_fingers(value: object) -> str:
+    keys = set(value) if isinstance(value, dict) else set()
+    return "hands" if isinstance(value, HandsSection) or keys & {"left", "right"} else "all"
+
+
+class FingerProbe(Section):
+    """The probe by which fingers were measured."""
+
+    placement: Text = described("Zones from left to right, and the fingers on them.")
+    date: Text = described("When the probe was made.")
+    mode: Text = described("simulated or real.")
+    misfit: NotNegative = described("Mean square of the residuals of the fit, relative to that of the noise [1].")
+    level_percent: Interval = described(
+        "95 % interval of the level at the focus, as a share of the level asked for, without the uncertainty of the "
+        "vibrometer's sensitivity, which all levels share [%]."
+    )
+    covariance: Annotated[tuple[tuple[Number, ...], ...], Field(max_length=100)] = described(
+        "Covariance of the logarithms of mass, damping and stiffness, the offset [mm] and the logarithms of the "
+        "stiffnesses in `maxwell`, finger after finger."
+    )
+
+
+class FingersFile(Section):
+    """Fingertips on the beam."""
+
+    description: Text = described("What these fingers represent.", default="")
+    sources: tuple[Text, ...] = described("Where the numbers come from.", default=())
+    fingers: Annotated[
+        Annotated[FingerSection, Tag("all")] | Annotated[HandsSection, Tag("hands")], Discriminator(_kind_of_fingers)
+    ] = described("One entry for all fingers, or one for each hand and finger.")
+    spread: FingerSpread = described("How much fingers differ between people.", default=FingerSpread())
+    placement_spread: FingerSpread = described(
+        "How much one person's fingers differ from one placement to the next, on the simulated beam.",
+        default=FingerSpread(),
+    )
+    trial_spread: FingerSpread = described(
+        "How much the fingers of one placement differ from one trial to the next, on the simulated beam.",
+        default=FingerSpread(),
+    )
+    probes: Annotated[tuple[FingerProbe, ...], Field(max_length=100)] = described(
+        "The probes with which the fingers were measured, written by `modaltouch fingers probe`.", default=()
+    )
+
+    def of(self, name: str) -> FingerSection | None:
+        """Return the fingertip with a name such as ``left index``; None if the file has none."""
+        if isinstance(self.fingers, FingerSection):
+            return self.fingers
+        hand, finger = name.split()
+        found: FingerSection | None = getattr(getattr(self.fingers, hand), finger)
+        return found
+
+    @classmethod
+    def read(cls, name: Path | str) -> FingersFile:
+        """Read fingers from a file."""
+        return read(Source.find("fingers", name), cls).require()
 
 
 @dataclass(frozen=True)

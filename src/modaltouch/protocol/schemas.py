@@ -10,8 +10,8 @@ from pydantic import BaseModel
 
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.calibration import AnyCalibration
-from modaltouch.protocol.fingers import FingersFile
 from modaltouch.protocol.observers import ObserverFile
+from modaltouch.protocol.placements import FingersFile
 from modaltouch.protocol.sections import Protocol
 from modaltouch.protocol.texts import Texts
 

@@ -12,7 +12,7 @@ from modaltouch.lab.laboratory import open_laboratory
 from modaltouch.lab.probe_excitation import BurstRecord, Excitation
 from modaltouch.preflight import design, examine
 from modaltouch.protocol.apparatus import Apparatus
-from modaltouch.protocol.fingers import FingersFile
+from modaltouch.protocol.placements import FingersFile
 from modaltouch.protocol.source import Source
 from modaltouch.record import RecordError
 from modaltouch.rig import Recording, RigError

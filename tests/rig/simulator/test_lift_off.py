@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from modaltouch.protocol.apparatus import Apparatus
-from modaltouch.protocol.fingers import FingerSection, MaxwellSection, SecondMassSection
+from modaltouch.protocol.apparatus_sections import FingerSection, MaxwellSection, SecondMassSection
 from modaltouch.rig.simulator.lift_off import PressedBeam
 from modaltouch.rig.simulator.timeline import Playback
 from modaltouch.rig.simulator.twin import Twin

@@ -10,8 +10,7 @@ import pytest
 from scipy.stats import norm
 
 from modaltouch.protocol.apparatus import Apparatus
-from modaltouch.protocol.apparatus_sections import ScopeSection, TrueAmplifier, Vibrometer
-from modaltouch.protocol.fingers import FingerSection
+from modaltouch.protocol.apparatus_sections import FingerSection, ScopeSection, TrueAmplifier, Vibrometer
 from modaltouch.rig.afg3022b import AFG3022B
 from modaltouch.rig.generator import Generator
 from modaltouch.rig.interface import RigError

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from modaltouch.protocol.apparatus import Apparatus
-from modaltouch.protocol.apparatus_sections import TrueAmplifier, UnlistedMode
-from modaltouch.protocol.fingers import FingerSection
+from modaltouch.protocol.apparatus_sections import FingerSection, TrueAmplifier, UnlistedMode
 from modaltouch.rig.simulator.timeline import Playback
 from modaltouch.rig.simulator.true_beam import generator_gains, true_beam
 from modaltouch.rig.simulator.twin import Twin
