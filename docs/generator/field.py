@@ -15,7 +15,7 @@ import numpy as np
 
 import modaltouch
 from generator.pages import write
-from modaltouch.protocol.apparatus_sections import FingersFile
+from modaltouch.protocol.placements import FingersFile
 from modaltouch.stimulus import Correction, Finger, Stimulus
 from modaltouch.stimulus.target_field import Projection
 from modaltouch.stimulus.vibration import history

@@ -13,7 +13,7 @@ from ruamel.yaml import YAML
 
 from generator.pages import definition, page, toctree, write
 from modaltouch.protocol.schemas import SCHEMAS
-from modaltouch.protocol.section import describe
+from modaltouch.protocol.wording import describe
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = ROOT / "docs" / "examples"

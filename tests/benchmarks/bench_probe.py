@@ -22,7 +22,7 @@ from modaltouch.lab.laboratory import open_laboratory
 from modaltouch.lab.probe_excitation import N_RECORDS, SPACING, Excitation
 from modaltouch.preflight import examine
 from modaltouch.protocol import Apparatus
-from modaltouch.protocol.apparatus_sections import FingersFile
+from modaltouch.protocol.placements import FingersFile
 from modaltouch.stimulus import Finger, ModalModel, Probe, Stimulus
 from modaltouch.stimulus.fingers import CoupledModes
 
