@@ -301,6 +301,19 @@ def test_the_export_holds_what_the_beam_gets_at_the_highest_level(
     assert np.abs(voltage).max(axis=1) == pytest.approx([peaks["1"], peaks["2"]], rel=1e-12)
 
 
+def test_exported_samples_begin_on_the_clock_of_the_generator(
+    under_fingers: Callable[[str], Path], tmp_path: Path
+) -> None:
+    """131,072 samples in 50 ms are held for 95 or 96 clocks of 4 ns each (tm_devices: 250 MS/s)."""
+    protocol = under_fingers("[40]")
+    protocol.write_text(protocol.read_text("utf-8").replace("n_samples: 125000", "n_samples: 131072"), "utf-8")
+    checked(protocol, "--export", tmp_path / "drive.npz")
+    with np.load(tmp_path / "drive.npz") as arrays:
+        clocks = np.diff(arrays["time_s"]) / 4e-9
+    assert set(np.round(clocks)) == {95, 96}
+    np.testing.assert_allclose(clocks, np.round(clocks), atol=1e-3)
+
+
 def test_several_designs_are_exported_under_their_names(tmp_path: Path) -> None:
     """Of two stimuli each has its voltages; the first has them twice."""
     checked("two_fields", "--export", tmp_path / "drive.npz")

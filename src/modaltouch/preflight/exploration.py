@@ -273,14 +273,17 @@ def drive_arrays(designs: dict[str, Design]) -> dict[str, NDArray[np.float64]]:
     Returns
     -------
     dict of arrays
-        ``time_s``, (n_samples,), start of each sample; and ``voltage_V``, (n_channels, n_samples), played voltage at
-        the beam. With several designs, these belong to the first, and ``voltage_V_NAME`` holds each design, with
-        ``time_s_NAME`` if its samples differ.
+        ``time_s``, (n_samples,), start of each sample at the beam, on the generator's clock; and ``voltage_V``,
+        (n_channels, n_samples), played voltage, held until the next sample, before the pole of the amplifier if its
+        bandwidth is known. With several designs, these belong to the first, and ``voltage_V_NAME`` holds each design,
+        with ``time_s_NAME`` if its samples differ.
     """
     arrays: dict[str, NDArray[np.float64]] = {}
     for name, (inputs, stimulus) in designs.items():
         voltage = stimulus.voltage_played(max(inputs.levels.values()) * 1e-3)
         time = np.arange(voltage.shape[1], dtype=float) * stimulus.timing.hold + stimulus.amplifier.delay
+        if stimulus.timing.clock_error is not None:
+            time += stimulus.timing.clock_error[:-1]
         if not arrays:
             arrays = {"time_s": time, "voltage_V": voltage}
         if len(designs) > 1:
