@@ -290,7 +290,7 @@ def _draw_points(layout: Layout, theme: Theme, entered: str, names: list[str], c
 
 
 def _field(layout: Layout) -> Box:
-    return Box(0, -0.2, 0.42 * layout.unit, 0.066)
+    return Box(0, -0.2, 0.48 * layout.unit, 0.066)
 
 
 def _draw_keypad(layout: Layout, theme: Theme, entered: str, names: list[str], confirmed: bool) -> list[Mark]:

@@ -131,7 +131,7 @@ def _answer_buttons(answers: AnswerList, across: float, unit: float) -> dict[str
 
 def _scale_parts(scale: ScaleSection, across: float, unit: float) -> dict[str, Any]:
     """Return the parts of a scale by the action of a click, and the width of a point or key."""
-    confirm, line = Box(0, -0.333, 0.42 * unit, 0.058), Box(0, -0.215, 0.96 * across, 0.07)
+    confirm, line = Box(0, -0.333, 0.48 * unit, 0.058), Box(0, -0.215, 0.96 * across, 0.07)
     if scale.kind == "vas":
         return {"buttons": {"confirm": confirm, "line": line}, "answer_width": line.width}
     signs = [*"0123456789", ".", *(["-"] if "-" in scale.actions else []), "back"]
