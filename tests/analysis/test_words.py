@@ -10,6 +10,7 @@ import pytest
 
 from modaltouch.analysis.counts import count_answers
 from modaltouch.analysis.findings import Finding
+from modaltouch.analysis.intervals import clopper_pearson
 from modaltouch.analysis.report import delivered_rows, list_questions, speed_rows
 from modaltouch.analysis.statistics import find
 from modaltouch.analysis.words import (
@@ -166,6 +167,9 @@ def test_every_test_and_interval_has_its_certificate(paper_frame) -> None:
     assert {"a1", "a1 share"} <= named <= set(table["certificates"])
     assert named >= {"a1", "a2", "a2 mean", "c alike", "agreement", "share", "paired difference"}
     assert len(table["populations"]) >= 200
+    # The template of the certificates says that up to 7.4 % may be chance: 148 of 2,000, with a bound for all rows.
+    level = 1 - 2 * 0.05 / sum(len(each["errors"]) for each in table["certificates"].values())
+    assert (clopper_pearson([148, 149], 2000, level).low > 0.05).tolist() == [False, True]
     for name, each in table["certificates"].items():
         assert len(each["errors"]) == len(table["populations"])
         mean, worst, why = certificates()[name]
