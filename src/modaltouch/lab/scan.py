@@ -113,28 +113,25 @@ class Scan:
     @cached_property
     def velocity(self) -> FloatArray:
         """Velocity at each position, (n_positions, n_records, n_samples) array [m/s]."""
-        return self.stacked("velocity")
+        return self.stacked("velocity", 3)
 
     @cached_property
     def drive(self) -> FloatArray:
         """Voltage at the beam, (n_positions, n_records, n_drives, n_samples) array [V]."""
-        return self.stacked("drive")
+        return self.stacked("drive", 4)
 
-    def stacked(self, name: str) -> FloatArray:
+    def stacked(self, name: str, n_dimensions: int = 2) -> FloatArray:
         """Return the arrays kept under a name, stacked over the positions."""
         try:
-            return np.stack([np.asarray(each[name], dtype=float) for each in self.arrays])
+            values = np.stack([np.asarray(each[name], dtype=float) for each in self.arrays])
+            if values.ndim != n_dimensions:
+                raise ValueError(f"it has {values.ndim - 1} dimensions instead of {n_dimensions - 1}")
+            return values
         except (KeyError, ValueError) as error:
             raise RecordInputError(f"the positions do not all hold {name} in one form ({error}); scan again") from None
 
     def require_complete(self) -> Scan:
-        """Return the scan itself if every position was recorded.
-
-        Raises
-        ------
-        RecordInputError
-            If the scan was interrupted.
-        """
+        """Return the scan itself; refuse one that was interrupted."""
         planned = len(self.facts["settings"]["positions_mm"])
         if not self.complete:
             raise RecordInputError(
@@ -144,13 +141,7 @@ class Scan:
         return self
 
     def refuse_overloaded(self) -> Scan:
-        """Return the scan itself if no input reached the end of its range.
-
-        Raises
-        ------
-        RecordInputError
-            If an input was overloaded; the message names the input and the position.
-        """
+        """Return the scan itself; refuse one in which an input reached the end of its range."""
         for position, each in zip(self.positions, self.arrays, strict=True):
             if each["overloaded"].size:
                 raise RecordInputError(
@@ -161,19 +152,15 @@ class Scan:
         return self
 
     def refuse_other_instants(self) -> Scan:
-        """Return the scan itself if its first and last positions have equal sampling instants, where these are kept.
-
-        Raises
-        ------
-        RecordInputError
-            If the instants differ, since positions are compared sample by sample.
-        """
-        first, last = (np.asarray(each.get("time", 0.0)) for each in (self.arrays[0], self.arrays[-1]))
-        if first.shape != last.shape or np.abs(last - first).max() > LARGEST_SHIFT:
-            raise RecordInputError(
-                f"the sampling instants at {self.positions[-1] * 1e3:g} mm differ from those of the positions before: "
-                "set the scope as it was and continue, or scan again into another folder"
-            )
+        """Return the scan itself; refuse one whose positions differ in their sampling instants."""
+        first = np.asarray(self.arrays[0].get("time", 0.0))
+        for position, each in zip(self.positions, self.arrays, strict=True):
+            own = np.asarray(each.get("time", 0.0))
+            if own.shape != first.shape or np.abs(own - first).max() > LARGEST_SHIFT:
+                raise RecordInputError(
+                    f"the sampling instants at {position * 1e3:g} mm differ from those of the positions before: "
+                    "set the scope as it was and continue, or scan again into another folder"
+                )
         return self
 
 
@@ -209,9 +196,12 @@ def read_facts(folder: Path) -> dict[str, Any]:
     numbers = [settings["velocity_mm_s"], settings.get("across_mm", 0.0)]
     places = settings["positions_mm"]
     if not (
-        isinstance(places, list) and places and all(isinstance(each, (int, float)) for each in (*numbers, *places))
+        isinstance(places, list)
+        and places
+        and isinstance(settings["burst"], dict)
+        and all(isinstance(each, (int, float)) for each in (*numbers, *places))
     ):
-        raise RecordError(f"{path}: positions_mm, across_mm or velocity_mm_s is not a number or a list; restore it")
+        raise RecordError(f"{path}: positions_mm, across_mm, velocity_mm_s or burst has another form; restore it")
     return facts
 
 
@@ -224,8 +214,8 @@ def read_position(path: Path, position: float) -> dict[str, NDArray[Any]]:
         faulty = next(
             (name for name, each in arrays.items() if each.dtype.kind in "fc" and not np.isfinite(each).all()), ""
         )
-        if faulty or "overloaded" not in arrays:
-            raise ValueError(f"{faulty} is not finite throughout" if faulty else "overloaded is missing")
+        if faulty or arrays.get("overloaded", np.zeros(())).ndim != 1:
+            raise ValueError(f"{faulty} is not finite throughout" if faulty else "overloaded is missing or no list")
     except (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
         raise RecordError(
             f"{path}: it is damaged ({error}); delete it and repeat the command of the scan, which then measures that "
@@ -238,11 +228,6 @@ def read_position(path: Path, position: float) -> dict[str, NDArray[Any]]:
 
 def read_scan(folder: Path) -> Scan:
     """Read a scan, complete or not, up to the first missing position.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder of the scan.
 
     Raises
     ------
@@ -306,12 +291,8 @@ def take_scan(
         Burst, positions and scope settings.
     folder : Path, optional
         Folder in which each position is saved at once, and from which an interrupted scan is resumed.
-    source : Source, optional
-        The apparatus file, kept in the description.
-    reduction : callable
-        Reduces each recording to the arrays to keep; by default, whole records are kept.
-    step : str
-        Name under which progress is shown.
+    source, reduction, step
+        The apparatus file, kept in the description; what to keep of each recording; name under which progress is shown.
 
     Raises
     ------

@@ -199,11 +199,11 @@ def test_damage_is_told(laboratory: Laboratory, tmp_path: Path) -> None:
         (folder / "scan.json").write_text(json.dumps({"schema": "modaltouch scan 1", **kept}))
         with pytest.raises(RecordError, match=f"scan.json: {missing} is missing; restore it, or scan again"):
             read_scan(folder)
-    for key, value in ("positions_mm", 0.0), ("positions_mm", ["0"]), ("velocity_mm_s", None):
-        settings = dict.fromkeys(NEEDED[1], 0.0) | {"positions_mm": [0.0]} | {key: value}
+    for key, value in ("positions_mm", 0.0), ("positions_mm", ["0"]), ("velocity_mm_s", None), ("burst", []):
+        settings = dict.fromkeys(NEEDED[1], 0.0) | {"positions_mm": [0.0], "burst": {}} | {key: value}
         facts = {"schema": "modaltouch scan 1", "mode": "", "begun": "", "settings": settings}
         (folder / "scan.json").write_text(json.dumps(facts))
-        with pytest.raises(RecordError, match="scan.json: positions_mm, .* is not a number or a list; restore it"):
+        with pytest.raises(RecordError, match="scan.json: positions_mm, .* has another form; restore it"):
             read_scan(folder)
     with pytest.raises(RecordInputError, match=r"there is no scan here \(scan.json is missing\)"):
         read_scan(tmp_path)

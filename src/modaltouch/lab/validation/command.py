@@ -299,8 +299,8 @@ def read_laws(inputs: DesignInputs, folder: Path) -> list[Observation]:
         stimulus = design(inputs, law=law)
         scans = []
         for place in _folders(folder, law, beside):
-            scan = read_scan(place).require_complete().refuse_overloaded()
-            played = scan.facts["settings"]["burst"]["sha256"]
+            scan = read_scan(place).require_complete().refuse_overloaded().refuse_other_instants()
+            played = scan.facts["settings"]["burst"].get("sha256")
             if played != stimulus.burst.content_hash:
                 raise RecordInputError(
                     f"{place}: the stimulus played there is not that of this protocol with the law `{law}`; give "
@@ -308,7 +308,11 @@ def read_laws(inputs: DesignInputs, folder: Path) -> list[Observation]:
                 )
             scans.append(scan)
         velocity = float(scans[0].facts["settings"]["velocity_mm_s"]) * 1e-3
+        check_points(scans[0].positions, stimulus.model.label, stimulus.model.length)
         observed.append(_observation(inputs, stimulus, velocity, scans))
+        centres = [*observed[-1].zones.values()]
+        if scans[1].positions.size != len(centres) or not np.allclose(scans[1].positions, centres):
+            raise RecordInputError(f"{folder}: the zones recorded there are not those of the apparatus; give its file")
     return observed
 
 

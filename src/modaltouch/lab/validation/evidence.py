@@ -6,11 +6,11 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 
 from modaltouch.lab.arrays import FloatArray
-from modaltouch.lab.calibration.plausibility import NOTHING
 from modaltouch.lab.scan import Scan
 from modaltouch.record import RecordInputError
 from modaltouch.stimulus import Stimulus, mode_shapes
@@ -22,18 +22,14 @@ class Observation:
 
     Attributes
     ----------
-    stimulus : Stimulus
-        The stimulus that was played.
-    velocity : float
-        The level at which it was played [m/s].
+    stimulus, velocity
+        The stimulus that was played, and its level [m/s].
     zones : dict of str to float
         Zones and their centres, from left to right [m].
     focus : str
         Zone of the focus.
-    field : Scan
-        Velocity along the beam around the focusing instant.
-    course : Scan
-        Velocity at the centres of the zones throughout the burst.
+    field, course : Scan
+        Velocity along the beam around the focusing instant, and at the centres of the zones throughout the burst.
     rows : tuple of Scan
         The field on further rows across the width.
     """
@@ -50,22 +46,8 @@ class Observation:
 def spot_width(position: FloatArray, field: FloatArray, centre: float, fraction: float) -> float:
     """Return the width of a field around its focus, at a fraction of its value there [m].
 
-    Parameters
-    ----------
-    position : (n_positions,) array
-        Positions at which the field is given, increasing [m].
-    field : (n_positions,) array
-        Velocity field, interpolated linearly; its sign at the centre counts as positive [m/s].
-    centre : float
-        The focus [m].
-    fraction : float
-        Fraction of the velocity at the centre [1].
-
-    Returns
-    -------
-    float
-        The width; NaN if the field is zero at the centre. If the field does not fall to the fraction, the width extends
-        to the end of the field.
+    The field is interpolated linearly between increasing positions [m]; its sign at the centre counts as positive. The
+    width is NaN if the field is zero at the centre, and extends to the end of a field that does not fall so far.
     """
     at_centre = float(np.interp(centre, position, field))
     if at_centre == 0:
@@ -110,16 +92,12 @@ LAGS = np.arange(-5e-6, 25e-6, 0.25e-6)
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """Velocities predicted for the identified beam and the codes as played.
+    """Velocities predicted for the identified beam and the codes as played, over time since the start of a burst [s].
 
     Attributes
     ----------
-    time : (n_times,) array
-        Time since the start of a burst [s].
-    field : (n_positions, n_times) array
-        Velocity along the beam [m/s].
-    course : (n_zones, n_times) array
-        Velocity at the centres of the zones [m/s].
+    field, course : (n_points, n_times) array
+        Velocity along the beam, and at the centres of the zones [m/s].
     """
 
     time: FloatArray
@@ -135,13 +113,16 @@ class Prediction:
         time = np.asarray(np.arange(timing.n_samples) * timing.hold + stimulus.amplifier.delay, dtype=float)
         return cls(time, played[: places.size], played[places.size :])
 
-    def around(self, first: float, last: float) -> Callable[[FloatArray], FloatArray]:
-        """Return a function from instants in an interval [s] to the field, (n_positions, n_instants) array [m/s]."""
+    def around(
+        self, first: float, last: float, scan: Literal["field", "course"] = "field"
+    ) -> Callable[[FloatArray], FloatArray]:
+        """Return a function from instants in an interval [s] to a scan's velocities, (n_points, n_instants) [m/s]."""
         from scipy.interpolate import CubicSpline
 
         near = (self.time >= first) & (self.time <= last)
-        field: Callable[[FloatArray], FloatArray] = CubicSpline(self.time[near], self.field[:, near], axis=1)
-        return field
+        velocity = self.field if scan == "field" else self.course
+        interpolated: Callable[[FloatArray], FloatArray] = CubicSpline(self.time[near], velocity[:, near], axis=1)
+        return interpolated
 
 
 def measurement_delay(observations: Sequence[Observation], predictions: Sequence[Prediction]) -> float:
@@ -155,6 +136,10 @@ def measurement_delay(observations: Sequence[Observation], predictions: Sequence
         scan = observation.field
         # A delay has the largest effect around the focusing instant.
         near = np.abs(scan.time - observation.stimulus.timing.focusing_instant) < 0.25e-3
+        if near.sum() < FEWEST_INSTANTS:
+            raise RecordInputError(
+                "the recordings do not cover the focusing instant: check trigger and unit of the time"
+            )
         measured = mean_velocity(scan)[:, near]
         predicted = prediction.around(scan.time[near][0] - 2 * LAGS[-1], scan.time[near][-1] - 2 * LAGS[0])
         for place, lag in enumerate(LAGS):
@@ -169,9 +154,16 @@ def measurement_delay(observations: Sequence[Observation], predictions: Sequence
     return float(LAGS[best] + (LAGS[1] - LAGS[0]) * (before - after) / (2 * (before - 2 * at + after)))
 
 
-PLAUSIBLE, ALIKE = 2.0, 1.25
+PLAUSIBLE, ALIKE, OFFSET = 2.0, 1.25, 0.02
 """Largest factor, up or down, between measured and predicted velocity, and between this factor at a point and its
-median over the points [1]; beyond, a setting differs from the apparatus file, or changed during the scan."""
+median over the points, and largest constant velocity relative to the level [1]; beyond, a setting differs from the
+apparatus file, or changed during the scan."""
+
+WRONG_DRIVE = 2.5
+"""Factor between measured and predicted peak of a drive above which it is that of another output, or none [1]."""
+
+FEWEST_INSTANTS = 64
+"""Minimum number of samples around the focusing instant."""
 
 
 def refuse_implausible_records(
@@ -179,30 +171,40 @@ def refuse_implausible_records(
 ) -> None:
     """Refuse drives that were not recorded, and velocities unlike the predicted ones, at all points or at some."""
     for observation, prediction in zip(observations, predictions, strict=True):
+        # A beam that rests before and after a burst has no mean velocity over it.
+        offset = float(mean_velocity(observation.course).mean())
+        if abs(offset) > OFFSET * observation.velocity:
+            raise RecordInputError(
+                f"the velocity has a constant offset of {offset * 1e3:.2g} mm/s: set the vibrometer's output to zero, "
+                "or use its high-pass, and measure again"
+            )
         expected = observation.stimulus.peak_drive(observation.velocity)
-        for scan in (observation.field, observation.course, *observation.rows):
+        for scan in (observation.field, *observation.rows):
             measured = np.abs(scan.drive).max(axis=(0, 1, 3), initial=0.0)
             for output, (volts, predicted) in enumerate(zip(measured, expected, strict=False), start=1):
-                if volts < NOTHING * predicted > NOTHING:
+                if not 1 / WRONG_DRIVE < max(volts, 1.0) / max(predicted, 1.0) < WRONG_DRIVE:
                     raise RecordInputError(
                         f"the drive of output {output} measures {volts:.2g} V, and {predicted:.0f} V are predicted: "
-                        "check the probe at this output, and measure again"
+                        "check which probe is at which output, and its attenuation, and measure again"
                     )
-        for scan in (observation.field, *observation.rows):
-            _refuse_implausible_speeds(scan, prediction, observation.stimulus.timing.focusing_instant, delay)
+            _refuse_implausible_speeds(observation, scan, prediction, delay, "field")
+        _refuse_implausible_speeds(observation, observation.course, prediction, delay, "course")
 
 
-def _refuse_implausible_speeds(scan: Scan, prediction: Prediction, instant: float, delay: float) -> None:
-    near = np.abs(scan.time - instant) < 0.25e-3
+def _refuse_implausible_speeds(
+    observation: Observation, scan: Scan, prediction: Prediction, delay: float, which: Literal["field", "course"]
+) -> None:
+    near = np.abs(scan.time - observation.stimulus.timing.focusing_instant) < 0.25e-3
     measured, instants = mean_velocity(scan)[:, near], scan.time[near] - delay
-    predicted = prediction.around(instants[0] - LAGS[-1], instants[-1] + LAGS[-1])(instants)
+    predicted = prediction.around(instants[0] - LAGS[-1], instants[-1] + LAGS[-1], which)(instants)
     power = np.square(predicted).sum(axis=1)
     factor = (measured * predicted).sum(axis=1) / power
     # Near a node the velocity is mostly that of modes which are not predicted.
-    known = power > 0.5 * np.median(power)
+    known = power > 0.25 * np.median(power)
     common = float(np.median(factor[known]))
     odd = known & ~((factor / common > 1 / ALIKE) & (factor / common < ALIKE))
-    if odd.any() or not 1 / PLAUSIBLE < common < PLAUSIBLE:
+    # The findings state a common factor of the zones.
+    if odd.any() or (which == "field" and not 1 / PLAUSIBLE < common < PLAUSIBLE):
         named = ", ".join(f"{place * 1e3:g}" for place in scan.positions[odd])
         times = float(np.median(factor[odd])) if odd.any() else common
         allowed = (
@@ -434,12 +436,7 @@ def standard_error(records: FloatArray) -> FloatArray:
 
 
 def evaluate(observations: Sequence[Observation]) -> list[Evidence]:
-    """Evaluate recordings after removal of their common measurement delay.
-
-    Parameters
-    ----------
-    observations : sequence of Observation
-        Recordings made with the same instruments.
+    """Evaluate recordings made with the same instruments, after removal of their common measurement delay.
 
     Raises
     ------
