@@ -56,12 +56,12 @@ def read_csv(
     Parameters
     ----------
     path : Path
-        A table with the six columns, and optionally ``n`` (count of identical answers), ``repetition``, ``practice``,
-        ``catch`` (1 for trials without a stimulus, regardless of the velocity), ``excluded`` (1 for excluded rows; also
-        ``exclude``, ``withdrawn``, ``invalid``), ``mode``, ``stimulus``, ``session``, ``session_kind`` and any others,
-        which are kept. If ``none`` occurs as a response, it is an answer, unless `table_format` specifies the answers.
-        A filled column ``multiple_of_threshold`` holds the levels. Sessions of a kind count as repetitions, up to the
-        number that all participants have. If the answers are ratings, ``response`` is optional.
+        A table with the six columns, and optionally ``n`` (identical answers), ``repetition``, ``practice``, ``catch``
+        (1 for trials without a stimulus, whatever the velocity), ``excluded`` (or ``exclude``, ``withdrawn``,
+        ``invalid``), ``mode``, ``stimulus``, ``session``, ``session_kind`` and others, which are kept. If ``none``
+        occurs as a response, it is an answer, unless `table_format` specifies the answers. A filled column
+        ``multiple_of_threshold`` holds the levels. Sessions of a kind count as repetitions, up to the number that all
+        participants have. If the answers are ratings, ``response`` is optional.
     table_format : TableFormat, optional
         Format of the file.
     mode, stimulus : str, optional
@@ -74,8 +74,7 @@ def read_csv(
     """
     table_format = table_format or TableFormat()
     table = choose_rows(_with_responses(path, table_format), "mode", mode)
-    table = table if stimulus is None else choose_rows(table, "stimulus", stimulus)
-    table, left_out, notes = choose_sessions(table)
+    table, left_out, notes = choose_sessions(table if stimulus is None else choose_rows(table, "stimulus", stimulus))
     fields, columns = table.fields, _Columns(table)
     apart = columns.apart(kinds_of(table_format.design))
     caught, counts = apart[_CAUGHT], ~pd.DataFrame(apart).any(axis=1)

@@ -79,14 +79,11 @@ def preregister(
     n_participants, n_experiments, seed : int
         Planned participants, simulated experiments, and their seed.
     study : callable
-        Takes a seed and returns the answers of a whole experiment in simulated sessions, for designs not simulated as
-        counts: several intervals or stimuli, ratings, one finger, adaptive runs, cells that are not crossed.
+        Takes a seed; returns the answers of an experiment in simulated sessions, for designs not simulated as counts.
     threshold_mm_s : float, optional
         Assumed threshold of all simulated participants, if levels are calibrated by participant [mm/s].
-    n_processes : int
-        Number of worker processes; the page does not depend on it.
-    on_progress : callable, optional
-        Called with (jobs done, total jobs).
+    n_processes, on_progress : int, callable
+        Worker processes, on whose number the page does not depend; called with (jobs done, total jobs).
 
     Raises
     ------
@@ -94,7 +91,6 @@ def preregister(
         If the protocol has faults, or its levels depend on a threshold that is not given.
     """
     protocol, path = preflight.experiment.protocol, _public(preflight.experiment.sources.protocol.path)
-    given = f" --threshold {threshold_mm_s:g}" if threshold_mm_s else ""
     if threshold_mm_s is None:
         refuse_own_levels(preflight, "give the threshold that you expect with --threshold")
     if threshold_mm_s is not None or not (design := _counted(preflight, observer)):
@@ -102,6 +98,7 @@ def preregister(
     else:
         counted = Study(design, observer, tuple(filter(design.scopes, STATISTICS)), null=False, seed=seed)
         found = _by_counts(counted, protocol, n_participants, n_experiments or N_COUNTED, n_processes, on_progress)
+    given = f" --threshold {threshold_mm_s:g}" if threshold_mm_s else ""
     several = (preflight, *preflight.others) if preflight.others else ()
     terms, size = _terms(preflight, found), {"n": n_participants, "observer": observer.name, "seed": seed}
     return render_page(
