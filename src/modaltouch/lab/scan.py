@@ -253,12 +253,12 @@ Reduction = Callable[[Recording], Mapping[str, NDArray[Any]]]
 _REMEDY = "move it away, or give another"
 
 
-def keep_records(recording: Recording) -> dict[str, NDArray[Any]]:
-    """Keep whole records: ``time`` [s], and in single precision ``velocity`` [m/s] and ``drive`` [V]."""
+def keep_velocities(recording: Recording) -> dict[str, NDArray[Any]]:
+    """Keep all records of the velocity [m/s], but only the mean of the drive over the records [V]."""
     return {
         "time": recording.time,
         "velocity": recording.velocity.astype(np.float32),
-        "drive": recording.drive.astype(np.float32),
+        "drive": recording.drive.mean(axis=0, keepdims=True).astype(np.float32),
     }
 
 
@@ -278,7 +278,7 @@ def take_scan(
     folder: Path | None = None,
     *,
     source: Source | None = None,
-    reduction: Reduction = keep_records,
+    reduction: Reduction = keep_velocities,
     step: str = "points",
 ) -> Scan:
     """Take a scan, or resume an interrupted one, and return it.

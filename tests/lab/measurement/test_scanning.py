@@ -76,7 +76,7 @@ def stop_after(n: int) -> Callable[[], None]:
 
 
 def test_scan_is_read_back_as_it_was_taken(laboratory: Laboratory, tmp_path: Path) -> None:
-    """Positions, records and drives in their order, in single precision; the description says what was played."""
+    """Positions, records and mean drives in order, in single precision; the description says what was played."""
     shown: list[tuple[int, int]] = []
     source = Source.load(APPARATUS)
     watched = heard(laboratory, show=lambda _, *n: shown.append(n))
@@ -84,7 +84,7 @@ def test_scan_is_read_back_as_it_was_taken(laboratory: Laboratory, tmp_path: Pat
     found = read_scan(tmp_path / "scan").require_complete()
     assert shown == [(n, 4) for n in range(5)]
     assert found.velocity.shape == (4, 2, 5000)
-    assert found.drive.shape == (4, 2, 2, 5000)
+    assert found.drive.shape == (4, 1, 2, 5000)
     np.testing.assert_array_equal(found.velocity, taken.velocity)
     np.testing.assert_allclose(found.positions, PLACES)
     assert 1 / found.time[1] == pytest.approx(250e3, rel=1e-4)

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from modaltouch.lab.identification.shapes import check_points
 from modaltouch.lab.laboratory import SILENT_PROGRESS, SIMULATED, Laboratory, MeasurementProgress, open_laboratory
@@ -22,7 +21,7 @@ from modaltouch.preflight import DesignInputs, Preflight, design, examine
 from modaltouch.protocol import Source
 from modaltouch.record import RecordError, RecordInputError
 from modaltouch.report import ReportFigure, page_files, refuse_other, write_files
-from modaltouch.rig import Acquisition, Recording
+from modaltouch.rig import Acquisition
 from modaltouch.stimulus import Law, Stimulus
 from modaltouch.system import commit, version
 
@@ -230,15 +229,6 @@ def plans(
     )
 
 
-def keep_velocities(recording: Recording) -> dict[str, NDArray[Any]]:
-    """Keep all records of the velocity [m/s], but only the mean of the drive over the records [V]."""
-    return {
-        "time": recording.time,
-        "velocity": recording.velocity.astype(np.float32),
-        "drive": recording.drive.mean(axis=0, keepdims=True).astype(np.float32),
-    }
-
-
 def record_laws(
     inputs: DesignInputs,
     laboratory: Laboratory,
@@ -277,7 +267,6 @@ def record_laws(
                 plan,
                 None if folder is None else folder / name,
                 source=source,
-                reduction=keep_velocities,
                 step=name,
             )
             scans.append(scan.refuse_overloaded())
