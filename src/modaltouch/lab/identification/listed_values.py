@@ -47,7 +47,7 @@ the factor is that of a drive or a sensor, not of the beam [1]."""
 def check_gains(identification: Identification, apparatus: Apparatus, labels: Sequence[int] | None = None) -> list[str]:
     """Refuse natural frequencies, or gains of one set or all, that differ from the listed ones by a factor of units.
 
-    Other large differences from the listed values may be real and are returned as warnings.
+    Other large differences from the listed values may be real and are returned as warnings, a sentence each.
 
     Parameters
     ----------
@@ -55,11 +55,6 @@ def check_gains(identification: Identification, apparatus: Apparatus, labels: Se
         The modes found, and the table of the same beam; fewer than three values in common are not checked.
     labels : sequence of int, optional
         Modes to warn about; all if not given.
-
-    Returns
-    -------
-    list of str
-        Warnings, a sentence each.
 
     Raises
     ------
