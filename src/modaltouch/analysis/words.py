@@ -13,7 +13,7 @@ from typing import Any
 
 from modaltouch.analysis.counts import AnswerCounts, Pair
 from modaltouch.analysis.findings import ALPHA, OUT_OF_REACH, Finding, grouped
-from modaltouch.analysis.statistics import STATISTICS
+from modaltouch.analysis.statistics import STATISTICS, questions
 from modaltouch.report import format_number
 
 HEADINGS = {
@@ -36,17 +36,19 @@ HEADINGS = {
     "speed": ("Do the answers follow the speeds under the fingers?", ""),
     "model": ("What does a mixed model say?", ""),
 }
-"""Heading of each question, in the order of the report, and claim of its families of tests, if any."""
+"""Heading and claim of each question; for other families of tests, the heading is their question."""
 
 
 def headings(answers: AnswerCounts) -> dict[str, tuple[str, str]]:
     """Return the heading and claim of each question, in the order of the report."""
     both = answers.answers.naming("left", "right") if answers.compares else None
     in_both = "" if both is None else f" in “{both.name}”"
-    return {
+    asked = {each.question: (f"{each.asks[:1].upper()}{each.asks[1:]}?", "") for each in STATISTICS.values()}
+    known = {
         question: (heading.format(in_both=in_both), claim.format(in_both=in_both))
         for question, (heading, claim) in HEADINGS.items()
     }
+    return {question: (asked | known)[question] for question in (*questions(), "model")}
 
 
 def condition_in_words(finger_condition: str) -> str:
@@ -117,6 +119,7 @@ def answer_question(own: Sequence[Finding], claim: str, answers: AnswerCounts) -
     )
     if not families:
         return _estimate(own, answers)
+    claim = claim or "there is such an effect"
     parts = {name: [row for row in own if row.family == name] for name in families}
     return " ".join(_answer_family(rows, _claim(claim, name), answers) for name, rows in parts.items())
 
