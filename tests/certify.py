@@ -54,6 +54,7 @@ LIMITS = {
 }
 BATCH = 500
 ALPHA = 0.05
+ROWS = 35  # certificates in a column of the picture
 TIES = 1 + 1e-9
 
 
@@ -396,19 +397,23 @@ def draw(certificates, place):
     """Write the picture: the error rate of every test and interval in every population."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(7, 0.27 * len(certificates) + 1.1), layout="constrained")
-    axes, rng = figure.subplots(), np.random.default_rng(1)
-    for y, each in enumerate(certificates.values()):
-        rates = np.array(each["errors"]) / np.array(each["experiments"])
-        colours = ["#b3261e" if number in each["fails"] else "#0b3c8c" for number in range(len(rates))]
-        axes.scatter(rates, y + rng.uniform(-0.25, 0.25, len(rates)), s=5, c=colours, alpha=0.6)
-    axes.axvline(ALPHA, color="#444444", linewidth=0.8, linestyle=":")
-    axes.set_yticks(range(len(certificates)), list(certificates))
-    axes.set_ylim(len(certificates) - 0.3, -0.7)
-    axes.set_xlim(left=-0.001)
-    axes.set_xlabel("rate of errors: a true null rejected,\nor the truth outside the 95 % interval")
-    axes.set_title("Each dot a population; red: above 0.05 beyond doubt", fontsize=9, loc="right")
-    figure.savefig(place, dpi=110)
+    rng, names = np.random.default_rng(1), list(certificates)
+    columns = [names[start : start + ROWS] for start in range(0, len(names), ROWS)]
+    figure = Figure(figsize=(6 * len(columns), 0.25 * len(columns[0]) + 1.2), layout="constrained")
+    for axes, listed in zip(figure.subplots(1, len(columns), squeeze=False)[0], columns, strict=True):
+        for y, each in enumerate(map(certificates.get, listed)):
+            rates = np.array(each["errors"]) / np.array(each["experiments"])
+            colours = ["#b3261e" if number in each["fails"] else "#0b3c8c" for number in range(len(rates))]
+            axes.scatter(rates, y + rng.uniform(-0.25, 0.25, len(rates)), s=4, c=colours, alpha=0.6, linewidths=0)
+        axes.axvline(ALPHA, color="#444444", linewidth=0.8, linestyle=":")
+        axes.set_yticks(range(len(listed)), listed)
+        axes.set_ylim(len(columns[0]) - 0.3, -0.7)
+        axes.set_xscale("function", functions=(np.sqrt, np.square))
+        axes.set_xlim(0, 1)
+        axes.set_xticks([0.01, 0.05, 0.2, 0.5, 1], ["0.01", "0.05", "0.2", "0.5", "1"])
+    figure.supxlabel("rate of errors: a true null rejected, or the truth outside the 95 % interval", fontsize=10)
+    figure.suptitle("Each dot a population; red: above 0.05 beyond doubt", fontsize=10)
+    figure.savefig(place, dpi=100)
 
 
 def main() -> None:
