@@ -11,6 +11,7 @@ import pytest
 from modaltouch.analysis.consistency import effect_findings
 from modaltouch.analysis.counts import AnswerCounts, Pair
 from modaltouch.analysis.exact import sign_flip_test
+from modaltouch.analysis.findings import Finding
 from modaltouch.analysis.intervals import Interval
 from modaltouch.analysis.measures import IndividualValue, Measure, contrast_findings, group_findings
 from modaltouch.analysis.permutation import association_test
@@ -160,6 +161,27 @@ def test_three_stimuli_are_compared_at_once_at_the_levels_of_all(rng) -> None:
     shares[0] = counts[0, :, 1]
     assert both.p == pytest.approx(every_arrangement(shares), abs=0.03)
     assert sum("together" in row.name for row in contrast_findings(gone)) == 1
+
+
+def test_stimuli_that_nobody_met_all_are_compared_two_at_a_time(rng) -> None:
+    """One at other levels: the others are tested. Incomplete blocks: each two. One is missing: all, with a note."""
+    counts = rng.multinomial(4, [0.5, 0.3, 0.2], size=(6, 3, 2))
+    places = ("A-C fast", "A-C mid", "A-C slow")
+    values = values_of(SHARES, counts / 4, places, (80.0, 100.0))
+    moved = [replace(each, level=each.level + 1) if each.pair == places[2] else each for each in values]
+    assert [row.scope for row in joint(moved)] == ["one_hand A-C fast - A-C mid"]
+    blocks = [each for each in values if each.pair != places[int(each.participant[1:]) % 3]]
+    assert [(row.scope, row.n) for row in joint(blocks)] == [
+        (f"one_hand {one} - {other}", 2) for one, other in combinations(("A-C mid", "A-C slow", "A-C fast"), 2)
+    ]
+    (row,) = joint([each for each in values if (each.participant, each.pair) != ("p0", places[2])])
+    assert row.n == 5
+    assert "participants without all of these conditions, left out: 1" in row.note
+
+
+def joint(values) -> list[Finding]:
+    """Return the joint tests of shares."""
+    return [row for row in contrast_findings(values) if row.family == "shares together"]
 
 
 def test_groups_are_compared_by_all_answers_together() -> None:

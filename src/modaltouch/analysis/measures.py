@@ -24,6 +24,7 @@ from modaltouch.analysis.permutation import (
     by_ranks,
     flip_test,
     group_test,
+    mean_shares,
     shuffle_together,
     together,
 )
@@ -244,7 +245,7 @@ def _is_tested(tested: Sequence[Places] | None, *places: tuple[str, str]) -> boo
 def _joint_findings(values: Sequence[IndividualValue]) -> Iterator[Finding]:
     """Test all answers of a list together between all conditions of a factor, e.g. stimuli, others being equal.
 
-    A participant's share is the mean over the levels with values in all conditions.
+    A participant's share is the mean over levels with values in all conditions; where there are none, pairs are tested.
     """
     lists = grouped(((each.measure.question, each.measure.share_of), each) for each in values if each.measure.share_of)
     for (question, share_of), own in lists.items():
@@ -252,16 +253,16 @@ def _joint_findings(values: Sequence[IndividualValue]) -> Iterator[Finding]:
         factors = [*table.columns]
         for name in ("participant", "finger_condition", "pair", "level"):
             table[name] = [str(getattr(each, name)) for each in own]
-        names = [each.measure.name for each in own]
-        table = table.assign(answer=pd.Categorical(names, [*dict.fromkeys(names)]), share=[*map(linear, own)])
+        table = table.assign(answer=[each.measure.name for each in own], share=[*map(linear, own)])
         for factor in factors[2:] if question == "shares" else factors:
             for _, part in table.groupby([name for name in factors if name != factor], sort=False):
                 wide = part.pivot(index=["participant", "level"], columns=[factor, "answer"], values="share")
-                wide = wide.dropna().sort_index(axis=1)
-                shares, k = wide.groupby("participant").mean().to_numpy(), part[factor].nunique()
-                if k > 1 and len(shares):
-                    scope = " ".join(" - ".join(part[name].unique()) for name in ("finger_condition", "pair")).strip()
-                    yield together(question, share_of, scope, shares.reshape(len(shares), k, -1))
+                names = [*part[factor].unique()]
+                for chosen in [names] if mean_shares(wide, names).size else combinations(names, 2):
+                    shares, rows = mean_shares(wide, chosen), part[part[factor].isin(chosen)]
+                    if len(chosen) > 1 and shares.size:
+                        scope = " ".join(" - ".join(rows[name].unique()) for name in ("finger_condition", "pair"))
+                        yield together(question, share_of, scope.strip(), shares, n_asked=rows["participant"].nunique())
 
 
 _ALIKE = 1.25

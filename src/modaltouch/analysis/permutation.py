@@ -14,7 +14,7 @@ association of unordered answers, stratified by participant).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache
 from itertools import combinations
 from typing import Any
@@ -32,7 +32,7 @@ Located = tuple[ExactTest, Interval]
 
 
 def flip_test(values: FloatArray) -> ExactTest:
-    """Exact sign-flip test of symmetry about zero, with the values as whole numbers of `_units`.
+    """Exact sign-flip test of symmetry about zero, with the values as whole numbers of `_unit`.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def _unit(values: FloatArray) -> float:
         return 1.0
     if sizes.size <= _DISTINCT:
         scaled = sizes[:, np.newaxis] * _DENOMINATORS[_DENOMINATORS * largest <= _STEPS]
-        is_whole = (np.abs(scaled - np.rint(scaled)) < 1e-6).all(axis=0)
+        is_whole = (np.abs(scaled - np.rint(scaled)) < 1e-6 * np.minimum(scaled[-1], 1)).all(axis=0)
         if is_whole.any():
             denominator = int(_DENOMINATORS[is_whole.argmax()])
             return 1 / (denominator * math.ceil(1000 / (largest * denominator)))
@@ -293,7 +293,26 @@ def friedman(rows: FloatArray) -> tuple[ExactTest, Any]:
     return ExactTest(*found[:4]), found[4]
 
 
-def together(question: str, share_of: str, scope: str, shares: FloatArray, where: str = "") -> Finding:
+def mean_shares(wide: pd.DataFrame, conditions: Sequence[str]) -> FloatArray:
+    """Return mean shares over levels with values in all conditions, (n_participants, n_conditions, n_answers) array.
+
+    Parameters
+    ----------
+    wide : DataFrame
+        Shares by participant and level, with columns by condition and answer.
+    conditions : sequence of str
+        Conditions to compare, by those answers that all of them have.
+    """
+    listed = dict.fromkeys(wide.columns.get_level_values("answer"))
+    answers = [name for name in listed if all((each, name) in wide for each in conditions)]
+    whole = wide[[(each, name) for each in conditions for name in answers]].dropna()
+    means = whole.groupby("participant").mean().to_numpy()
+    return means.reshape(len(means), len(conditions), len(answers))
+
+
+def together(
+    question: str, share_of: str, scope: str, shares: FloatArray, where: str = "", n_asked: int = 0
+) -> Finding:
     """Test all answers of a list together, by shuffling conditions within participants, as in `association_test`.
 
     Parameters
@@ -304,6 +323,8 @@ def together(question: str, share_of: str, scope: str, shares: FloatArray, where
         Scope of the test, and the conditions if the scope does not name them.
     shares : (n_participants, n_conditions, n_answers) array
         Mean shares.
+    n_asked : int
+        Participants, of whom those without all conditions are left out.
     """
     deviations = shares - shares.mean(axis=1, keepdims=True)
     weights = np.sqrt(shares.mean(axis=(0, 1)))
@@ -312,4 +333,5 @@ def together(question: str, share_of: str, scope: str, shares: FloatArray, where
     return finding_of(
         question, name, scope, test, f"shares of {share_of}", Interval.point(math.nan, n), n,
         family=f"{question} together",
+        notes=[f"participants without all of these conditions, left out: {n_asked - n}" if n_asked > n else ""],
     )  # fmt: skip

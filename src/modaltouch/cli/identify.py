@@ -101,7 +101,8 @@ def identify(
     Each point is on disk as soon as it is measured. To continue an interrupted scan, run the same command again. The
     result is an apparatus file that `modaltouch check` reads, with a table and figures next to it.
     """
-    form = lab.ResponseFormat(quantity, conjugated, spacing_Hz, averages, use_clipped)
+    highest = math.inf if highest_kHz is None else highest_kHz * 1e3
+    form = lab.ResponseFormat(quantity, conjugated, spacing_Hz, averages, use_clipped, (lowest_Hz or 0.0, highest))
     options = lab.IdentifyOptions(
         apparatus, tuple(files or ()), rig, out, points=points, averages=averages, rows=rows, voltage=drive_V,
         excitation=excitation, lowest=lowest_Hz, highest=None if highest_kHz is None else highest_kHz * 1e3,

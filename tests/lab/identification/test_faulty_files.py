@@ -136,7 +136,7 @@ def responses(**changes: object) -> dict[str, object]:
         (
             np.s_[..., 5::5],
             None,
-            "to centre at -40 mm is zero at 79 of 399 frequencies; measure it again, or export it",
+            "to centre at -40 mm is zero at 79 of 399 frequencies; measure it again, export it",
         ),
     ],
     ids=["a point copied", "a set copied", "a value held", "gaps filled with zeros"],
@@ -149,6 +149,25 @@ def test_values_that_were_not_measured_are_refused(tmp_path: Path, where: object
     np.savez(tmp_path / "a.npz", **arrays)
     with pytest.raises(ValueError, match=said):
         read_responses([tmp_path / "a.npz"])
+
+
+def test_zeros_outside_the_band_are_not_used(tmp_path: Path) -> None:
+    """Exports fill what was not excited with zeros: a band without them is read, the whole axis is refused."""
+    arrays = responses()
+    np.asarray(arrays["response"])[..., 300:] = 0
+    np.savez(tmp_path / "a.npz", **arrays)
+    with pytest.raises(ValueError, match="is zero at 100 of 399 frequencies; .* use a narrower band"):
+        read_responses([tmp_path / "a.npz"])
+    assert read_responses([tmp_path / "a.npz"], ResponseFormat(band=(0.0, 299.0))).frequency[-1] == 399
+
+
+def test_mirror_images_may_be_alike(tmp_path: Path) -> None:
+    """Computed responses of a symmetric beam without noise."""
+    arrays = responses(positions=np.linspace(-0.035, 0.035, 8))
+    response = np.asarray(arrays["response"])
+    response[:, 4:] = response[:, 3::-1]
+    np.savez(tmp_path / "a.npz", **arrays)
+    assert read_responses([tmp_path / "a.npz"]).response.shape == (2, 8, 399)
 
 
 def test_a_file_given_twice_is_no_repeat(tmp_path: Path) -> None:

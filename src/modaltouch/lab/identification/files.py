@@ -23,6 +23,7 @@ from modaltouch.lab.identification.responses import (
     Quantity,
     ResponseFormat,
     as_velocity,
+    refuse_copies,
     refuse_faulty_values,
     turns,
 )
@@ -214,10 +215,10 @@ def read_responses(paths: Sequence[Path], how: ResponseFormat | None = None) -> 
             f"{sum(n_repeats) - min(n_repeats) * len(n_repeats)} repeats were left out: some points have fewer"
         )
     whole = FrequencyResponses.of_repeats(
-        [_assemble(first_path, frequency, found, repeat, how.n_averages) for repeat in range(min(n_repeats))]
+        [_assemble(first_path, frequency, found, repeat, how) for repeat in range(min(n_repeats))]
     )
     if whole.positions is None and not whole.repeats and len(by_file) > 1:
-        alone = [_assemble(path, frequency, each, 0, how.n_averages) for path, each in zip(paths, by_file, strict=True)]
+        alone = [_assemble(path, frequency, each, 0, how) for path, each in zip(paths, by_file, strict=True)]
         whole = replace(whole, repeats=tuple(alone))
     return replace(whole, marks=tuple(marks))
 
@@ -257,18 +258,19 @@ def _refuse_amplitudes(path: Path, part: Part) -> None:
 
 
 def _assemble(
-    path: Path, frequency: FloatArray, found: dict[Key, list[MeasuredResponse]], repeat: int, n_averages: int
+    path: Path, frequency: FloatArray, found: dict[Key, list[MeasuredResponse]], repeat: int, how: ResponseFormat
 ) -> FrequencyResponses:
     """Assemble one repeat: sets by positions if all sets were measured at all places, else one set per response."""
     response = {key: repeats[repeat].values for key, repeats in found.items()}
     coherence = {key: repeats[repeat].coherence for key, repeats in found.items()}
-    usable = frequency > 0
+    usable, n_averages = frequency > 0, how.n_averages
+    used = usable & (frequency >= how.band[0]) & (frequency <= how.band[1])
     for (name, place), values in response.items():
         which = f"{path}: the response to {name}" + ("" if place is None else f" at {place}")
-        refuse_faulty_values(which, values[usable], place)
+        refuse_faulty_values(which, values[used], place)
         certainty = coherence[name, place]
         # An excess of a thousandth is rounding.
-        if certainty is not None and not ((certainty >= 0) & (certainty <= 1.001))[usable].all():
+        if certainty is not None and not ((certainty >= 0) & (certainty <= 1.001))[used].all():
             raise ValueError(
                 f"{which} has a coherence that is not between 0 and 1 throughout; export it as a share of 1, or leave "
                 "it out"
@@ -282,11 +284,7 @@ def _assemble(
             f"{path}: {name} has no response at {place}, but another excitation has; give every excitation at every "
             "position"
         )
-    own = {values.tobytes(): key for key, values in response.items()}
-    for key, values in response.items():
-        if (other := own[values.tobytes()]) != key:
-            named = " and ".join(f"{name} at {place or 'one point'}" for name, place in (key, other))
-            raise ValueError(f"{path}: the responses to {named} are identical: one is a copy of the other")
+    refuse_copies(path, response)
     keys = [[(name, place) for place in places] for name in sets] if whole else [[key] for key in response]
     certain = [[coherence[key] for key in row] for row in keys]
     known = n_averages > 1 and all(each is not None for row in certain for each in row)

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -62,6 +64,8 @@ class ResponseFormat:
         Number of records per response with a coherence; number of segments of a record without impacts.
     use_clipped : bool
         Whether to use the free decay after the last saturated sample of a motion.
+    band : (lowest, highest)
+        Frequencies that are used, and whose values must be sound [Hz].
     """
 
     quantity: Quantity | None = None
@@ -69,6 +73,7 @@ class ResponseFormat:
     spacing: float | None = None
     n_averages: int = 1
     use_clipped: bool = False
+    band: tuple[float, float] = (0.0, math.inf)
 
 
 class MeasuredResponse(NamedTuple):
@@ -307,10 +312,22 @@ def refuse_faulty_values(which: str, values: ComplexArray, place: Place | None) 
     n_zeros = int((values == 0).sum())
     if n_zeros:
         often = "throughout" if n_zeros == values.size else f"at {n_zeros} of {values.size} frequencies"
-        raise ValueError(f"{which} is zero {often}; measure it again, or export it with more digits")
+        raise ValueError(
+            f"{which} is zero {often}; measure it again, export it with more digits, or use a narrower band"
+        )
     run = int(np.diff(np.flatnonzero(np.append(True, np.append(np.diff(values) != 0, True)))).max())
     if run > LONGEST_RUN:
         raise ValueError(f"{which} has the same value at {run} frequencies in a row; export it again")
+
+
+def refuse_copies(path: Path, response: Mapping[Key, ComplexArray]) -> None:
+    """Refuse a response that is a copy of another; mirror images are alike if they are computed without noise."""
+    own = {values.tobytes(): key for key, values in response.items()}
+    for (name, place), values in response.items():
+        named, other = own[values.tobytes()]
+        if (named, other) != (name, place) and not (place and other and abs(place.along + other.along) < SAME_PLACE):
+            both = f"{name} at {place or 'one point'} and {named} at {other or 'one point'}"
+            raise ValueError(f"{path}: the responses to {both} are identical: one is a copy of the other")
 
 
 def _running_median(values: FloatArray, width: int) -> FloatArray:
