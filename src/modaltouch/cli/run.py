@@ -228,7 +228,7 @@ def resume(
         )
         earlier = record.Session.find((setup.replaces or setup.place).log)
         if can_ask() and not (yes or json_output or earlier.complete):
-            answered = f"{earlier.n_answered} of {len(setup.schedule.trials)} trials answered"
+            answered = f"{setup.n_answered} of {len(setup.schedule.trials)} trials answered"
             replaced = f"in place of session {earlier.start['session']} with {answered}, "
             wait_for_start(setup, replaced if setup.replaces else f"{answered}, ")
         _conduct(sessions.resume, setup, events, plain=plain, json_output=json_output)

@@ -173,8 +173,8 @@ def wire_resume(
     Raises
     ------
     RecordError
-        If there is no such session, `modaltouch verify` reports faults, it has been started over, or it would continue
-        in another mode.
+        If there is no such session, `modaltouch verify` reports faults, it has been started over, it would continue in
+        another mode or order, or the interruption is too old.
     """
     session = Session.find(path)
     audit_session(session).require()
@@ -207,7 +207,12 @@ def wire_resume(
     )
     kept = ("sensation_levels", "people") if anew else ()
     setup = parts.setup(schedule, {name: start[name] for name in kept if name in start})
-    return replace(setup, replaces=place if anew else None)
+    asked_again = () if anew else answers_to_ask_again(session, schedule, protocol.schedule.resume.at)
+    n_answered = session.n_answered - len(asked_again)
+    setup = replace(setup, replaces=place if anew else None, n_answered=n_answered)
+    if not session.complete:
+        _examine(session, setup)
+    return setup
 
 
 def resume(setup: Setup) -> Session:
@@ -228,28 +233,33 @@ def resume(setup: Setup) -> Session:
     session = read_session(place.log)
     if session.complete:
         return SessionLog.mend(place, timed_by=setup.clock)
+    cut = _examine(session, setup)
+    if setup.replaces is not None:
+        return sit(setup, lambda new, facts: start_over(place, new, cut, facts, setup.clock), "start")
+    at = setup.preflight.experiment.protocol.schedule.resume.at
+    return sit(setup, lambda place, facts: continue_log(place, setup.schedule, at, cut, facts, setup.clock), "resume")
+
+
+def _examine(session: Session, setup: Setup) -> dict[str, Any]:
+    """Return facts about the interruption; refuse a session that may not, or cannot, be continued."""
     recorded = session.start["schedule"]
     if recorded["order_hash"] != setup.schedule.order_hash:
         raise RecordError(
-            f"{place.log}: its order has the hash {recorded['order_hash'][:12]}, but this program draws "
+            f"{session.path}: its order has the hash {recorded['order_hash'][:12]}, but this program draws "
             f"{setup.schedule.order_hash[:12]}; resume it with the version that began it "
             f"({session.start['versions']['modaltouch']})"
         )
-
     cut = examine_interruption(session, now=datetime.now(UTC), clock=setup.clock.now(), boot=boot_id())
-    policy = setup.preflight.experiment.protocol.schedule.resume
-    if (old := setup.replaces) is not None:
+    if setup.replaces is not None:
         setup.place.refuse_existing()
-        return sit(setup, lambda place, facts: start_over(old, place, cut, facts, setup.clock), "start")
+        return cut
     if cut["reason"] == PRACTICE_FAILED:
         raise RecordInputError(
             f"{session.path}: practice was not passed, and the protocol then ends the session "
             f"(schedule.after_failed_practice); {how_to_continue(PRACTICE_FAILED, session.path.parent)}"
         )
-    refuse_old(session, cut, policy.within_hours)
-    return sit(
-        setup, lambda place, facts: continue_log(place, setup.schedule, policy.at, cut, facts, setup.clock), "resume"
-    )
+    refuse_old(session, cut, setup.preflight.experiment.protocol.schedule.resume.within_hours)
+    return cut
 
 
 def _refuse_another_kind(session: Session, rig: str, answers: AnswersBy, *, restart: bool) -> None:

@@ -51,6 +51,8 @@ class Setup:
         Further facts for the start record: rig, answers, seed.
     replaces : SessionFolder or None
         Interrupted session that this one starts over.
+    n_answered : int
+        Trials of an interrupted session whose answers are kept.
     drawn_as : int or None
         Number of the session without restarted ones, if the records on disk decide the participant's turn
         (`schedule.balance`); `schedule` is then redrawn when the log is created.
@@ -74,6 +76,7 @@ class Setup:
     open_masking: Callable[[Callable[..., None]], Masking] = lambda log: Masking()
     facts: dict[str, Any] = field(default_factory=dict)
     replaces: SessionFolder | None = None
+    n_answered: int = 0
     drawn_as: int | None = None
     on_progress: Callable[[int, int], None] | None = None
     console: Console = field(default_factory=Console)

@@ -334,7 +334,7 @@ def test_plain_lines_of_a_resumed_session_are_those_of_this_sitting() -> None:
     experimenter.tell({"event": "resume", "rig": {"identity": "x"}})
     experimenter.tell(trial(3))
     assert [line[:27] for line in file.getvalue().splitlines()] == [
-        "resumed: 2 of 24 answered",
+        "resumed",
         "3 of 24 answered: both, 0.9",
     ]
 

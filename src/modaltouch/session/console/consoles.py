@@ -97,7 +97,7 @@ class PlainLines(Console):
         self._error = ""
 
     def show(self, facts: SessionState) -> None:
-        """Print what is new; of earlier sittings, only how many trials are answered."""
+        """Print what is new; nothing of earlier sittings."""
         done = f"{facts['n_answered']} of {facts['n_trials']} answered"
         lines = {
             "trial": f"{done}: {describe_last(facts['last'])}; {describe_time(facts['time_left_s'])} left",
@@ -105,7 +105,7 @@ class PlainLines(Console):
             "focus_lost": "paused: focus lost",
             "continued": "continued",
             "rest": "break",
-            "resume": f"resumed: {done}",
+            "resume": "resumed",
             "stop": f"ended: {facts['stopped_by']}",
         }
         if facts["event"] in lines and not facts["replayed"]:
