@@ -351,6 +351,32 @@ def test_only_a_block_is_asked_again(edit: Edit) -> None:
     assert answers_to_ask_again(interrupted(1), schedule, "trial") == ()
 
 
+def test_what_may_not_go_on_is_refused_before_anybody_is_asked(
+    edit: Edit, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whoever wires the session learns it, not whoever has typed `start`; the log stays as it was."""
+    preflight = with_policy(edit, "{at: trial, within_hours: 1}")
+    whole = begin(on_paper(wire_run(preflight, "p01", answers="simulated", results=tmp_path / "whole")))
+    log = cut_at(whole.path, tmp_path / "cut", whole.trials[4]["n"])
+    kept, old = log.read_bytes(), examine_interruption(read_session(log), now=datetime.now(UTC), clock=0, boot="")
+    monkeypatch.setattr("modaltouch.session.resumption.examine_interruption", lambda *_, **__: {**old, "age_s": 7200})
+    with pytest.raises(RecordInputError, match=r"interrupted 2\.0 h ago.*within 1 h \(schedule.resume.within_hours\)"):
+        wire_resume(log)
+    assert log.read_bytes() == kept
+
+
+@pytest.mark.parametrize(("at", "kept"), [("trial", 9), ("block", 6)])
+def test_the_answers_that_are_kept_are_counted(edit: Edit, tmp_path: Path, at: str, kept: int) -> None:
+    """Of nine answers, in blocks of six, three are asked again where the block begins anew."""
+    preflight = with_policy(edit, f"{{at: {at}}}")
+    whole = begin(on_paper(wire_run(preflight, "p01", answers="simulated", results=tmp_path / "whole")))
+    answers = [event for event in whole.trials if not event["trial"]["practice"]]
+    assert [event["trial"]["block"] for event in answers[4:8]] == [1, 1, 2, 2]
+    log = cut_at(whole.path, tmp_path / "cut", answers[8]["n"])
+    assert wire_resume(log).n_answered == kept
+    assert wire_resume(log, restart=True).n_answered == 9
+
+
 def test_the_record_says_when_everything_happened_and_how_surely(edit: Edit, tmp_path: Path) -> None:
     """First burst and answer of each trial as intervals, in their order."""
     preflight = with_policy(edit, "{at: trial}")
