@@ -249,10 +249,10 @@ def lock_name(address: str) -> str:
 def serial_number(identity: bytes) -> str:
     """Return maker, model and serial number of a reply to ``*IDN?``; empty if it does not tell one unit from another.
 
-    A serial number of 0 stands for none (IEEE 488.2, 10.14.3), and all twins are called SIMULATED.
+    A serial number of zeros stands for none (IEEE 488.2, 10.14.3), and all twins are called SIMULATED.
     """
     fields = [field.strip() for field in identity.decode("latin1").lower().split(",")[:3]]
-    return ",".join(fields) if len(fields) == 3 and fields[2] not in ("", "0", "simulated") else ""
+    return ",".join(fields) if len(fields) == 3 and fields[2].strip("0") not in ("", "simulated") else ""
 
 
 def _take_instrument(name: str) -> int:

@@ -175,8 +175,8 @@ def refuse_implausible_records(
         offset = float(mean_velocity(observation.course).mean())
         if abs(offset) > OFFSET * observation.velocity:
             raise RecordInputError(
-                f"the velocity has a constant offset of {offset * 1e3:.2g} mm/s: set the vibrometer's output to zero, "
-                "or use its high-pass, and measure again"
+                f"the velocity has a constant offset of {offset * 1e3:.2g} mm/s: set the offsets of vibrometer and "
+                "scope to zero, or use a high-pass, and measure again"
             )
         expected = observation.stimulus.peak_drive(observation.velocity)
         for scan in (observation.field, *observation.rows):
