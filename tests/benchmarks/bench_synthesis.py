@@ -17,7 +17,7 @@ from peers import design, plain_synthesis, race, shipped_model
 from threadpoolctl import threadpool_limits
 
 from modaltouch.stimulus.drive import Steering
-from modaltouch.stimulus.synthesis import synthesise
+from modaltouch.stimulus.synthesis import BLOCK, synthesise
 
 COPIES = {65_536: 8.0, 125_000: 4.0}
 
@@ -41,10 +41,13 @@ def speed(n_samples: int) -> dict[str, float]:
     ago = np.arange(n_samples - 1, -1, -1) * hold
     exact, rng = exact_amplitudes(), np.random.default_rng(1)
     dense = rng.normal(size=(2, 9)) + 1j * rng.normal(size=(2, 9))
+    coarse, fine = rng.normal(size=(n_samples // BLOCK, 18)), rng.normal(size=(2, 18, BLOCK))
+    product = np.empty((2, n_samples // BLOCK, BLOCK))
     row = race(
         {
             "plain_ms": lambda: plain_synthesis(exact, s, ago, other),
             "copy_ms": lambda: np.copyto(other, out),
+            "bare_product_ms": lambda: np.matmul(coarse, fine, out=product),
             "exact_law_ms": lambda: synthesise(exact, s, hold, out),
             "every_mode_on_both_ms": lambda: synthesise(dense, s, hold, out),
             "no_block_dead_ms": lambda: synthesise(dense, undying(s), hold, out),
@@ -52,6 +55,7 @@ def speed(n_samples: int) -> dict[str, float]:
         },
         seconds=6.0,
     )
+    row["bare_product_in_copies"] = row["bare_product_ms"] / row["copy_ms"]
     for name in ("exact_law", "every_mode_on_both", "no_block_dead"):
         row[f"{name}_times_faster_than_plain"] = row["plain_ms"] / row[f"{name}_ms"]
         row[f"{name}_in_copies"] = row[f"{name}_ms"] / row["copy_ms"]
@@ -118,7 +122,9 @@ def main() -> int:
         for name, what in (("exact_law", "exact law"), ("every_mode_on_both", "every mode on both channels")):
             faster, in_copies = rows[n][f"{name}_times_faster_than_plain"], rows[n][f"{name}_in_copies"]
             bars.append(at_least(f"synthesis of 2 x {n}, {what}: faster than plain NumPy", faster, 40))
-            bars.append(at_most(f"synthesis of 2 x {n}, {what}: in copies of the output", in_copies, copies))
+            # Where a processor takes longer for the bare matrix product of this size, that is the bar.
+            most = max(copies, rows[n]["bare_product_in_copies"])
+            bars.append(at_most(f"synthesis of 2 x {n}, {what}: in copies of the output", in_copies, most))
     table_i = max(error for name, error in wrong.items() if name != "ten_seconds_over_eps_b_t")
     bars.append(at_most("synthesis, Table I: error over the peak, against mpmath", table_i, 1e-14, ""))
     long = wrong["ten_seconds_over_eps_b_t"]
