@@ -133,7 +133,7 @@ def test_a_zone_that_was_read_wrong_is_refused(evidences):
 def test_a_constant_velocity_is_refused(evidences):
     """An output of the vibrometer that is not at zero adds to the field: 20 mm/s at every point."""
     observation = evidences[0].observation
-    with pytest.raises(RecordInputError, match="the velocity has a constant offset of 20 mm/s: set the vibrometer"):
+    with pytest.raises(RecordInputError, match="the velocity has a constant offset of 20 mm/s: set the offsets of vib"):
         evaluate([replace(observation, field=raised(observation.field), course=raised(observation.course))])
 
 
