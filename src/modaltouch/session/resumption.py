@@ -185,15 +185,12 @@ def wire_resume(
     preflight = examine_findings(Findings.recorded(start)).require()
     if own := start.get("sensation_levels"):
         preflight = preflight.with_levels(tuple(own["levels_mm_s"]))
-    given = Turn.recorded(start)
-    protocol = preflight.experiment.protocol
+    protocol, given = preflight.experiment.protocol, Turn.recorded(start)
     schedule = Schedule.draw(protocol, place.participant, start["seed"], session.drawn_as, given=given)
     observer = Observer.from_dict(start["observer"]) if "observer" in start else Observer()
-    starts_over = (restart and not session.complete) or (
-        protocol.schedule.resume.at == "restart" and session.lacks_trials
-    )
-    starts_over = starts_over or session.started_over_as is not None
-    anew = _next_free_place(place, session) if starts_over else None
+    at = protocol.schedule.resume.at
+    chosen = (restart and not session.complete) or (at == "restart" and session.lacks_trials)
+    anew = _next_free_place(place, session) if chosen or session.started_over_as is not None else None
     latest = next(event for event in reversed(session.events) if event["event"] in ("start", "resume"))
     parts = SessionParts(
         preflight,
@@ -207,9 +204,8 @@ def wire_resume(
     )
     kept = ("sensation_levels", "people") if anew else ()
     setup = parts.setup(schedule, {name: start[name] for name in kept if name in start})
-    asked_again = () if anew else answers_to_ask_again(session, schedule, protocol.schedule.resume.at)
-    n_answered = session.n_answered - len(asked_again)
-    setup = replace(setup, replaces=place if anew else None, n_answered=n_answered)
+    n_withdrawn = 0 if anew else len(answers_to_ask_again(session, schedule, at))
+    setup = replace(setup, replaces=place if anew else None, n_answered=session.n_answered - n_withdrawn)
     if not session.complete:
         _examine(session, setup)
     return setup

@@ -206,8 +206,7 @@ class FrequencyResponses:
         estimated from the second differences over the bins, and assumed to be constant over the band.
         """
         if self.coherence is not None and self.n_averages > 1:
-            gamma = np.clip(self.coherence, 1e-9, 1.0)
-            n_free = self.n_averages - 1
+            gamma, n_free = np.clip(self.coherence, 1e-9, 1.0), self.n_averages - 1
             variance = np.abs(self.response) ** 2 * (1 - gamma) / gamma / n_free
         else:
             second = np.zeros_like(self.response)
@@ -332,8 +331,7 @@ def refuse_copies(path: Path, response: Mapping[Key, ComplexArray]) -> None:
 
 def _running_median(values: FloatArray, width: int) -> FloatArray:
     """Return the medians of blocks of neighbouring values, interpolated linearly."""
-    n_blocks = max(1, values.size // width)
-    blocks = np.array_split(values, n_blocks)
+    blocks = np.array_split(values, max(1, values.size // width))
     centres = np.cumsum([block.size for block in blocks]) - np.array([(block.size + 1) / 2 for block in blocks])
     return np.interp(np.arange(values.size), centres, [np.median(block) for block in blocks])
 
