@@ -111,6 +111,8 @@ def test_each_question_has_its_test_and_no_answer_is_passed_over(rng) -> None:
     expected += [association_test(counts[:, :, q].sum(axis=2)).p for q in (0, 1)]
     expected += [association_test(counts[:, f].sum(axis=2)).p for f in (0, 1)]
     assert [row.p for row in found] == expected
+    one = AnswerCounts(people, ("one_hand", "two_hands"), PAIRS[:1], (80.0,), counts[:, :, :1, :1], 2, answers=WORDS)
+    assert [row.family for row in joint_findings(one)] == ["c together"], "one level and one pair compare nothing"
     assert [word for word, _ in answers.effects(PAIRS[0])] == ["rough", "smooth", "sharp"]
     cells = [row.quantity for row in cell_share_findings(answers)]
     assert cells == ["P(rough)", "P(smooth)", "P(sharp)"] * 12
