@@ -13,6 +13,7 @@ from modaltouch.planning.design import Design
 from modaltouch.planning.experiments import BATCH, BATCH_CELLS, Job, Study, divide, run_job, simulate
 from modaltouch.planning.observer import Observer
 from modaltouch.planning.participant import Participant
+from modaltouch.protocol import AnswerList
 
 ALL = tuple(family for family, statistic in STATISTICS.items() if not statistic.when_alike)
 VARIED = Observer(
@@ -33,6 +34,19 @@ def test_simulated_answers_have_the_observers_shares(design: Design) -> None:
         assert means == pytest.approx(share.mean(axis=0), abs=4 * 0.5 / np.sqrt(10_000))
     assert answers.counts.min() >= 0
     assert (answers.counts.sum(axis=-1) == 2).all()
+
+
+def test_lapses_are_shared_by_all_answers_of_the_protocol(design: Design) -> None:
+    """Expected of a participant who guesses: a quarter of the answers each, in the order of the protocol."""
+    offered = AnswerList.of({"keys": {"links": [], "beide": [], "nichts": [], "rechts": []}, "fingers": {
+        "links": ["left"], "beide": ["left", "right"], "nichts": [], "rechts": ["right"]}})  # fmt: skip
+    guessing = replace(design, answers=offered)
+    answers = simulate(guessing, Observer(Participant(lapse_rate=1.0)), Job(50, 2, 0, 20), np.random.default_rng(1))
+    assert [answers.answers[place].name for place in guessing.places] == ["links", "beide", "rechts", "nichts"]
+    assert answers.counts.mean(axis=tuple(range(5))) == pytest.approx([0.5] * 4, abs=4 * np.sqrt(0.375 / 24_000))
+    alert = simulate(guessing, Observer(Participant(lapse_rate=0.0)), Job(50, 2, 0, 1), np.random.default_rng(1))
+    assert alert.counts[..., guessing.places[3]].sum() == 0
+    assert any("P(beide)" in quantity for _, quantity in guessing.tests["d"])
 
 
 @pytest.mark.parametrize("n_repetitions", [1, 2])

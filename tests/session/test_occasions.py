@@ -15,11 +15,11 @@ from outside import call
 
 from modaltouch.analysis import analyse
 from modaltouch.cli.check import show
-from modaltouch.planning import Observer, designs_for
+from modaltouch.planning import Observer, designs_for, fit_answers
 from modaltouch.preflight import Preflight, examine
 from modaltouch.protocol import InputError
 from modaltouch.record import RecordInputError, Session, audit_session, read_session
-from modaltouch.session import begin, resume, survey_results, wire_resume, wire_run
+from modaltouch.session import begin, resume, simulate_session, survey_results, wire_resume, wire_run
 
 GROUPS = """groups:
   near: {conditions: {table: near.csv}}
@@ -252,6 +252,23 @@ def test_power_refuses_a_design_that_is_not_crossed(preflight: Preflight) -> Non
     """An observer's design has every pair at every level for all."""
     with pytest.raises(InputError, match="given a design that is not crossed"):
         designs_for(preflight, Observer.read("paper"))
+
+
+def test_power_and_fit_plan_the_only_kind_of_session_that_is_analysed(tmp_path: Path) -> None:
+    """Two tests of four levels after a training of one: the cells of the tests, twice."""
+    kinds = "{name: training, analysed: false, conditions: {peak_velocities_mm_s: [90]}}, {name: test, times: 2}"
+    shutil.copytree(Path(__file__).parents[2] / "protocols", tmp_path / "protocols")
+    file = tmp_path / "protocols" / "demo.yaml"
+    file.write_text(file.read_text("utf-8").replace("schedule:\n", f"schedule:\n  sessions: [{kinds}]\n"), "utf-8")
+    preflight = examine(file).require()
+    design = designs_for(preflight, Observer.read("paper"))[""]
+    tests = preflight.at("", "test").experiment.protocol
+    assert preflight.experiment.protocol.conditions.peak_velocities_mm_s == (90,)
+    assert design.levels == tests.conditions.peak_velocities_mm_s != (90,)
+    assert design.n_repetitions == 2 * tests.schedule.repetitions
+    for session in (1, 2, 3):
+        simulate_session(preflight, "p01", tmp_path / "results", observer=Observer(), session=session)
+    assert fit_answers(preflight, tmp_path / "results", Observer()).fit.n_answers == 2 * len(design.cells)
 
 
 def test_simulate_gives_every_participant_all_kinds_of_session(preflight: Preflight, tmp_path: Path) -> None:

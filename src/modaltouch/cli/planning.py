@@ -84,9 +84,10 @@ def power(
     with reporting(json_output=json_output):
         model = planning.Observer.read(observer)
         checked = preflight.examine(protocol, uncalibrated=True).require()
-        repetitions = sizes_r or (checked.experiment.protocol.schedule.all_repetitions,)
         designs = planning.designs_for(checked, model)
-        n_answers = max(sizes_n) * max(repetitions) * len(checked.experiment.protocol.scheduled_levels)
+        first = next(iter(designs.values()))
+        repetitions = sizes_r or (first.n_repetitions,)
+        n_answers = max(sizes_n) * max(repetitions) * len(first.levels)
         if n_answers > _MOST_ANSWERS:
             raise typer.BadParameter(
                 f"given {n_answers} answers to each pair (participants x repetitions x levels); allowed: at most "

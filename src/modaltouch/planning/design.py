@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -13,7 +13,7 @@ from modaltouch.analysis import STATISTICS, AnswerCounts, Pair
 from modaltouch.planning.felt import FeltSpeeds
 from modaltouch.planning.observer import FrontEnd, Observer
 from modaltouch.preflight import Preflight
-from modaltouch.protocol import InputError, Protocol, Turn
+from modaltouch.protocol import AnswerList, InputError, Protocol, Turn
 
 FloatArray = NDArray[np.float64]
 
@@ -40,6 +40,10 @@ class Design:
         Stimulus presented in the cells; empty if the protocol has only one.
     margin : float or None
         Equivalence margin of the finger conditions [1].
+    answers : AnswerList
+        The answers offered: one for each finger, one for both, and possibly one for nothing felt.
+    n_repetitions : int
+        Answers per participant and cell in all analysed sessions of the protocol.
     """
 
     protocol: str
@@ -50,6 +54,15 @@ class Design:
     placements: tuple[bool, ...] = (False,)
     stimulus: str = ""
     margin: float | None = None
+    answers: AnswerList = field(default_factory=lambda: AnswerList.of({}))
+    n_repetitions: int = 1
+
+    @property
+    def places(self) -> list[int]:
+        """Indices of the answers left, both, right and, if offered, nothing felt."""
+        naming = self.answers.naming
+        offered = naming("left"), naming("left", "right"), naming("right"), naming()
+        return [self.answers.index(answer) for answer in offered if answer is not None]
 
     @property
     def title(self) -> str:
@@ -76,20 +89,27 @@ class Design:
 
         Parameters
         ----------
-        counts : (..., n_participants, n_finger_conditions, n_pairs, n_levels, 3) array of int
-            Counts of the answers left, both and right by participant and cell, for one experiment or a batch.
+        counts : (..., n_participants, n_finger_conditions, n_pairs, n_levels, n_answers) array of int
+            Counts of the `answers` by participant and cell, for one experiment or a batch.
         n_repetitions : int
             Answers per participant and cell.
         """
         names = tuple(f"p{number}" for number in range(1, counts.shape[-5] + 1))
         return AnswerCounts(
-            names, self.finger_conditions, self.pairs, self.levels, counts, n_repetitions, margin=self.margin
+            names,
+            self.finger_conditions,
+            self.pairs,
+            self.levels,
+            counts,
+            n_repetitions,
+            answers=self.answers,
+            margin=self.margin,
         )
 
     @cached_property
     def tests(self) -> dict[str, list[tuple[str, str]]]:
         """Scope and quantity of each test, as worded by the analysis, by family (a key of `STATISTICS`)."""
-        nothing_yet = self.count(np.zeros((1, *self.shape, 3), dtype=np.int64), 1)
+        nothing_yet = self.count(np.zeros((1, *self.shape, len(self.answers)), dtype=np.int64), 1)
         found = {family: statistic.compute(nothing_yet) for family, statistic in STATISTICS.items()}
         return {
             family: [] if result is None else list(zip(result.scopes, result.quantities, strict=True))
@@ -122,6 +142,7 @@ def designs_for(preflight: Preflight, observer: Observer) -> dict[str, Design]:
     InputError
         If the protocol has faults, or its levels depend on answers or differ between participants.
     """
+    preflight = of_analysed_kind(preflight)
     protocol = preflight.experiment.protocol
     adaptive = "adaptive runs, which have no fixed conditions"
     remedy = "let `modaltouch prereg` say how precisely thresholds will be known, or plan with fixed levels"
@@ -130,6 +151,12 @@ def designs_for(preflight: Preflight, observer: Observer) -> dict[str, Design]:
     refuse_unlike(preflight)
     placements = _placements(protocol)
     return {name: _design(name, part, observer, placements) for name, part in preflight.parts.items()}
+
+
+def of_analysed_kind(preflight: Preflight) -> Preflight:
+    """Return the preflight of the only analysed kind of session; self if there are several kinds, or none."""
+    kinds = {kind.name for kind in preflight.experiment.protocol.schedule.session_kinds if kind.analysed}
+    return preflight.at("", *kinds) if len(kinds) == 1 else preflight
 
 
 def refuse_own_levels(preflight: Preflight, remedy: str = "plan with the peak velocities that you expect") -> None:
@@ -148,7 +175,7 @@ def refuse_own_levels(preflight: Preflight, remedy: str = "plan with the peak ve
 
 _UNCROSSED = {
     "groups": "groups of participants, which one observer cannot represent",
-    "schedule": "kinds of session, whose tests are corrected together",
+    "schedule": "several analysed kinds of session, whose tests are corrected together, or none",
 }
 
 
@@ -211,8 +238,18 @@ def _design(name: str, preflight: Preflight, observer: Observer, placements: tup
         [[felt(condition, pair.left, pair.right, level * 1e-3) for level in levels] for pair in pairs]
         for condition in fingers
     ]
-    margin = protocol.analysis.equivalence_margin
-    return Design(protocol.protocol, fingers, pairs, levels, np.array(speeds), placements, name, margin)
+    return Design(
+        protocol.protocol,
+        fingers,
+        pairs,
+        levels,
+        np.array(speeds),
+        placements,
+        name,
+        protocol.analysis.equivalence_margin,
+        protocol.answers.offered,
+        protocol.schedule.all_repetitions,
+    )
 
 
 def felt_speeds(preflight: Preflight, front_end: FrontEnd) -> Callable[[str, str, str, float], tuple[float, float]]:

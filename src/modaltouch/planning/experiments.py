@@ -156,17 +156,20 @@ def simulate(design: Design, observer: Observer, job: Job, rng: np.random.Genera
     `modaltouch.planning.participant.Participant`.
     """
     crowd = observer.draw_participants(rng, (job.n_experiments, job.n_participants))
-    share_left, share_right = crowd.shares(
-        design.speeds.reshape(-1, 2), design.cells, design.facing(job.n_participants)
+    left, both, right, *nothing = design.places
+    share_left, share_right, *share_nothing = crowd.shares(
+        design.speeds.reshape(-1, 2), design.cells, design.facing(job.n_participants), offers_nothing=bool(nothing)
     )
     # Keep answers on the first axis in memory, since the tests access one answer at a time.
-    counts = np.zeros((3, *share_left.shape), dtype=np.int64)
+    counts = np.zeros((len(design.places), *share_left.shape), dtype=np.int64)
     for _ in range(job.n_repetitions):
         chance = rng.random(share_left.shape)
-        counts[0] += chance < share_left
-        counts[2] += chance >= 1 - share_right
-    counts[1] = job.n_repetitions - counts[0] - counts[2]
-    shape = (3, job.n_experiments, job.n_participants, *design.shape)
+        counts[left] += chance < share_left
+        counts[right] += chance >= 1 - share_right
+        for place, share in zip(nothing, share_nothing, strict=True):
+            counts[place] += (chance >= share_left) & (chance < share_left + share)
+    counts[both] = job.n_repetitions - counts.sum(axis=0)
+    shape = (len(counts), job.n_experiments, job.n_participants, *design.shape)
     return design.count(np.moveaxis(counts.reshape(shape), 0, -1), job.n_repetitions)
 
 

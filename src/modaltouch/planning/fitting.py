@@ -36,7 +36,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from modaltouch.analysis import AnswerCounts, Responses, TableFormat, read_responses
-from modaltouch.planning.design import felt_speeds, refuse_unlike
+from modaltouch.planning.design import felt_speeds, of_analysed_kind, refuse_unlike
 from modaltouch.planning.observer import Observer
 from modaltouch.preflight import Preflight
 from modaltouch.protocol import InputError
@@ -63,12 +63,15 @@ class RecordedAnswers:
         Finger condition of each cell.
     facing : (n_participants,) array
         1, or -1 for participants for whom the beam was turned end to end.
+    offers_nothing : bool
+        Whether nothing felt was among the answers; such answers are not counted.
     """
 
     counts: NDArray[np.int64]
     speeds: FloatArray
     finger_conditions: tuple[str, ...]
     facing: FloatArray
+    offers_nothing: bool = False
 
     @classmethod
     def joined(cls, parts: Sequence[Self]) -> Self:
@@ -83,6 +86,7 @@ class RecordedAnswers:
             speeds=np.concatenate([part.speeds for part in parts]),
             finger_conditions=tuple(name for part in parts for name in part.finger_conditions),
             facing=parts[0].facing,
+            offers_nothing=parts[0].offers_nothing,
         )
 
 
@@ -91,8 +95,11 @@ def log_likelihood(observer: Observer, recorded: RecordedAnswers) -> float:
     crowd = observer.participants_at(_grid())
     total = 0.0
     for side in np.unique(recorded.facing):
-        left, right = crowd.shares(recorded.speeds, recorded.finger_conditions, side)
-        shares = np.stack([left, 1 - left - right, right], axis=-1).reshape(N_NODES, -1)
+        left, right, *nothing = crowd.shares(
+            recorded.speeds, recorded.finger_conditions, side, offers_nothing=recorded.offers_nothing
+        )
+        felt = 1 - nothing[0] if nothing else 1.0
+        shares = (np.stack([left, felt - left - right, right]) / felt).transpose(1, 2, 0).reshape(N_NODES, -1)
         own = recorded.counts[recorded.facing == side].reshape(-1, shares.shape[1])
         # einsum runs in one thread, so sums are the same in every process; the product is small.
         logs = np.einsum("pc,nc->pn", own.astype(float), np.log(np.maximum(shares, _LEAST_SHARE)))
@@ -364,6 +371,7 @@ def fit_answers(preflight: Preflight, path: Path, prior: Observer, *, mode: str 
         If the protocol or the answers cannot be used, or the answers name a zone that the beam does not have.
     """
     _refuse_adaptive(path, is_adaptive=preflight.experiment.protocol.adaptive is not None)
+    preflight = of_analysed_kind(preflight)
     refuse_unlike(preflight)
     is_table = path.is_file() and path.suffix != ".jsonl"
     if is_table and preflight.variants:
@@ -441,4 +449,5 @@ def _record(answers: AnswerCounts, felt: Callable[[str, str, str, float], tuple[
         speeds=np.array(speeds),
         finger_conditions=tuple(name for name in answers.finger_conditions for _ in range(n_each)),
         facing=answers.facing.astype(float),
+        offers_nothing=answers.has_none_answer,
     )

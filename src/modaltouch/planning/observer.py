@@ -61,9 +61,14 @@ class DrawnParticipants:
         return np.maximum((1 + self.typical.suppression_in(finger_condition)) * self.sharpening, 1.0)
 
     def shares(
-        self, speeds: ArrayLike, finger_conditions: Sequence[str], facing: ArrayLike = 1.0
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return the probabilities of the answers left and right in each cell; the remainder is both.
+        self,
+        speeds: ArrayLike,
+        finger_conditions: Sequence[str],
+        facing: ArrayLike = 1.0,
+        *,
+        offers_nothing: bool = False,
+    ) -> FloatArray:
+        """Return the probabilities of the answers left, right and nothing felt in each cell; the remainder is both.
 
         They are in closed form, averaged over the internal noise of both fingers, if any, by Gauss-Hermite quadrature.
 
@@ -76,28 +81,31 @@ class DrawnParticipants:
         facing : array
             1, or -1 for participants for whom the beam is turned end to end: left and right are those of the beam, so
             the side bias changes sign.
+        offers_nothing : bool
+            Whether nothing felt is among the answers.
 
         Returns
         -------
-        left, right : (..., n_cells) arrays
-            Probabilities [1]; the leading axes are those of the participants.
+        (2 or 3, ..., n_cells) array
+            Probabilities of left, right and, if offered, nothing felt [1]; the axes between are those of the
+            participants.
         """
         speeds, sigma = np.asarray(speeds, dtype=float), self.typical.internal_noise
         if not sigma:
-            return self._shares_felt(speeds, finger_conditions, facing)
+            return self._shares_felt(speeds, finger_conditions, facing, offers_nothing=offers_nothing)
         nodes, weights = np.polynomial.hermite_e.hermegauss(N_NODES)
         weights = weights / weights.sum()
-        left, right = np.zeros(()), np.zeros(())
+        shares = np.zeros(())
         for i, j in product(range(N_NODES), repeat=2):
             felt = np.maximum(speeds + sigma * nodes[[i, j]], 0.0)
-            own = self._shares_felt(felt, finger_conditions, facing)
-            left, right = left + weights[i] * weights[j] * own[0], right + weights[i] * weights[j] * own[1]
-        return left, right
+            own = self._shares_felt(felt, finger_conditions, facing, offers_nothing=offers_nothing)
+            shares = shares + weights[i] * weights[j] * own
+        return shares
 
     def _shares_felt(
-        self, speeds: FloatArray, finger_conditions: Sequence[str], facing: ArrayLike
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return the probabilities of left and right for given felt speeds."""
+        self, speeds: FloatArray, finger_conditions: Sequence[str], facing: ArrayLike, *, offers_nothing: bool
+    ) -> FloatArray:
+        """Return the probabilities as in `shares` for given felt speeds."""
         from scipy.special import ndtr
 
         felt = speeds + self.typical.floor
@@ -110,10 +118,14 @@ class DrawnParticipants:
         if self.typical.near_miss:
             scale = scale * (felt.max(axis=1) / REFERENCE) ** -self.typical.near_miss
         limit = self.criterion[..., None]
-        attentive, guessed = 1 - self.typical.lapse_rate, self.typical.lapse_rate / 3
-        left = attentive * ndtr((-limit - expected) / scale) + guessed
-        right = attentive * ndtr((expected - limit) / scale) + guessed
-        return np.asarray(left), np.asarray(right)
+        named = np.stack([ndtr((-limit - expected) / scale), ndtr((expected - limit) / scale)])
+        if offers_nothing:
+            # The detection threshold varies from trial to trial with the noise of the comparison.
+            margin = np.log(np.maximum(speeds.max(axis=1), _LEAST_NOISE) / self.typical.floor)
+            nothing = ndtr(-margin / scale)
+            named = np.stack([*(named * (1 - nothing)), nothing])
+        guessed = self.typical.lapse_rate / (4 if offers_nothing else 3)
+        return np.asarray((1 - self.typical.lapse_rate) * named + guessed)
 
 
 @dataclass(frozen=True)

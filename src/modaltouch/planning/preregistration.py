@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -26,7 +26,7 @@ from modaltouch.planning.experiments import Study
 from modaltouch.planning.observer import Observer
 from modaltouch.planning.power import plan, processes
 from modaltouch.preflight import Preflight
-from modaltouch.protocol import InputError, Protocol, Source
+from modaltouch.protocol import InputError, Source
 from modaltouch.report import render_page
 from modaltouch.system import commit, version
 
@@ -97,7 +97,7 @@ def preregister(
         found = _by_sessions(study, n_experiments or N_RECORDED, seed, n_processes, on_progress)
     else:
         counted = Study(design, observer, tuple(filter(design.scopes, STATISTICS)), null=False, seed=seed)
-        found = _by_counts(counted, protocol, n_participants, n_experiments or N_COUNTED, n_processes, on_progress)
+        found = _by_counts(counted, n_participants, n_experiments or N_COUNTED, n_processes, on_progress)
     given = f" --threshold {threshold_mm_s:g}" if threshold_mm_s else ""
     several = (preflight, *preflight.others) if preflight.others else ()
     terms, size = _terms(preflight, found), {"n": n_participants, "observer": observer.name, "seed": seed}
@@ -146,20 +146,19 @@ def _counted(preflight: Preflight, observer: Observer) -> Design | None:
 
 def _by_counts(
     study: Study,
-    protocol: Protocol,
     n_participants: int,
     n_experiments: int,
     n_processes: int,
     on_progress: Callable[[int, int], None] | None,
 ) -> _Plan:
     """Return the plan of a design whose answers are simulated as counts without sessions."""
-    design, offered, n_repetitions = study.design, protocol.answers.offered, protocol.schedule.all_repetitions
-    sizes = [(n_participants, n_repetitions)]
+    design = study.design
+    sizes = [(n_participants, design.n_repetitions)]
     found = plan(study, sizes, n_experiments, n_processes=n_processes, on_progress=on_progress)
     floors = {floor.family: floor.least_participants or "none" for floor in found.floors}
     rows = [{**row, "floor": floors[row["family"]]} for row in found.families]
-    shape = (n_participants, *design.shape, len(offered))
-    planned = replace(design.count(np.zeros(shape, dtype=np.int64), n_repetitions), answers=offered)
+    shape = (n_participants, *design.shape, len(design.answers))
+    planned = design.count(np.zeros(shape, dtype=np.int64), design.n_repetitions)
     described: list[dict[str, Any]] = [
         {
             "name": family,

@@ -147,12 +147,10 @@ def design_warnings(protocol: Protocol) -> Iterator[str]:
     if len(protocol.groups) == 1:
         yield "there is only one group: nothing can be compared between groups; add another, or leave it out"
     n_pairs, n_fingers = len(conditions.contacts), len(conditions.finger_conditions)
-    # With a single analysed kind of session, the design is still crossed.
-    n_kinds = len({each.name for each in kinds if each.analysed})
     is_fixed = protocol.adaptive is None  # runs are compared with each other, and have no parts
-    if is_fixed and protocol.uncrossed_by and (protocol.uncrossed_by[0] != "schedule" or n_kinds > 1):
+    if is_fixed and protocol.uncrossed_by:
         yield _PARTS[protocol.uncrossed_by[0]].format(".".join(protocol.uncrossed_by))
-    elif is_fixed and not protocol.uncrossed_by:
+    elif is_fixed:
         numbers = {"level": len(protocol.scheduled_levels), "finger condition": n_fingers, "pair of zones": n_pairs}
         alone = " and one ".join(noun for noun, number in numbers.items() if number == 1)
         if alone:

@@ -110,6 +110,19 @@ def test_a_spread_of_zero_is_held() -> None:
     assert fit.observer.noise_spread == 0.0
 
 
+def test_answers_that_nothing_was_felt_leave_the_lapses_of_the_others() -> None:
+    """Expected: with lapses to one of four answers, the share of left among left, both and right, in closed form."""
+    still = Observer(TRUTH.typical, 0, 0, 0, 0, 0)
+    data = replace(recorded(TRUTH, 2, 3, seed=5), offers_nothing=True)
+    lapses, expected = still.typical.lapse_rate, 0.0
+    attentive = Observer(replace(still.typical, lapse_rate=0.0), 0, 0, 0, 0, 0)
+    for person, facing in enumerate(data.facing):
+        left, right = attentive.draw_participants(np.random.default_rng(0), ()).shares(SPEEDS, CONDITIONS, facing)
+        shares = (1 - lapses) * np.stack([left, 1 - left - right, right], axis=-1) + lapses / 4
+        expected += float((data.counts[person] * np.log(shares / shares.sum(axis=-1, keepdims=True))).sum())
+    assert log_likelihood(still, data) == pytest.approx(expected, rel=1e-9)
+
+
 def test_the_likelihood_of_a_population_without_spread_is_multinomial() -> None:
     """Expected: the sum of counts times log shares, in closed form, left and right exchanged at the turned beam."""
     still = Observer(TRUTH.typical, 0, 0, 0, 0, 0)

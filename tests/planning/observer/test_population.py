@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from modaltouch.planning.observer import Observer
 from modaltouch.planning.participant import REFERENCE, Participant
+from modaltouch.protocol import AnswerList
 
 SPEEDS = np.array([[0.08, 0.13], [0.1, 0.1], [0.2, 0.12]])
 
@@ -41,6 +42,27 @@ def test_shares_with_internal_noise_are_those_of_single_answers() -> None:
     for cell in range(3):
         given = [person.answer(*speeds[cell], "one_hand", rng)[0] for _ in range(n)]
         for share, answer in ((left[cell], "left"), (right[cell], "right")):
+            spread = math.sqrt(share * (1 - share) / n)
+            assert given.count(answer) / n == pytest.approx(share, abs=4 * spread + 3e-3)
+
+
+@pytest.mark.parametrize("internal_noise", [0.0, 0.004])
+def test_shares_with_nothing_felt_among_the_answers_are_those_of_single_answers(internal_noise: float) -> None:
+    """Expected below, near and far above the threshold: the shares of 6000 answers, within 4 standard errors.
+
+    A lapse is one of four answers then, not of three: 5 % of lapses name each.
+    """
+    typical = Participant(lapse_rate=0.2, detection_speed=0.01, internal_noise=internal_noise, near_miss=0.1)
+    observer, offered = replace(Observer(), typical=typical), AnswerList.of_words(("none",))
+    person = observer.draw(np.random.default_rng(4))
+    speeds = np.array([[0.004, 0.006], [0.008, 0.011], [0.1, 0.3]])
+    crowd = observer.draw_participants(np.random.default_rng(4), ())
+    shares = crowd.shares(speeds, ("one_hand",) * 3, offers_nothing=True)
+    assert shares[2, 2] == pytest.approx(0.05, abs=1e-6)
+    rng, n = np.random.default_rng(9), 6000
+    for cell, own in enumerate(shares.T):
+        given = [person.answer(*speeds[cell], "one_hand", rng, offered)[0] for _ in range(n)]
+        for share, answer in zip(own, ("left", "right", "none"), strict=True):
             spread = math.sqrt(share * (1 - share) / n)
             assert given.count(answer) / n == pytest.approx(share, abs=4 * spread + 3e-3)
 
