@@ -11,8 +11,9 @@ from modaltouch.analysis.designs import analyse_design
 from modaltouch.analysis.parts import analyse_parts
 from modaltouch.analysis.pipeline import read_responses
 from modaltouch.analysis.responses import TableFormat
-from modaltouch.protocol import AnswerList, InputError
+from modaltouch.protocol import AnswerList, Findings, InputError
 
+PAPER = "differentiated_stimulation.yaml"
 HEADER = "participant,finger_condition,zone_left,zone_right,velocity_mm_s,response"
 
 
@@ -652,21 +653,65 @@ def test_who_has_no_answer_at_all_is_named_and_a_table_without_any_refused(write
 
 @pytest.mark.parametrize("times", [2, 3])
 def test_a_table_that_stands_there_several_times_is_told(write_csv, paper_rows, times) -> None:
-    """Repetitions may be all alike, so it is read; one row that differs is enough to say nothing."""
+    """Repetitions of clear cells may be all alike, so they are read; one row that differs is enough to say nothing."""
+    clear = [paper_rows[0], *({**row, "response": "both"} for row in paper_rows[1:])]
     note = f"every row occurs {times} times, taken as repetitions: if the table was pasted together, remove the copies"
-    assert note in read_responses(write_csv(paper_rows * times)).notes
-    other = {**paper_rows[0], "response": "both"}
-    assert note not in read_responses(write_csv(paper_rows * (times - 1) + [other, *paper_rows[1:]])).notes
+    assert note in read_responses(write_csv(clear * times)).notes
+    assert (
+        note not in read_responses(write_csv(clear * (times - 1) + [clear[0] | {"response": "both"}, *clear[1:]])).notes
+    )
 
 
-def test_a_table_that_stands_there_more_often_than_the_protocol_repeats_is_refused(write_csv, paper_rows) -> None:
-    """Twice one answer to each cell: refused with one repetition, read with two, or one in each of two sessions."""
-    path = write_csv(paper_rows * 2)
-    schedules = {"repetitions": 2, "sessions": 1}, {"repetitions": 1, "sessions": 2}
-    for schedule in schedules:
-        assert len(read_responses(path, table_format=TableFormat(design={"schedule": schedule})).frame)
-    with pytest.raises(InputError, match="every row 2 times, which gives 2 answers .*; allowed: 1, as in the protocol"):
-        read_responses(path, table_format=TableFormat(design={"schedule": {"repetitions": 1, "sessions": 1}}))
+def test_repetitions_whose_answers_vary_between_participants_but_never_within_are_refused(
+    write_csv, paper_rows
+) -> None:
+    """In (B,D), where half the participants answer otherwise, 80 pairs of repetitions would not all agree.
+
+    Numbered, they are read: somebody says that they are repetitions.
+    """
+    with pytest.raises(InputError, match="every row 2 times; allowed: each once, .* under repetition"):
+        read_responses(write_csv(paper_rows * 2))
+    numbered = [{**row, "repetition": number} for number in (1, 2) for row in paper_rows]
+    assert len(read_responses(write_csv(numbered)).frame) == 480
+
+
+@pytest.mark.parametrize(
+    ("schedule", "most"),
+    [
+        ("repetitions: 1", 1),
+        ("repetitions: 2", 2),
+        ("repetitions: 1\n  sessions: 2", 2),
+        ("repetitions: 1\n  sessions: [{name: training, analysed: false}, {name: test, times: 2}]", 2),
+    ],
+)
+def test_a_table_that_stands_there_more_often_than_the_protocol_repeats_is_refused(
+    write_csv, paper_rows, edit, schedule: str, most: int
+) -> None:
+    """Copies beyond the answers in all analysed sessions are refused; as many as these are read."""
+    form = TableFormat.of(Findings.read(edit(PAPER, ("repetitions: 1", schedule))))
+    assert form.most == most
+    rows = [row | {"session_kind": "test"} for row in paper_rows]
+    said = f"every row {most + 1} times, which gives {most + 1} answers .*; allowed: {most}, as in the protocol"
+    with pytest.raises(InputError, match=said):
+        read_responses(write_csv(rows * (most + 1)), table_format=form)
+    assert len(read_responses(write_csv(rows * most), table_format=form).frame) == most * len(rows)
+
+
+def test_copies_are_refused_beyond_the_weights_of_the_cells_of_a_protocol(write_csv, edit) -> None:
+    """A pair of weight 2 beside one of weight 1, each twice: four answers where two are planned."""
+    cells = ("  zone_pairs: [[A, C], [B, D], [C, E]]\n  peak_velocities_mm_s: [80, 100, 150, 200]\n",
+             "  cells: [{pair: [A, C], peak_velocities_mm_s: [80, 200], weight: 2}, "
+             "{pair: [B, D], peak_velocities_mm_s: [100]}]\n")  # fmt: skip
+    form = TableFormat.of(Findings.read(edit(PAPER, cells)))
+    rows = [
+        {"participant": who, "finger_condition": fingers, "zone_left": pair[0], "zone_right": pair[1],
+         "velocity_mm_s": level, "response": "both"}
+        for who in ("p1", "p2") for fingers in ("one_hand", "two_hands")
+        for pair, level in [("AC", 80), ("AC", 80), ("AC", 200), ("AC", 200), ("BD", 100)]
+    ]  # fmt: skip
+    assert len(read_responses(write_csv(rows), table_format=form).frame) == 20
+    with pytest.raises(InputError, match="gives 4 answers of a participant in a cell; allowed: 2, as in the protocol"):
+        read_responses(write_csv(rows * 2), table_format=form)
 
 
 def test_levels_in_metres_per_second_are_refused(write_csv, paper_rows) -> None:

@@ -83,17 +83,24 @@ def test_an_analysis_that_keeps_to_it_departs_in_nothing(analysis: Analysis) -> 
 
 
 def test_every_departure_is_said(analysis: Analysis, page: Path) -> None:
-    """Another number of participants, family of tests, margin and protocol, and sessions that came first."""
+    """Another number of participants or repetitions, family of tests, margin and protocol, and earlier sessions."""
     terms = read_preregistration(page)
-    other = terms | {"participants": 12, "equivalence margin": 0.1, "protocol (SHA-256)": "0", "date": "2999-01-01"}
+    other = terms | {
+        "participants": 12,
+        "repetitions": 3,
+        "equivalence margin": 0.1,
+        "protocol (SHA-256)": "0",
+        "date": "2999-01-01",
+    }
     departures = replace(analysis, findings=analysis.findings[:6]).departures_from(other)
     said = " | ".join(departures)
     assert "participants: 12 preregistered, 3 analysed" in said
+    assert "repetitions: 3 preregistered, 1 analysed" in said
     assert " preregistered, a1 (6) analysed" in said
     assert "equivalence margin: 0.1 preregistered, none analysed" in said
     assert "protocol (SHA-256): 0 preregistered" in said
     assert "3 of 3 sessions began before the day of the preregistration, 2999-01-01" in said
-    assert len(departures) == 5
+    assert len(departures) == 6
 
 
 def test_a_page_that_appears_meanwhile_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -232,8 +239,11 @@ def test_power_of_answers_at_random_is_said_to_be_none(edit, tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize(
-    "change", [("", ""), ("schedule:\n", "schedule:\n  sessions: 2\n")], ids=["stimuli", "sessions"]
-)
+    "change",
+    [("", ""), ("schedule:\n", "schedule:\n  sessions: 2\n"),
+     ("schedule:\n", "schedule:\n  sessions: [{name: training, analysed: false}, {name: test}]\n")],
+    ids=["stimuli", "sessions", "training"],
+)  # fmt: skip
 def test_what_is_planned_is_what_is_analysed(edit, tmp_path: Path, change: tuple[str, str]) -> None:
     """Several stimuli are corrected together, and repetitions of all sessions count, as in the analysis."""
     name = "demo" if change[0] else "two_fields"

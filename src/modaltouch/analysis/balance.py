@@ -21,6 +21,9 @@ _MOST_MISSING = 0.25
 # Minimum number of distinct reaction times for which a full match cannot be coincidence.
 _FEWEST_TIMES = 4
 
+_LEAST_LOG_CHANCE = math.log(1e-6)
+"""Log probability below which agreement of all repetitions is no coincidence."""
+
 
 def check_balance(table: Table, frame: pd.DataFrame, *, is_crossed: bool = True) -> tuple[list[Problem], int]:
     """Find duplicate rows, missing cells and surplus answers, and return the usual number of answers per cell.
@@ -89,30 +92,40 @@ def _measured_levels(table: Table, frame: pd.DataFrame, column: str) -> Problem:
     return table.problem(int(frame.index[0]), column, given, "the same levels for all participants", remedy)
 
 
-def check_doubling(table: Table, usual: int, design: Mapping[str, Any]) -> tuple[list[Problem], list[str]]:
-    """Refuse a table whose every row is duplicated beyond the repetitions of the protocol; without these, note it.
+def check_doubling(table: Table, frame: pd.DataFrame, most: int | None) -> tuple[list[Problem], list[str]]:
+    """Refuse a table whose every row is duplicated, unless these may be repetitions with the same answer; note those.
 
     Parameters
     ----------
     table : Table
         The file.
-    usual : int
-        Usual number of answers per participant and cell; 0 if unknown.
-    design : mapping
-        Sections of the protocol; empty if unknown.
+    frame : DataFrame
+        Rows of the file that count.
+    most : int or None
+        Most answers of a participant in a cell, according to the protocol; None if unknown.
     """
     times = math.gcd(*pd.util.hash_pandas_object(table.fields, index=False).value_counts().tolist())
     if times < 2:
         return [], []
-    schedule = design.get("schedule") or {}
-    sessions = schedule.get("sessions", 1)
-    planned = schedule["repetitions"] * sessions if schedule and isinstance(sessions, int) else usual
-    if usual > planned:
-        given = f"every row {times} times, which gives {usual} answers of a participant in a cell"
-        allowed = f"{planned}, as in the protocol"
+    cell = [*cell_of(frame.columns), *({"stimulus"} & {*frame.columns})]
+    found = int(frame.groupby(["participant", *cell], observed=True)["n"].sum().max())
+    if most is not None and found > most:
+        given = f"every row {times} times, which gives {found} answers of a participant in a cell"
+        allowed = f"{most}, as in the protocol"
         return [Problem(table.file, 1, 1, "", given, allowed, "remove the copies")], []
+    if most is None and _log_chance(frame, cell, times) < _LEAST_LOG_CHANCE:
+        allowed = "each once, as repetitions would differ somewhere"
+        remedy = "remove the copies, or number the repetitions under repetition"
+        return [Problem(table.file, 1, 1, "", f"every row {times} times", allowed, remedy)], []
     note = f"every row occurs {times} times, taken as repetitions: if the table was pasted together, remove the copies"
     return [], [note]
+
+
+def _log_chance(frame: pd.DataFrame, cell: list[str], times: int) -> float:
+    """Return the log probability that all repetitions agree, if participants answer a cell with the same shares."""
+    own = frame.groupby(cell, observed=True)["response"]
+    alike = own.agg(lambda answers: (answers.value_counts(normalize=True) ** 2).sum())
+    return float((own.size() / times * (times - 1) * np.log(alike.where(alike > 0, 1.0))).sum())
 
 
 def check_unit(table: Table, frame: pd.DataFrame, design: Mapping[str, Any]) -> list[Problem]:

@@ -14,7 +14,7 @@ from collections import Counter
 from collections.abc import Callable, Collection, Container, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 import pandas as pd
@@ -35,6 +35,7 @@ from modaltouch.protocol import AnswerList, InputError
 
 if TYPE_CHECKING:
     from modaltouch.analysis.task import TrialTask
+    from modaltouch.protocol import Findings
 
 REQUIRED = ("participant", "finger_condition", "zone_left", "zone_right", "velocity_mm_s", "response")
 CELL = ("finger_condition", "zone_left", "zone_right", "velocity_mm_s")
@@ -114,6 +115,8 @@ class TableFormat:
         Equivalence margin of the finger conditions [1].
     design : dict
         Sections of the protocol; empty if no protocol is given.
+    most : int or None
+        Most answers of a participant in a cell, in all analysed sessions of the protocol.
     """
 
     answers: AnswerList | None = None
@@ -121,6 +124,23 @@ class TableFormat:
     missing: tuple[str, ...] = ()
     margin: float | None = None
     design: Mapping[str, Any] = field(default_factory=dict)
+    most: int | None = None
+
+    @classmethod
+    def of(cls, findings: Findings, words: Mapping[str, str] | None = None, missing: tuple[str, ...] = ()) -> Self:
+        """Return the format of answers to a protocol, whose `findings` include those of its groups and kinds."""
+        planned = Counter[tuple[Any, ...]]()
+        for each in (findings, *findings.others):
+            own, (group, kind) = each.experiment().protocol, each.occasion
+            n_sessions = own.schedule.n_sessions
+            if kind:
+                n_sessions = sum(met.name == kind and met.analysed for met in own.schedule.session_kinds)
+            for name in own.conditions.finger_conditions:
+                for cell in own.cells(name):
+                    planned[group, name, *cell] += n_sessions * own.scheduled_repetitions
+        first = findings.experiment().protocol
+        margin, design = first.analysis.equivalence_margin, first.model_dump(mode="json")
+        return cls(first.answers.offered, words or {}, missing, margin, design, max(planned.values(), default=None))
 
     @property
     def asked(self) -> tuple[str, ...]:

@@ -85,8 +85,9 @@ def read_csv(
         asked = unmirror(frame[counts], answers)
         is_whole, parts = _is_crossed(table_format.design), _parts(asked, table_format.design)
         checked = [check_balance(table, part, is_crossed=is_whole) for part in parts]
-        doubled, noted = check_doubling(table, checked[-1][1], table_format.design)
-        columns.problems += [*(problem for problems, _ in checked for problem in problems), *doubled]
+        columns.problems += [problem for problems, _ in checked for problem in problems]
+    if not columns.problems:
+        columns.problems, noted = check_doubling(table, asked, table_format.most)
     if columns.problems:
         raise InputError(columns.problems)
     left_out += [ExcludedSource(f"{table.file}: {rows.sum()} rows", why) for why, rows in apart.items() if rows.any()]

@@ -103,11 +103,10 @@ def analyse(
 def _table_format(file: str | None, answers: str | None, missing: str | None) -> analysis.TableFormat:
     """Return the format of a CSV of answers, from the command's options."""
     words = {} if answers is None else _mapped(answers)
-    given = None if file is None else protocol.Findings.read(file).experiment().protocol
-    margin = given.analysis.equivalence_margin if given else None
     codes = tuple(word.strip() for word in (missing or "").split(","))
-    design = given.model_dump(mode="json") if given else {}
-    return analysis.TableFormat(given.answers.offered if given else None, words, codes, margin, design)
+    if file is None:
+        return analysis.TableFormat(words=words, missing=codes)
+    return analysis.TableFormat.of(protocol.Findings.read(file), words, codes)
 
 
 def _mapped(answers: str) -> dict[str, str]:

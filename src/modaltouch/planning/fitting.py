@@ -392,11 +392,9 @@ def fit_answers(preflight: Preflight, path: Path, prior: Observer, *, mode: str 
                 )
             ]
         )
-    offered = preflight.experiment.protocol.answers.offered
+    table_format = TableFormat.of(preflight.findings) if is_table else None
     taken = {
-        name: read_responses(
-            path, mode=mode, stimulus=name or None, table_format=TableFormat(offered) if is_table else None
-        )
+        name: read_responses(path, mode=mode, stimulus=name or None, table_format=table_format)
         for name in preflight.parts
     }
     recorded = [
