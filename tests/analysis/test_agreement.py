@@ -103,6 +103,11 @@ class TestInterval:
         interval = ac1_interval(np.tile([1, 0, 0], (2, 4, 1)))
         assert (interval.low, interval.high) == (-1, 1)
 
+    def test_participants_who_all_answer_evenly_have_no_interval(self) -> None:
+        """Each answers every item once one way and once the other: AC1 is 0, but none tells the spread of others."""
+        interval = ac1_interval(np.ones((10, 4, 2), dtype=int))
+        assert (interval.estimate, interval.low, interval.high) == (0, -1, 1)
+
     def test_neither_names_nor_labels_matter(self) -> None:
         """Participants in another order have the same interval, and answers by other names nearly so."""
         answers = np.random.default_rng(1).multinomial(1, [0.45, 0.45, 0.1], (8, 4))

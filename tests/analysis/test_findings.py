@@ -12,6 +12,7 @@ from statsmodels.stats.multitest import multipletests
 from modaltouch.analysis.exact import ExactTest
 from modaltouch.analysis.findings import COLUMNS, Finding, correct, finding_of, holm, plain_row, to_frame
 from modaltouch.analysis.intervals import Interval
+from modaltouch.analysis.permutation import by_ranks
 
 
 def finding(p: float, p_min: float = 0.001, family: str = "a") -> Finding:
@@ -74,6 +75,15 @@ def test_what_the_data_cannot_say_comes_first_among_the_notes() -> None:
     expected = Finding("b", "a test", "everywhere", "share", 0.5, 0.1, 0.9, 10, 2.0, 0.25, 0.25, "f", row.note)
     assert repr(row) == repr(expected)  # by repr, since p_holm is not a number
     assert math.isnan(row.p_holm)
+
+
+def test_an_interval_of_one_value_is_not_shown_as_certain() -> None:
+    """Ten equal differences of ratings: the signed ranks reject all other centres, whatever others would answer."""
+    test, interval = by_ranks(np.ones(10))
+    assert (interval.low, interval.high) == (1, 1)
+    row = finding_of("rating", "test", "scope", test, "x", interval, 10)
+    assert row.note.startswith("one value as interval, since hardly any values differ")
+    assert finding(0.01).note == ""
 
 
 def test_the_table_holds_every_column_and_row() -> None:

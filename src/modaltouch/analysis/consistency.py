@@ -127,6 +127,8 @@ def _prevalence(answers: AnswerCounts, first: IntArray, second: IntArray, scope:
 def ac1_interval(answers: ArrayLike) -> Interval:
     """Return AC1 between participants with a confidence interval, which is [-1, 1] for fewer than three participants.
 
+    It is [-1, 1], too, if all participants divide their answers evenly, so that none of them tells the spread.
+
     As in `BoundedMean`, one participant is added to the sample: for the lower bound, one who gives the rarest answer to
     each item; for the upper bound, the most frequent one; ties are split evenly. The bounds are quantiles over random
     weights of the participants (Bayesian bootstrap) and do not depend on their order. The coverage is known only from
@@ -158,7 +160,8 @@ def ac1_interval(answers: ArrayLike) -> Interval:
     each_bound = zip(zip(*drawn, strict=True), (_TAIL, 1 - _TAIL), strict=True)
     bounds = [np.quantile(np.concatenate(parts, axis=-1), tail, axis=-1) for parts, tail in each_bound]
     low, high = np.minimum(bounds[0], estimate[..., 0]), np.maximum(bounds[1], estimate[..., 0])
-    return Interval(estimate[..., 0], low, high, n)
+    unknown = low == high  # all divide their answers evenly, the added participant too
+    return Interval(estimate[..., 0], np.where(unknown, -1.0, low)[()], np.where(unknown, 1.0, high)[()], n)
 
 
 def agreement_between(answers: ArrayLike, weights: ArrayLike) -> tuple[FloatArray, FloatArray]:

@@ -111,6 +111,8 @@ def finding_of(
     values = (interval.estimate, interval.low, interval.high)
     # Round numerical noise to zero.
     estimate, low, high = (0.0 if abs(each) < 1e-12 else float(each) for each in values)
+    if low == high:
+        words.append("one value as interval, since hardly any values differ: it does not tell how certain the mean is")
     row = Finding(question, name, scope, quantity, estimate, low, high, n, family=family, note="; ".join(words))
     if test is None:
         return row
