@@ -21,7 +21,7 @@ _MOST_MISSING = 0.25
 # Minimum number of distinct reaction times for which a full match cannot be coincidence.
 _FEWEST_TIMES = 4
 
-_LEAST_LOG_CHANCE = math.log(1e-6)
+_LEAST_LOG_CHANCE = math.log(1e-4)
 """Log probability below which agreement of all repetitions is no coincidence."""
 
 
@@ -113,7 +113,9 @@ def check_doubling(table: Table, frame: pd.DataFrame, most: int | None) -> tuple
         given = f"every row {times} times, which gives {found} answers of a participant in a cell"
         allowed = f"{most}, as in the protocol"
         return [Problem(table.file, 1, 1, "", given, allowed, "remove the copies")], []
-    if most is None and _log_chance(frame, cell, times) < _LEAST_LOG_CHANCE:
+    # Levels of a pair are alike to some participants, and participants to others: the larger probability counts.
+    alike = (cell, ["participant", *cell_of(frame.columns)[:-1]])
+    if most is None and max(_log_chance(frame, by, times) for by in alike) < _LEAST_LOG_CHANCE:
         allowed = "each once, as repetitions would differ somewhere"
         remedy = "remove the copies, or number the repetitions under repetition"
         return [Problem(table.file, 1, 1, "", f"every row {times} times", allowed, remedy)], []
@@ -121,9 +123,9 @@ def check_doubling(table: Table, frame: pd.DataFrame, most: int | None) -> tuple
     return [], [note]
 
 
-def _log_chance(frame: pd.DataFrame, cell: list[str], times: int) -> float:
-    """Return the log probability that all repetitions agree, if participants answer a cell with the same shares."""
-    own = frame.groupby(cell, observed=True)["response"]
+def _log_chance(frame: pd.DataFrame, by: list[str], times: int) -> float:
+    """Return the log probability that all repetitions agree, if rows alike in some columns have the same shares."""
+    own = frame.groupby(by, observed=True)["response"]
     alike = own.agg(lambda answers: (answers.value_counts(normalize=True) ** 2).sum())
     return float((own.size() / times * (times - 1) * np.log(alike.where(alike > 0, 1.0))).sum())
 
