@@ -7,7 +7,6 @@ import re
 from collections import ChainMap
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -51,9 +50,7 @@ class Channel(OutputChannel):
         return 1 / self.frequency
 
 
-MAX_CODE = 16382
-"""Highest code of a point."""
-
+MAX_CODE = 16382  # of a point
 MEMORIES = ("USER1", "USER2", "USER3", "USER4")
 """Non-volatile memories, shared by both channels."""
 
@@ -68,6 +65,8 @@ class Afg(GeneratorState[Channel]):
         Fault: the output stage silently clips amplitudes to this value [V peak to peak, open circuit].
     """
 
+    SETTINGS = ("trigger_source", "timer", "level_concurrent", "frequency_concurrent", "trigger_output", "clock_source")
+
     identity: str = "TEKTRONIX,AFG3022B,SIMULATED,SCPI:99.0 FV:3.2.2"
     min_points: int = 2
     max_points: int = 131_072
@@ -77,6 +76,10 @@ class Afg(GeneratorState[Channel]):
         self.user: dict[int, bytes | None] = dict.fromkeys(range(1, len(MEMORIES) + 1))
         self.locked: dict[int, bool] = dict.fromkeys(self.user, False)
         super().__post_init__()
+
+    def wipe(self) -> None:
+        """Erase the USER memories and their locks."""
+        self.user, self.locked = dict.fromkeys(self.user), dict.fromkeys(self.user, False)
 
     def forget(self) -> None:
         """Lose the edit memory; USER memories are kept."""
@@ -116,9 +119,9 @@ class Afg(GeneratorState[Channel]):
             raise ScpiError(-221, f"USER{number} is locked or selected")
         self.user[number] = None
 
-    def change(self, number: int, **settings: float) -> None:
+    def change(self, number: int, **settings: Any) -> None:
         """Change amplitude, offset or limits, into an open circuit [V]; reject outputs beyond the limits."""
-        channel = replace(self.channels[number], **settings)  # type: ignore[arg-type]
+        channel = replace(self.channels[number], **settings)
         room = min(channel.limit_high - channel.offset, channel.offset - channel.limit_low)
         if channel.amplitude / 2 > room * (1 + 1e-9):
             why = f"{channel.amplitude:g} Vpp at {channel.offset:g} V exceeds VOLTage:LIMit"
@@ -149,11 +152,10 @@ class Afg(GeneratorState[Channel]):
         sign = -1.0 if channel.polarity == "INV" else 1.0
         idle = {"first": record[:2], "last": record[-2:]}.get(self.behaviour.idle_level)
         idle_code = MID_CODE if idle is None else int.from_bytes(idle, "big")
-        duration = 1 / channel.frequency
         level = sign * channel.amplitude, channel.offset
         if math.isinf(channel.burst_length) or not channel.burst:
-            return Playback(record, *level, duration, duration, idle_code)
-        return Playback(record, *level, duration, math.inf, idle_code, int(channel.n_cycles), channel.delay)
+            return Playback(record, *level, channel.cycle, channel.cycle, idle_code)
+        return Playback(record, *level, channel.cycle, math.inf, idle_code, int(channel.n_cycles), channel.delay)
 
 
 def blank_record(n_points: int) -> bytes:
@@ -207,7 +209,20 @@ def _per_rms(channel: Channel, unit: str) -> float:
     return PEAK_TO_PEAK_PER_RMS[channel.function]
 
 
-SHAPES = ("SINusoid", "SQUare", "PULSe", "RAMP", "PRNoise", "DC", "SINC", "GAUSsian", "LORentz", "ERISe", "EDECay")
+SHAPES = (
+    "SINusoid",
+    "SQUare",
+    "PULSe",
+    "RAMP",
+    "PRNoise",
+    "DC",
+    "SINC",
+    "GAUSsian",
+    "LORentz",
+    "ERISe",
+    "EDECay",
+    "HAVersine",
+)
 HIGHEST_BURST_FREQUENCY = 6.25e6
 
 
@@ -218,13 +233,18 @@ def afg_twin(model: str, behaviour: Behaviour | None, **hardware: Any) -> tuple[
     # Trigger commands change no setting and must not be delayed.
     forced = ("*TRG", "TRIGger[:SEQuence][:IMMediate]")
     commands = common.noticed(afg, ChainMap(*(group(afg) for group in groups)), forced)
-    return afg, CommandTable(commands, afg.n_channels, further=partial(common.further_commands, "AFG3000", "{:.4E}"))
+
+    def further() -> dict[str, Command]:
+        from modaltouch.rig.simulator.setups import further_commands
+
+        return further_commands(afg, "{:.4E}", tektronix=True)
+
+    return afg, CommandTable(commands, afg.n_channels, further=further)
 
 
 def _waveform(afg: Afg) -> dict[str, Command]:
     def shape(number: int, arguments: Arguments) -> None:
-        name = one(arguments)
-        chosen = read_choice("USER1" if str(name).upper() == "USER" else name, (*SHAPES, *MEMORIES, "EMEMory"))
+        chosen = read_choice(_numbered(one(arguments)), (*SHAPES, *MEMORIES, "EMEMory"))
         if chosen.startswith("USER") and afg.user[int(chosen[4:])] is None:
             raise ScpiError(-224, f"{chosen} is empty")
         afg.channels[number].function = chosen
@@ -259,11 +279,10 @@ def _waveform(afg: Afg) -> dict[str, Command]:
 def _levels(afg: Afg) -> dict[str, Command]:
     def amplitude(number: int, arguments: Arguments) -> None:
         channel = afg.channels[number]
-        factor = channel.load_factor
         value = amplitude_in_vpp(one(arguments), channel)
         value = float(f"{value:.3e}") if value >= 1 else round(value, 4)
         for each in afg.channels if afg.level_concurrent else (number,):
-            afg.change(each, amplitude=value / factor)
+            afg.change(each, amplitude=value / channel.load_factor)
 
     def volts(number: int, arguments: Arguments, default: float | None = None) -> float:
         factor = afg.channels[number].load_factor
@@ -272,18 +291,6 @@ def _levels(afg: Afg) -> dict[str, Command]:
     def limit(side: str) -> Command:
         return Command(set=lambda n, a: afg.change(n, **{side: volts(n, a)}), get=_get_level(afg, side, -10, 10))
 
-    def end(sign: int) -> Command:
-        def change(number: int, arguments: Arguments) -> None:
-            channel, value = afg.channels[number], volts(number, arguments)
-            other = channel.offset - sign * channel.amplitude / 2
-            if sign * (value - other) < LOWEST * (1 - 1e-9):
-                raise ScpiError(-222, f"{value * channel.load_factor:g} V: the high level lies above the low one")
-            afg.change(number, amplitude=sign * (value - other), offset=(value + other) / 2)
-
-        return Command(
-            set=change, get=get_of(afg, lambda c: f"{(c.offset + sign * c.amplitude / 2) * c.load_factor:.4E}")
-        )
-
     vpp = _get_level(afg, "amplitude", LOWEST, HIGHEST)
     level = "[SOURce#]:VOLTage[:LEVel][:IMMediate]"
     return {
@@ -291,8 +298,8 @@ def _levels(afg: Afg) -> dict[str, Command]:
             set=amplitude,
             get=lambda n, a: f"{amplitude_in_unit(float(vpp(n, a)), afg.channels[n], afg.channels[n].unit):.4E}",
         ),
-        f"{level}:HIGH": end(1),
-        f"{level}:LOW": end(-1),
+        f"{level}:HIGH": common.edge(afg, 1, LOWEST, "{:.4E}"),
+        f"{level}:LOW": common.edge(afg, -1, LOWEST, "{:.4E}"),
         f"{level}:OFFSet": Command(
             set=lambda n, a: afg.change(n, offset=volts(n, a, 0.0)), get=_get_level(afg, "offset", -10, 10)
         ),
@@ -361,15 +368,16 @@ def _memories(afg: Afg) -> dict[str, Command]:
         return f"#{len(length)}{length}".encode() + afg.edit
 
     def define(channel: int, arguments: Arguments) -> None:
-        (size,) = _of_edit(arguments, 2)
+        (size,) = _of_edit(arguments if len(arguments) != 1 else (*arguments, "1000"), 2)
         if isinstance(size, str) and size.upper().startswith("USER"):
             afg.copy_from_user(_user(size))
         else:
             afg.edit = blank_record(whole((size,), afg.min_points, afg.max_points))
 
     def points(channel: int, arguments: Arguments) -> str:
-        _of_edit(arguments or ("EMEM",), 1)
-        return str(len(afg.edit) // 2)
+        name, *limit = arguments or ("EMEM",)
+        _of_edit((name,), 1)
+        return f"{asked(tuple(limit), len(afg.edit) // 2, afg.min_points, afg.max_points):.0f}"
 
     def set_value(channel: int, arguments: Arguments) -> None:
         place, code = _of_edit(arguments, 3)
@@ -379,12 +387,10 @@ def _memories(afg: Afg) -> dict[str, Command]:
 
     def value(channel: int, arguments: Arguments) -> str:
         (place,) = _of_edit(arguments, 2)
-        at = 2 * (whole((place,), 1, len(afg.edit) // 2) - 1)
-        return str(int.from_bytes(afg.edit[at : at + 2], "big"))
+        return str(np.frombuffer(afg.edit, ">u2")[whole((place,), 1, len(afg.edit) // 2) - 1])
 
     def line(channel: int, arguments: Arguments) -> None:
-        numbers = _of_edit(arguments, 5)
-        codes = np.frombuffer(afg.edit, ">u2").copy()
+        numbers, codes = _of_edit(arguments, 5), np.frombuffer(afg.edit, ">u2").copy()
         start, end = (whole((place,), 1, codes.size) for place in numbers[::2])
         first, last = (whole((code,), 0, MAX_CODE) for code in numbers[1::2])
         codes[start - 1 : end] = np.round(np.linspace(first, last, max(end - start + 1, 0)))
@@ -415,8 +421,7 @@ def _user_memories(afg: Afg) -> dict[str, Command]:
             afg.copy_from_user(_user(source))
 
     def catalogue(_: int) -> str:
-        filled = [f'"USER{number}"' for number, record in afg.user.items() if record is not None]
-        return ",".join([*filled, '"EMEM"'])
+        return ",".join([f'"USER{number}"' for number, record in afg.user.items() if record] + ['"EMEM"'])
 
     def lock(channel: int, arguments: Arguments) -> None:
         name, state = exactly(arguments, 2)
@@ -433,9 +438,13 @@ def _user_memories(afg: Afg) -> dict[str, Command]:
 def _of_edit(arguments: Arguments, n: int) -> Arguments:
     """Return the arguments after the first of n, which must be the name of the edit memory."""
     name, *rest = exactly(arguments, n)
-    read_choice(name, ("EMEMory", "EMEMory1"))
+    read_choice(_numbered(name), ("EMEMory",))
     return tuple(rest)
 
 
 def _user(name: Argument) -> int:
-    return int(read_choice("USER1" if str(name).upper() == "USER" else name, MEMORIES)[4:])
+    return int(read_choice(_numbered(name), MEMORIES)[4:])
+
+
+def _numbered(name: Argument) -> Argument:
+    return {"USER": "USER1", "EMEM1": "EMEM", "EMEMORY1": "EMEM"}.get(str(name).upper(), name)

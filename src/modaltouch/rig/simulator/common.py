@@ -9,7 +9,7 @@ from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Generic, Literal, TypeVar
+from typing import Any, ClassVar, Generic, Literal, TypeVar
 
 from modaltouch.rig.simulator.scpi import (
     Arguments,
@@ -121,7 +121,11 @@ class GeneratorState(ABC, Generic[C]):
         Number of the link whose message is being executed; 0 for the front panel.
     identity : str
         Reply to ``*IDN?``.
+    setups : dict of int to dict
+        Settings stored under numbers, which outlast a power failure; number 0 holds those of the last one.
     """
+
+    SETTINGS: ClassVar[tuple[str, ...]]  # names of those that belong to no channel
 
     behaviour: Behaviour = field(default_factory=Behaviour)
     n_channels: int = 2
@@ -132,6 +136,10 @@ class GeneratorState(ABC, Generic[C]):
     identity: str = ""
     lock: threading.RLock = field(default_factory=threading.RLock, repr=False)
     channels: dict[int, C] = field(default_factory=dict, init=False)
+    setups: dict[int, dict[str, Any]] = field(default_factory=dict, init=False)
+    locked_setups: set[int] = field(default_factory=set, init=False)
+    recalls_last: bool = field(default=False, init=False)
+    clears_status: bool = field(default=True, init=False)
 
     def __post_init__(self) -> None:
         self.errors: deque[str] = deque()
@@ -143,8 +151,26 @@ class GeneratorState(ABC, Generic[C]):
         """Reset as ``*RST`` does; status and errors are kept."""
 
     @abstractmethod
+    def change(self, number: int, **settings: Any) -> None:
+        """Change amplitude, offset or limits, into an open circuit [V]; reject outputs beyond the limits."""
+
+    @abstractmethod
     def forget(self) -> None:
         """Clear the volatile memories."""
+
+    @abstractmethod
+    def wipe(self) -> None:
+        """Erase the non-volatile memories of records."""
+
+    def settings(self) -> dict[str, Any]:
+        """Return a copy of all settings."""
+        channels = {number: replace(channel) for number, channel in self.channels.items()}
+        return {"channels": channels} | {name: getattr(self, name) for name in self.SETTINGS}
+
+    def restore(self, settings: Mapping[str, Any]) -> None:
+        """Restore settings; records are those now in memory."""
+        vars(self).update(settings)
+        self.channels = {number: replace(channel) for number, channel in self.channels.items()}
 
     @abstractmethod
     def tick(self) -> float | None:
@@ -184,9 +210,17 @@ class GeneratorState(ABC, Generic[C]):
         self.power_off()
         with self.lock:
             self.errors.clear()
-            self.event_status, self.event_enable, self.service_enable = 128, 0, 0
+            self.event_status = 128
+            if self.clears_status:
+                self.event_enable = self.service_enable = self.operation_enable = self.questionable_enable = 0
+            if self.channels:
+                self.setups[0] = self.settings()
             self.forget()
             self.reset()
+            if self.recalls_last:
+                self.restore(self.setups[0])
+                for channel in self.channels.values():
+                    channel.output = False
             self.timeline.change(self.clock.now(), self._situation())
 
     # errors and status
@@ -301,8 +335,8 @@ def common_commands(state: State) -> dict[str, Command]:
         "*WAI": Command(set=bare(lambda _: None)),
         "*TST": Command(get=bare(lambda _: "0")),
         "*ESR": Command(get=bare(event_status)),
-        "*ESE": _register(state, "event_enable"),
-        "*SRE": _register(state, "service_enable"),
+        "*ESE": register(state, "event_enable", 255),
+        "*SRE": register(state, "service_enable", 255),
         "*STB": Command(get=bare(lambda _: str(state.status_byte))),
         "*TRG": Command(set=bare(lambda _: state.trigger())),
         "ABORt": Command(set=bare(lambda _: state.timeline.abort(state.clock.now()))),
@@ -312,15 +346,10 @@ def common_commands(state: State) -> dict[str, Command]:
     }
 
 
-def further_commands(series: str, form: str) -> dict[str, Command]:
-    """Return the commands of settings that are not simulated; their table is loaded only when one is used."""
-    from modaltouch.rig.simulator import defaults
-
-    return defaults.not_simulated(getattr(defaults, series), form)
-
-
-def _register(state: State, name: str) -> Command:
-    return Command(set=lambda c, a: setattr(state, name, whole(a, 0, 255)), get=lambda c, a: str(getattr(state, name)))
+def register(state: State, name: str, highest: int) -> Command:
+    """Return the command for an enable register."""
+    read = bare(lambda _: str(getattr(state, name)))
+    return Command(set=lambda c, a: setattr(state, name, whole(a, 0, highest)), get=read)
 
 
 def bare(carry_out: Callable[[int], str | None]) -> Handler:
@@ -369,6 +398,22 @@ def number(
         setattr(state.channels[number], name, value if units or infinite else float(round(value)))
 
     return Command(set=change, get=get_number(state, name, low, high, form))
+
+
+def edge(state: State, sign: int, lowest: float, form: str) -> Command:
+    """Return the command for the high (1) or low (-1) level of a channel, with the `lowest` amplitude [V]."""
+
+    def change(number: int, arguments: Arguments) -> None:
+        channel = state.channels[number]
+        factor = channel.load_factor
+        value = quantity(arguments, {"V": 1.0}, -10 * factor, 10 * factor, None) / factor
+        other = channel.offset - sign * channel.amplitude / 2
+        if sign * (value - other) < lowest * (1 - 1e-9):
+            raise ScpiError(-222, f"{value * factor:g} V: the high level lies above the low one")
+        state.change(number, amplitude=sign * (value - other), offset=(value + other) / 2)
+
+    read = get_of(state, lambda each: form.format((each.offset + sign * each.amplitude / 2) * each.load_factor))
+    return Command(set=change, get=read)
 
 
 def _holder(state: State, name: str) -> Callable[[int], Any]:

@@ -21,7 +21,7 @@ from modaltouch.rig.simulator.scpi import (
 )
 
 Default = tuple[float | str, dict[str, float]]
-"""Default of a setting (a bool for a boolean), and its units."""
+"""Default of a setting (a bool for a boolean; synonyms of a keyword separated by ``|``), and its units."""
 
 _MODULATION: dict[str, Default] = {
     "INTernal:FREQuency": (10e3, HERTZ),
@@ -40,7 +40,7 @@ AFG3000: dict[str, Default] = {
     "[SOURce#]:FSKey:INTernal:RATE": (50.0, HERTZ),
     "[SOURce#]:FSKey:SOURce": ("INTernal", {}),
     "[SOURce#]:FSKey:STATe": (False, {}),
-    "[SOURce#]:FREQuency:MODE": ("CW", {}),
+    "[SOURce#]:FREQuency:MODE": ("CW|FIXed", {}),
     "[SOURce#]:FREQuency:STARt": (100e3, HERTZ),
     "[SOURce#]:FREQuency:STOP": (1e6, HERTZ),
     "[SOURce#]:FREQuency:CENTer": (550e3, HERTZ),
@@ -59,12 +59,16 @@ AFG3000: dict[str, Default] = {
     "[SOURce#]:FUNCtion:EFILe": ("", {}),
     "[SOURce#]:COMBine:FEED": ("", {}),
     "SOURce3|SOURce4:POWer[:LEVel][:IMMediate][:AMPLitude]": (10.0, PERCENT),
+    "SYSTem:BEEPer:STATe": (True, {}),
+    "SYSTem:KCLick[:STATe]": (True, {}),
+    "SYSTem:KLOCk[:STATe]": (False, {}),
     "TRIGger[:SEQuence]:SLOPe": ("POSitive", {}),
 }
 """Settings of an AFG3022B missing from its twin, with their values after ``*RST`` (user manual, default settings)."""
 
 KEYSIGHT_33500B: dict[str, Default] = {
-    "[SOURce#]:FREQuency:MODE": ("CW", {}),
+    "[SOURce#]:FREQuency:MODE": ("CW|FIXed", {}),
+    "[SOURce#]:VOLTage:UNIT": ("VPP", {}),
     "[SOURce#]:PHASe": (0.0, {"DEG": 1.0}),
     "[SOURce#]:FUNCtion:SQUare:DCYCle": (50.0, PERCENT),
     "[SOURce#]:FUNCtion:RAMP:SYMMetry": (100.0, PERCENT),
@@ -94,7 +98,7 @@ def _fixed(default: float | str, units: dict[str, float], form: str) -> Command:
     def keep(channel: int, arguments: Arguments) -> None:
         given = one(arguments)
         if isinstance(default, str):
-            same = is_word(str(given).upper(), default)
+            same = any(is_word(str(given).upper(), synonym) for synonym in default.split("|"))
         elif isinstance(default, bool):
             same = read_boolean(given) == default
         else:
@@ -104,7 +108,7 @@ def _fixed(default: float | str, units: dict[str, float], form: str) -> Command:
             raise ScpiError(-241, f"not simulated: {given!s:.40}")
 
     if isinstance(default, str):
-        reply = short_form(default) or '""'
+        reply = short_form(default.partition("|")[0]) or '""'
     else:
         reply = flag(default) if isinstance(default, bool) else form.format(default)
     return Command(set=keep, get=lambda channel, arguments: reply)

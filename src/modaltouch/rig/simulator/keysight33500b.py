@@ -10,8 +10,8 @@ from __future__ import annotations
 import math
 import re
 from collections import ChainMap
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -29,6 +29,9 @@ CONVERTER = Converter(HIGHEST_CODE, 1 << 22, 62.5e6, 4, 6, of_record=True, any_r
 
 MEMORY, FEWEST = 1 << 20, 8
 """Number of points of a channel's memory without options, and of the shortest record."""
+
+DISK = 64 << 20
+"""Capacity of the internal drive for files [bytes]."""
 
 BUILT_IN = r"INT:\BUILTIN\EXP_RISE.ARB"
 LOWEST, HIGHEST = 2e-3, 20.0
@@ -89,15 +92,30 @@ class TrueformChannel(OutputChannel):
 class Trueform(GeneratorState[TrueformChannel]):
     """A generator with a memory for each channel."""
 
+    SETTINGS = ("byte_order", "trigger_output")
+
+    def __post_init__(self) -> None:
+        self.wipe()
+        super().__post_init__()
+
+    def wipe(self) -> None:
+        """Delete the files."""
+        self.files: dict[str, bytes] = {}
+
     def forget(self) -> None:
         """Clear the records; files are kept."""
-        self.files: dict[str, bytes] = getattr(self, "files", {})
         self.volatile: dict[int, dict[str, Codes]] = {n: {} for n in range(1, self.n_channels + 1)}
 
     def reset(self) -> None:
         """Reset as ``*RST`` does; records, status and errors are kept."""
         self.channels = {number: TrueformChannel() for number in range(1, self.n_channels + 1)}
         self.byte_order, self.trigger_output = "NORM", False
+
+    def restore(self, settings: Mapping[str, Any]) -> None:
+        """Restore settings; the built-in record replaces a record that is no longer in memory."""
+        super().restore(settings)
+        for number, channel in self.channels.items():
+            self.select(number, channel.name if channel.name in self.volatile[number] else BUILT_IN)
 
     @property
     def waiting(self) -> TrueformChannel:
@@ -148,7 +166,7 @@ class Trueform(GeneratorState[TrueformChannel]):
     def write(self, number: int, arguments: Arguments, scale: float) -> None:
         """Store a record, given as a block or as numbers, under a new name."""
         scpi.exactly(arguments[:2], 2)
-        memory, name, points = self.volatile[number], str(arguments[0]).upper(), arguments[1:]
+        name, points = str(arguments[0]).upper(), arguments[1:]
         if len(points) == 1 and isinstance(points[0], bytes):
             kind = (">" if self.byte_order == "NORM" else "<") + ("i2" if scale == 1 else "f4")
             if len(points[0]) % int(kind[2]):
@@ -156,13 +174,19 @@ class Trueform(GeneratorState[TrueformChannel]):
             values = np.frombuffer(points[0], kind).astype(float)
         else:
             values = np.array([scpi.read_number(each, units={}, minimum=-1e6, maximum=1e6) for each in points])
-        if name in memory:
-            raise ScpiError(786, "Specified arb waveform already exists")
-        if not re.fullmatch(r"[A-Z]\w{,11}", name, re.ASCII) or not FEWEST <= values.size <= self.free(number):
+        if not re.fullmatch(r"[A-Z]\w{,11}", name, re.ASCII) or values.size < FEWEST:
             raise ScpiError(-220, f"{name[:20]} of {values.size} points")
         if not (np.abs(values * scale) <= HIGHEST_CODE).all():
             raise ScpiError(-222, "a point beyond the converter's range")
-        memory[name] = np.round(values * scale).astype(np.int16)
+        self.add(number, name, np.round(values * scale).astype(np.int16))
+
+    def add(self, number: int, name: str, codes: Codes) -> None:
+        """Store a record under a new name."""
+        if name in self.volatile[number]:
+            raise ScpiError(786, "Specified arb waveform already exists")
+        if codes.size > self.free(number):
+            raise ScpiError(-225, f"{name[:40]} of {codes.size} points")
+        self.volatile[number][name] = codes
 
     def free(self, number: int) -> int:
         """Return the number of free points in a channel's memory."""
@@ -193,7 +217,12 @@ def keysight_twin(model: str, behaviour: Behaviour | None, **hardware: Any) -> t
     state.identity = f"Agilent Technologies,{model},SIMULATED,4.00-1.19-2.00-58-00"
     groups = ChainMap(*(group(state) for group in (common.common_commands, _waveform, _data, _levels, _triggers)))
     commands = common.noticed(state, groups, ("*TRG", "TRIGger#[:IMMediate]"))
-    further = partial(common.further_commands, "KEYSIGHT_33500B", NUMBER)
+
+    def further() -> dict[str, Command]:
+        from modaltouch.rig.simulator.setups import further_commands
+
+        return further_commands(state, NUMBER, tektronix=False)
+
     return state, CommandTable(commands, state.n_channels, largest_reply=1 << 22, further=further)
 
 
@@ -222,10 +251,23 @@ def _data(state: Trueform) -> dict[str, Command]:
         body = f"Data Points:{codes.size}\nData:\n" + "\n".join(map(str, codes.tolist())) + "\n"
         state.files[str(one(arguments)).upper()] = (head + body).encode()
 
-    def upload(n: int, arguments: Arguments) -> bytes:
+    def content_of(arguments: Arguments) -> bytes:
         content = state.files.get(str(one(arguments)).upper(), b"")
         if not content:
             raise ScpiError(-256, str(arguments[0])[:40])
+        return content
+
+    def load(n: int, arguments: Arguments) -> None:
+        codes = content_of(arguments).partition(b"Data:\n")[2].split()
+        state.add(n, str(arguments[0]).upper(), np.array(codes, dtype=np.int16))
+
+    def catalogue(_: int) -> str:
+        sizes = {name.rpartition("\\")[2]: len(content) for name, content in state.files.items()}
+        files = [f'"{name},{name.rpartition(".")[2]},{size}"' for name, size in sizes.items()]
+        return ",".join([f"{sum(sizes.values()):+d}", f"{DISK - sum(sizes.values()):+d}", *files])
+
+    def upload(n: int, arguments: Arguments) -> bytes:
+        content = content_of(arguments)
         return f"#{len(str(len(content)))}{len(content)}".encode() + content
 
     return {
@@ -241,6 +283,8 @@ def _data(state: Trueform) -> dict[str, Command]:
         "[SOURce#]:DATA:ATTRibute:PTPeak": attribute(lambda values: f"{np.ptp(values):+.4f}"),
         "[SOURce#]:DATA:ATTRibute:CFACtor": attribute(lambda v: f"{abs(v).max() / ((v**2).mean() ** 0.5 or 1):+.4f}"),
         "MMEMory:STORe:DATA#": Command(set=store),
+        "MMEMory:LOAD:DATA#": Command(set=load),
+        "MMEMory:CATalog[:ALL]": Command(get=common.bare(catalogue)),
         "MMEMory:UPLoad": Command(get=upload),
         "MMEMory:DELete": Command(set=lambda n, a: state.files.pop(str(one(a)).upper(), None) and None),
         "FORMat:BORDer": common.keyword(state, "byte_order", ("NORMal", "SWAPped")),
@@ -269,7 +313,8 @@ def _levels(state: Trueform) -> dict[str, Command]:
     return {
         "[SOURce#]:VOLTage": level("amplitude", LOWEST, HIGHEST),
         "[SOURce#]:VOLTage:OFFSet": level("offset", -10, 10),
-        "[SOURce#]:VOLTage:UNIT": common.keyword(state, "unit", ("VPP",)),
+        "[SOURce#]:VOLTage:HIGH": common.edge(state, 1, LOWEST, NUMBER),
+        "[SOURce#]:VOLTage:LOW": common.edge(state, -1, LOWEST, NUMBER),
         "[SOURce#]:VOLTage:LIMit:HIGH": level("limit_high", -10, 10),
         "[SOURce#]:VOLTage:LIMit:LOW": level("limit_low", -10, 10),
         "[SOURce#]:VOLTage:LIMit:STATe": Command(
