@@ -6,6 +6,7 @@ trial is offered again. ``refused``: `RigError`. The words after it are what its
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -73,6 +74,8 @@ MATRIX: list[tuple[str, str, Any, str, str, str]] = [
     ("wrong_reply", ARM, '5.9;4.0;0,"No error"', "arm", "unconfirmed", "SOUR1:VOLT reads 5.9, 6.0VPP was set"),
     ("dropped_connection", ARM, 0, "arm", "unconfirmed", "failed"),
     ("dropped_reply", ARM, 0, "arm", "unconfirmed", "failed"),
+    ("wrong_reply", ARM, "6;4;", "arm", "unconfirmed", "reports an empty error"),
+    ("wrong_reply", ARM, 'NAN;1E999;0,"No error"', "arm", "unconfirmed", "SOUR1:VOLT reads NAN, 6.0VPP was set"),
     ("scpi_error", ARM, -222, "arm", "unconfirmed", "-222"),
     ("power_cycle", ARM, 0, "arm", "unconfirmed", "failed"),
     ("front_panel", ARM, "SOUR2:FREQ 21", "arm", "unconfirmed", "SOUR2:FREQ reads 2.1.*20.0HZ was set"),
@@ -191,6 +194,7 @@ def test_fault_is_met(
         simulator.faults.inject(fault, when=when, value=value)
     firing = rig.fire(0.1)
     assert not firing.confirmed
+    assert all(map(math.isfinite, firing.confirmed_amplitude)), "a log has no NaN"
     if not firing.started:
         assert simulator.outputs == (False, False)
     elif when != TRIGGER:

@@ -292,7 +292,7 @@ class Controls:
         errors = [reply for reply in replies if _error_number(reply) != NO_ERROR]
         if errors:
             errors += self.pending_errors()
-            reported = ", ".join(dict.fromkeys(errors))
+            reported = ", ".join(error or "an empty error" for error in dict.fromkeys(errors))
             raise Unconfirmed(f"to '{what[:80]}' the generator reports {reported}", read_back)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import zlib
 from collections.abc import Sequence
 
@@ -260,8 +261,9 @@ def _refuse_steps(burst: Burst) -> None:
 
 
 def numbers(replies: tuple[str, ...]) -> tuple[float, ...]:
-    """Convert values read back to numbers; empty if any of them is not a number."""
+    """Convert values read back to numbers; empty if any of them is not a finite number."""
     try:
-        return tuple(float(reply) for reply in replies)
+        values = tuple(float(reply) for reply in replies)
     except ValueError:
         return ()
+    return values if all(map(math.isfinite, values)) else ()
