@@ -54,6 +54,8 @@ speed_between_mm_s delivered_mm_s log_line value n mode standard_mm_s correct le
 """
 RESERVED_COLUMNS = frozenset(_TAKEN.split())
 """Fixed columns of a table of answers."""
+BIDS_COLUMNS = frozenset({"HED", "duration", "stim_file"})
+"""Columns to which BIDS itself gives a meaning that no question has: tags, length of an event, a file."""
 
 _BOUNDS = {"vas": (0.0, 100.0), "likert": (1.0, 7.0)}
 _MOST_POINTS, _MOST_STEPS = 11, 1000
@@ -306,10 +308,12 @@ def check_questions(reading: Reading[Any]) -> Iterator[Problem]:
     yield from _check_scale(reading, (*answers, "scale"))
     for section in (("answers", "then"), ("form",)):
         for name in reading.keys(*section) or ():
-            if name in RESERVED_COLUMNS or name.endswith("_time"):
+            is_bids = name in BIDS_COLUMNS
+            if is_bids or name in RESERVED_COLUMNS or name.endswith("_time"):
+                what = "has another meaning in BIDS" if is_bids else "is already a column of the table of answers"
                 yield reading.problem(
                     (*section, name),
-                    f"{name}, which is already a column of the table of answers",
+                    f"{name}, which {what}",
                     "any other name",
                     "choose another",
                     at_key=True,
