@@ -158,6 +158,16 @@ models-r: install
 	@command -v Rscript >/dev/null || { packages="r-base-core r-cran-lme4 r-cran-ordinal r-cran-coin r-cran-exactranktests"; $(INSTALL_PACKAGES); }
 	$(PYTHON) tests/r/models.py
 
+## bids: data sets of every shipped protocol and example through the BIDS validator, into results/benchmarks/bids.json
+.PHONY: bids
+bids: install build/bids/.installed
+	$(PYTHON) tests/record/bids.py --validator build/bids/bin/bids-validator-deno --out results/benchmarks/bids.json
+
+build/bids/.installed: tests/record/requirements.lock | $(filter .uv/bin/uv,$(UV))
+	$(UV) venv --quiet --clear --python '>=3.11,<3.13' build/bids
+	$(UV) pip sync --quiet --python build/bids/bin/python --require-hashes tests/record/requirements.lock
+	@touch $@
+
 ## fuzz: 20,000 spoilt files through every reader, and new examples for every property
 .PHONY: fuzz
 fuzz: install
@@ -194,6 +204,8 @@ lock: | $(filter .uv/bin/uv,$(UV))
 	  --constraints requirements.lock --group docs --upgrade --output-file docs/requirements.lock
 	$(UV) pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-header \
 	  --constraints requirements.lock --group bench --upgrade --output-file tests/benchmarks/requirements.lock
+	$(UV) pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-header \
+	  --group bids --upgrade --output-file tests/record/requirements.lock
 
 ## docs: the site, into build/docs; warnings and dead links inside it are errors
 .PHONY: docs

@@ -206,7 +206,9 @@ def test_the_description_of_the_dataset_is_that_of_bids(place):
         "DatasetType": "raw",
         "GeneratedBy": [{"Name": "modaltouch", "Version": __version__}],
     }
-    assert (place.dataset / "README").read_text().startswith("demo: sessions recorded by modaltouch")
+    readme = (place.dataset / "README").read_text()
+    assert readme.startswith("demo: sessions recorded by modaltouch")
+    assert len(readme) > 150, "the BIDS validator warns of a shorter one"
     assert {"*.jsonl", "*.log"} <= set((place.dataset / ".bidsignore").read_text().split())
     path.write_text("{}")
     place.describe_dataset("Another title")

@@ -104,7 +104,8 @@ def test_everything_that_was_answered_is_recorded_and_verified(recorded: Session
     assert float(tired) == session.form["tired"]["value"] and dizzy == session.form["dizzy"]["answer"]
     (side,) = session.path.parent.glob("*demoform_beh.json")
     described = json.loads(side.read_text(encoding="utf-8"))
-    assert described["TaskName"] == "demo form" and set(described["dizzy"]["Levels"]) == {"no", "yes", "time_out"}
+    assert described["TaskName"] == "demo form" and described["TaskDescription"].startswith("Questions")
+    assert set(described["dizzy"]["Levels"]) == {"no", "yes", "time_out"}
     (side,) = session.path.parent.glob("*demo_beh.json")
     told = json.loads(side.read_text(encoding="utf-8"))
     assert told["TaskDescription"] == session.start["design"]["title"] != ""
@@ -230,6 +231,10 @@ def test_what_cannot_have_been_answered_is_found(
         (
             KEYS + "  then: {level: {scale: {kind: vas}}}\n",
             "then.level: given level, which is already a column of the table of answers",
+        ),
+        (
+            KEYS + "  then: {duration: {scale: {kind: vas}}}\n",
+            "then.duration: given duration, which has another meaning in BIDS",
         ),
         (KEYS + "  then: {sure: {scale: {kind: vas}}}\n", "given 'sure', which has no text in english.yaml"),
         (

@@ -25,6 +25,13 @@ from modaltouch.system import version
 BIDS_VERSION = "1.10.0"
 Mode = Literal["real", "pilot", "simulated"]
 LOG_NAME = "session.jsonl"
+_README = """\
+{}: sessions recorded by modaltouch {}.
+
+Each session has a table of answers (*_beh.tsv) with a file that describes its columns (*_beh.json), and the log from
+which both were derived (session.jsonl): the protocol, every stimulus and every answer. `modaltouch verify` recomputes
+the table from the log.
+"""
 
 
 @dataclass(frozen=True)
@@ -215,7 +222,7 @@ class SessionFolder:
             "DatasetType": "raw",
             "GeneratedBy": [{"Name": "modaltouch", "Version": version()}],
         }
-        replace_text(dataset / "README", f"{description['Name']}: sessions recorded by modaltouch {version()}.\n")
+        replace_text(dataset / "README", _README.format(description["Name"], version()))
         replace_text(dataset / ".bidsignore", f"*.jsonl\n*.log\n{LOCK_NAME}\n")
         # Last, since its presence says that all three are there, whatever is interrupted.
         replace_json(dataset / "dataset_description.json", description)
