@@ -113,6 +113,30 @@ def test_training_that_is_not_analysed_leaves_a_design_crossed(edit: Edit, analy
     assert any("each kind of session is tested separately" in each for each in said) == is_told
 
 
+@pytest.mark.parametrize(
+    ("listed", "is_crossed"),
+    [
+        (f"zone_pairs: {PAIRS}\n  peak_velocities_mm_s: [80, 100]\n  exclude: [{{peak_velocity_mm_s: 80}}]", True),
+        (f"zone_pairs: {PAIRS}\n  peak_velocities_mm_s: [80, 100]\n  exclude: [{{pair: [B, D]}}]", True),
+        (f"zone_pairs: {PAIRS}\n  peak_velocities_mm_s: [80, 100]\n  exclude: [{{finger_condition: one_hand, "
+         "peak_velocity_mm_s: 80}]", False),
+        ("cells: [{pair: [A, C], peak_velocities_mm_s: [80]}, {pair: [C, E], peak_velocities_mm_s: [80]}]", True),
+        ("cells: [{pair: [A, C], peak_velocities_mm_s: [80, 90]}, {pair: [C, E], peak_velocities_mm_s: [80]}]", False),
+        ("cells: [{pair: [A, C], peak_velocities_mm_s: [80]}, {pair: [C, E], peak_velocities_mm_s: [80], weight: 2}]",
+         False),
+    ],
+)  # fmt: skip
+def test_a_design_is_judged_by_its_cells_not_by_the_keys_that_list_them(
+    edit: Edit, listed: str, is_crossed: bool
+) -> None:
+    """Crossed: every remaining pair at every remaining level, equally often, in every finger condition."""
+    given = f"zone_pairs: {PAIRS}\n  peak_velocities_mm_s: {LEVELS}"
+    said = list(design_warnings(read(edit, (given, listed))))
+    assert any("the design is not crossed" in each for each in said) != is_crossed
+    assert any("no test can tell which zone" in each for each in said) == is_crossed
+    assert any("there is only one level" in each for each in said) == ("80]" in listed or "80}" in listed) & is_crossed
+
+
 def test_groups_are_not_told_to_be_parts_of_a_design_that_is_not_crossed(edit: Edit) -> None:
     """They may meet the same cells; adaptive runs have no tests of parts at all."""
     said = list(design_warnings(read(edit, ("schedule:\n", "groups: {low: {}, high: {}}\nschedule:\n"))))

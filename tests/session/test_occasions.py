@@ -248,9 +248,9 @@ def test_a_group_that_is_given_stays_that_of_the_participant(preflight: Prefligh
         sit(preflight, tmp_path, "p02", group="middle")
 
 
-def test_power_refuses_a_design_that_is_not_crossed(preflight: Preflight) -> None:
+def test_power_refuses_a_design_by_its_cells(preflight: Preflight) -> None:
     """An observer's design has every pair at every level for all."""
-    with pytest.raises(InputError, match="given a design that is not crossed"):
+    with pytest.raises(InputError, match="given cells that are listed or left out"):
         designs_for(preflight, Observer.read("paper"))
 
 

@@ -174,6 +174,7 @@ def refuse_own_levels(preflight: Preflight, remedy: str = "plan with the peak ve
 
 
 _UNCROSSED = {
+    "conditions": "cells that are listed or left out, which an observer's design has no place for",
     "groups": "groups of participants, which one observer cannot represent",
     "schedule": "several analysed kinds of session, whose tests are corrected together, or none",
 }
@@ -190,9 +191,9 @@ def refuse_unlike(preflight: Preflight) -> None:
         (
             protocol.uncrossed_by,
             protocol.uncrossed_by,
-            _UNCROSSED.get("".join(protocol.uncrossed_by[:1]), "a design that is not crossed"),
-            "every pair at every level, equally often, in every finger condition, for all participants",
-            f"{_SIMULATE}, or plan with a protocol of a part of the design",
+            _UNCROSSED.get("".join(protocol.uncrossed_by[:1]), ""),
+            "every pair of zone_pairs at every one of peak_velocities_mm_s, in every finger condition, for all",
+            f"{_SIMULATE}, or plan with a protocol of a part of the design that these two keys give",
         ),
         (
             n_intervals > 1,

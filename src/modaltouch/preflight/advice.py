@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -146,12 +147,14 @@ def design_warnings(protocol: Protocol) -> Iterator[str]:
         yield "no kind of session is analysed (schedule.sessions): there will be nothing for `analyse`"
     if len(protocol.groups) == 1:
         yield "there is only one group: nothing can be compared between groups; add another, or leave it out"
-    n_pairs, n_fingers = len(conditions.contacts), len(conditions.finger_conditions)
+    pairs, levels, _ = map(set, zip(*protocol.cells(conditions.finger_conditions[0]), strict=True))
+    n_pairs, n_fingers = len(pairs), len(conditions.finger_conditions)
     is_fixed = protocol.adaptive is None  # runs are compared with each other, and have no parts
-    if is_fixed and protocol.uncrossed_by:
-        yield _PARTS[protocol.uncrossed_by[0]].format(".".join(protocol.uncrossed_by))
+    by = () if protocol.uncrossed_by[:1] == ("conditions",) and _is_crossed(protocol) else protocol.uncrossed_by
+    if is_fixed and by:
+        yield _PARTS[by[0]].format(".".join(by))
     elif is_fixed:
-        numbers = {"level": len(protocol.scheduled_levels), "finger condition": n_fingers, "pair of zones": n_pairs}
+        numbers = {"level": len(levels), "finger condition": n_fingers, "pair of zones": n_pairs}
         alone = " and one ".join(noun for noun, number in numbers.items() if number == 1)
         if alone:
             yield f"there is only one {alone}: no test can show whether that matters"
@@ -167,6 +170,13 @@ def design_warnings(protocol: Protocol) -> Iterator[str]:
         yield (
             f"a session takes about {minutes:.0f} min, longer than an hour: use fewer repetitions, or several sessions"
         )
+
+
+def _is_crossed(protocol: Protocol) -> bool:
+    """Test whether the listed cells, without those left out, are every pair at every level, all equally often."""
+    first, *others = (Counter(protocol.cells(name)) for name in protocol.conditions.finger_conditions)
+    n_crossed = math.prod(len(set(parts)) for parts in zip(*first, strict=True))
+    return len(first) == n_crossed and len(set(first.values())) == 1 and all(each == first for each in others)
 
 
 def answer_warnings(protocol: Protocol) -> Iterator[str]:
