@@ -465,24 +465,35 @@ def test_catch_trials_are_counted_and_warned_of_where_they_cannot_be_answered(ed
     with_none = examine(file.with_name("with_catch_trials.yaml")).as_dict()
     assert with_none["n_catch_trials"] == 6
     assert not [each for each in with_none["warnings"] if "no answer none" in each]
+    path = file.with_name("magnitude.yaml")
+    path.write_text(path.read_text("utf-8").replace("schedule:\n", "schedule:\n  catch_trials: 2\n"), "utf-8")
+    rated = examine(path).as_dict()
+    assert rated["n_catch_trials"] == 2
+    assert not [each for each in rated["warnings"] if "no answer none" in each], "a scale has no place for none"
 
 
 @pytest.mark.parametrize(
-    ("other", "told"), [("none", "but none where it feels nothing"), ("weaker", "whatever it feels")]
+    ("others", "told"),
+    [
+        ("weaker: [left], none: [down]", "answers at random, but none where it feels nothing"),
+        ("weaker: [down]", "answers at random, whatever it feels"),
+        ("none: [down]", ""),
+    ],
 )
-def test_it_is_said_how_answers_without_fingers_are_simulated(edit: Edit, other: str, told: str) -> None:
+def test_it_is_said_how_answers_without_fingers_are_simulated(edit: Edit, others: str, told: str) -> None:
     """A simulated participant has a threshold: where one answer says that nothing was felt, it is not at random."""
     file = edit("with_catch_trials.yaml")
     text = file.read_text(encoding="utf-8")
-    file.write_text(f"{text[: text.index('  keys:')]}  keys: {{stronger: [up], {other}: [down]}}\n", encoding="utf-8")
+    file.write_text(f"{text[: text.index('  keys:')]}  keys: {{stronger: [up], {others}}}\n", encoding="utf-8")
     words = file.parent / "texts" / "english.yaml"
     labels = "\nanswers:\n  stronger: Stronger\n  weaker: Weaker\n"
     words.write_text(words.read_text(encoding="utf-8").replace("\nanswers:\n", labels), encoding="utf-8")
     warnings = examine(file).as_dict()["warnings"]
-    (said,) = [each for each in warnings if "names a finger" in each]
-    assert f"answers at random, {told}" in said
+    said = [each for each in warnings if "names a finger" in each]
+    assert len(said) == bool(told)
+    assert all(told in each for each in said)
     # The question of a yes-no task is known; that of other answers is not.
-    assert any("else write answers.question" in each for each in warnings) is (other == "weaker")
+    assert any("else write answers.question" in each for each in warnings) is ("none" not in others)
 
 
 def test_bursts_released_freely_are_told_apart(edit: Edit, preflight: Preflight) -> None:

@@ -181,13 +181,13 @@ def _is_crossed(protocol: Protocol) -> bool:
 
 def answer_warnings(protocol: Protocol) -> Iterator[str]:
     """Yield warnings about catch trials without the answer none, answers that name no finger, and an unknown task."""
-    n_catches, offered = protocol.schedule.catch_trials, protocol.answers.offered
-    if n_catches and not protocol.answers.has_none_answer:
+    n_catches, offered, scale = protocol.schedule.catch_trials, protocol.answers.offered, protocol.answers.scale
+    if n_catches and not protocol.answers.has_none_answer and scale is None:
         yield (
             f"the {n_catches} catch trials of a block cannot be answered correctly, since there is no answer none: "
             "they show what is guessed, not how often; add `none` to answers.keys"
         )
-    if not offered.refers and protocol.answers.scale is None:
+    if not offered.refers and scale is None:
         nothing = offered.naming()
         which = "whatever it feels" if nothing is None else f"but {nothing.name} where it feels nothing"
         yield (

@@ -264,8 +264,9 @@ class AnswerList(tuple[Answer, ...]):
 
     @property
     def refers(self) -> bool:
-        """Whether any answer names a finger or an interval; if none does, simulated participants answer at random."""
-        return any(answer.fingers or answer.interval for answer in self)
+        """Whether an answer follows from what was felt; if none does, simulated participants answer at random."""
+        is_yes_or_no = len(self) == 2 and self.naming() is not None
+        return is_yes_or_no or any(answer.fingers or answer.interval for answer in self)
 
     @property
     def names_between(self) -> bool:
