@@ -7,7 +7,7 @@ import numpy as np
 from PIL import Image
 
 from modaltouch.protocol import Schedule
-from modaltouch.window.controls import typesetter_of
+from modaltouch.window.controls import as_read, typesetter_of
 from modaltouch.window.interface import Progress
 from modaltouch.window.layout import DARK, lay_out
 from modaltouch.window.pictures import Illustrator
@@ -23,6 +23,7 @@ def screens(experiment) -> list[Picture]:
     design, zones = protocol.conditions, experiment.apparatus.zone_spans
 
     def asking(answers):
+        answers = as_read(answers, texts)
         layout = lay_out(*SIZE, zones, answers.offered, answers.scale)
         return Illustrator(layout, DARK, texts, answers, design.hand, design.fingers)
 

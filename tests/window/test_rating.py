@@ -257,6 +257,32 @@ def test_the_words_of_all_points_have_one_size_and_are_legible(experiment: Any, 
     assert 0.714 * height >= 0.013
 
 
+@pytest.mark.parametrize("size", [(800, 600), (1280, 800), (1920, 1080)])
+@pytest.mark.parametrize(
+    "given",
+    [
+        LIKERT | {"words": ["not at all natural", "slightly", "moderately natural", "very", "extremely natural"]},
+        LIKERT | {"words": ["weak", "the strongest vibration that anybody could ever think of, on any beam"]},
+        {"kind": "vas", "words": ["weak", "the strongest vibration that anybody could ever think of, on any beam"]},
+    ],
+)
+def test_words_of_one_line_begin_where_words_of_two_begin(
+    experiment: Any, size: tuple[int, int], given: dict[str, Any]
+) -> None:
+    """Below their points or line and above the button, whose inks they do not touch."""
+    scale = ScaleSection.model_validate(given)
+    layout = lay_out(*size, {"A": (-0.5, 0.0), "B": (0.0, 0.5)}, AnswerList.of({}), scale)
+    marks = draw_scale(layout, DARK, experiment.texts, scale, "", confirmed=False, keys=True)
+    drawn = [mark for mark in marks if isinstance(mark, Words) and mark.text in scale.words]
+    blocks = [typesetter_of(experiment.texts).set_type(mark, size[1]) for mark in drawn]
+    assert {len(block.lines) for block in blocks} == {1, 2}
+    tops = [mark.box.y + block.height / size[1] / 2 for mark, block in zip(drawn, blocks, strict=True)]
+    assert max(tops) - min(tops) < 1.5 / size[1]
+    bottoms = [mark.box.y - block.height / size[1] / 2 for mark, block in zip(drawn, blocks, strict=True)]
+    points = [box.bottom for name, box in layout.buttons.items() if name != "confirm"]
+    assert min(bottoms) > layout.buttons["confirm"].top and max(tops) < min(points)
+
+
 @pytest.mark.parametrize(("given", "share", "clicked"), [(VAS, 0.25, 75), (LIKERT, None, 5)])
 def test_a_scale_read_from_the_right_begins_at_the_right(
     paper_room: Callable[..., Any], trial: Trial, given: dict[str, Any], share: float | None, clicked: float

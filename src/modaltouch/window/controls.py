@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
 
 from modaltouch.protocol import AnswersSection, ScaleSection, Texts
@@ -317,8 +317,7 @@ def _draw_words(layout: Layout, theme: Theme, words: tuple[str, ...], typesetter
     boxes = [box for name, box in layout.buttons.items() if name != "confirm"]
     under, size = min(box.bottom for box in boxes), 0.03 * layout.type_scale
     if len(words) == len(boxes):
-        places = [Box(box.x, under - 0.043, box.width * 1.12, 0.07) for box in boxes]
-        size = common_size(typesetter, words, places[0], size)
+        places = [Box(box.x, under - 0.039, box.width * 1.12, 0.07) for box in boxes]
     else:
         y, height, measure = under - 0.028, 0.05, typesetter.measure
         left, right = min(box.left for box in boxes), max(box.right for box in boxes)
@@ -326,4 +325,16 @@ def _draw_words(layout: Layout, theme: Theme, words: tuple[str, ...], typesetter
         reach = [max(width / 2 - 0.02, 0.02) for width in widths]
         xs = left + reach[0], right - reach[1]
         places = [Box(x, y, width, height) for x, width in zip(xs, widths, strict=True)]
+    size, heights = _common_lines(typesetter, words, tuple(places), size)
+    places = [replace(place, y=place.top - height / 2) for place, height in zip(places, heights, strict=True)]
     return [Words(text, place, size, theme.text) for text, place in zip(words, places, strict=True)]
+
+
+@cache
+def _common_lines(
+    typesetter: Typesetter, words: tuple[str, ...], places: tuple[Box, ...], size: float
+) -> tuple[float, list[float]]:
+    """Return the largest common type size up to `size` at which all words fit, and the height of each at that size."""
+    size = min(common_size(typesetter, (text,), place, size) for text, place in zip(words, places, strict=True))
+    set_ = (Words(text, place, size, "") for text, place in zip(words, places, strict=True))
+    return size, [typesetter.set_type(each, 1000).height / 1000 for each in set_]
