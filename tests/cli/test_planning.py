@@ -55,7 +55,7 @@ def test_power_in_words_names_the_floor_and_the_number_needed() -> None:
     """Expected: what a reader must know who sees only the terminal."""
     done = run("power", PROTOCOL, "-n", "6,8", "--experiments", 10, "--questions", "a2,d")
     assert done.exit_code == 0, done.stderr
-    assert "fewer than 8 participants can never be significant" in done.stdout
+    assert "never significant with fewer than 8 participants" in done.stdout
     assert "Participants for a power of 0.8" in done.stdout
     assert "never" in done.stdout
 

@@ -16,7 +16,7 @@ def test_cheapest_count_keeps_the_tolerance_and_the_next_cheaper_does_not(shippe
     assert economy.error <= tolerance
     cheaper = [error for count, error in economy.tried if count < economy.n_samples]
     assert all(error > tolerance for error in cheaper)
-    assert f"{economy.n_samples} samples keep the field" in str(economy)
+    assert f"{economy.n_samples} samples give the field" in str(economy)
 
 
 def test_error_is_the_change_of_the_field_around_the_focus(shipped):

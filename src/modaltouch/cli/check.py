@@ -255,7 +255,7 @@ def _show_contrast(rows: list[dict[str, Any]]) -> None:
     )
     say(
         "[dim]contrast: the drive that moves the other zone least, regardless of the field and of modes that are not "
-        "in the table; only motion below 1 kHz is felt.[/]"
+        "in the table; the skin is most sensitive below 1 kHz.[/]"
     )
 
 

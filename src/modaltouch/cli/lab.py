@@ -150,7 +150,7 @@ def _show_calibration(out: Path, protocol: Path, values: dict[str, Any]) -> None
     corner = "not known" if amplifier.bandwidth_kHz is None else f"{amplifier.bandwidth_kHz:.0f} kHz"
     say(
         f"Amplifier: delay {amplifier.delay_us:.2f} us, corner {corner}; errors are known to {noise:.2f} mm/s (95 %), "
-        "the vibrometer's sensitivity counted"
+        "including the vibrometer's sensitivity"
     )
     if calibration.mark:
         say(f"[yellow]Marked: {escape(calibration.mark)}[/]")

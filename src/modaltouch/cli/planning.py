@@ -249,9 +249,9 @@ def tell(found: planning.Power, target: float) -> None:
         )
     for floor in (each for each in found.floors if each.least_participants != 1):
         least = floor.least_participants
-        reach = "no number of participants" if least is None else f"fewer than {least} participants"
-        where = f"{floor.family} ({floor.n_tests} test{'s' * (floor.n_tests != 1)}, {floor.n_repetitions} a cell)"
-        say(f"[dim]{where}: {reach} can {'' if least is None else 'never '}be significant[/]")
+        reach = "any number of participants" if least is None else f"fewer than {least} participants"
+        where = f"{floor.family} ({floor.n_tests} test{'s' * (floor.n_tests != 1)}, {floor.n_repetitions} per cell)"
+        say(f"[dim]{where}: never significant with {reach}[/]")
 
 
 def _cell(row: dict[str, Any]) -> str:

@@ -4,7 +4,7 @@ References
 ----------
 Lamore, Muijser, Keemink, "Envelope detection of amplitude-modulated high-frequency sinusoidal signals by skin
 mechanoreceptors", J. Acoust. Soc. Am. 79 (1986) 1082-1085: skin follows the envelope of vibration above 1 kHz.
-Bolanowski et al., J. Acoust. Soc. Am. 84 (1988) 1680-1694: vibration itself is felt up to about 1 kHz.
+Bolanowski et al., J. Acoust. Soc. Am. 84 (1988) 1680-1694: thresholds up to 500 Hz, rising above 250 Hz.
 """
 
 from __future__ import annotations

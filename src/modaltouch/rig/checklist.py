@@ -50,7 +50,7 @@ def _settings(connection: Connection) -> Finding:
 IDLE_LEVEL: Finding = (
     "person",
     "cannot be seen over the bus",
-    "it does not matter, since every burst of this project begins and ends at 0 V; to find out, play a record with "
+    "it does not matter, since every burst of this program begins and ends at 0 V; to find out, play a record with "
     "unequal ends and look at an oscilloscope between two bursts",
 )
 SKEW: Finding = (

@@ -202,7 +202,7 @@ class SampleCount:
         """Return a sentence with the number chosen and the reason."""
         finest = self.tried[-1][0]
         return (
-            f"{self.n_samples} samples keep the field within {self.error:.1e} of that of {finest} samples; "
+            f"{self.n_samples} samples give the field of {finest} samples to within {self.error:.1e} of the level; "
             f"tried {', '.join(f'{n}: {error:.1e}' for n, error in self.tried)}"
         )
 
