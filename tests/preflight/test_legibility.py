@@ -84,7 +84,7 @@ def test_the_names_of_three_fingers_side_by_side_are_measured() -> None:
 def test_every_question_of_a_session_is_looked_at(edit: Edit) -> None:
     """Expected: the words of a scale in the form at its end, where they are the smallest of all screens."""
     words = f"very low {'and lower ' * 12}"
-    texts = edit(TEXTS, ("very_low: very low", f"very_low: {words}"))
+    texts = edit(TEXTS, ("very_low: not at all", f"very_low: {words}"))
     file = texts.parents[1] / "magnitude.yaml"
     beam = texts.parents[1] / BEAM
     screen = "screen: {width_mm: 531, width_px: 1920, height_px: 1080, distance_mm: 700}\n"

@@ -341,7 +341,7 @@ def test_pictures_of_mirrored_and_normal_placements_have_names_of_their_own(expe
             "with your right hand, then put it back",
             "Press the answer with your right hand",
         ),
-        ("two_hands", {}, "with your right hand, then put it back", "lifting is no answer"),
+        ("two_hands", {}, "with your right hand, then put it back", "lifting does not count"),
         ("two_hands", {"two_hands": "free_hand"}, "then put it back", "Press the answer with your right hand"),
         ("two_hands", {"two_hands": "foot_switch"}, "or click to go on", "Answer with your foot"),
         ("two_hands", {"two_hands": "experimenter"}, "Tell the experimenter", "Say your answer aloud"),

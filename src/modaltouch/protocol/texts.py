@@ -138,7 +138,7 @@ class Texts(Section):
     placed_by_experimenter: Text | None = described("The same if the experimenter confirms it.", default=None)
     free_hand_answers: Text | None = described("Says that the free hand answers; contains {hand}.", default=None)
     lift_to_answer: Text = described(
-        "Says that a hand or finger leaves the beam to press the answer, and that lifting it is no answer; may "
+        "Says that a hand or finger leaves the beam to press the answer, and that lifting it does not count; may "
         "contain {hand}."
     )
     foot_switch_answers: Text = described("Says that the foot switch answers.")
@@ -147,15 +147,15 @@ class Texts(Section):
     )
     stalled: Text = described(
         "Shown for a moment if the computer was held up and a stimulus is presented again.",
-        default="One moment, please.\n\nThe computer was held up.\n\nThe last vibration comes again.",
+        default="One moment, please.\n\nThe computer was held up.\n\nThe last vibration is repeated.",
     )
     hands_off: Text = described(
         "Asks for hands off the beam, which is then measured, if fingers are measured in the session.",
-        default="Please lift your hands.\n\nThe beam is measured without them.",
+        default="Please lift your hands.\n\nThe beam will be measured without them.",
     )
     measuring: Text = described(
         "Shown while the beam is measured, with hands off and under the fingers.",
-        default="One moment, please.\n\nThe beam is measured. Keep still.",
+        default="One moment, please.\n\nThe beam is being measured. Keep still.",
     )
     measure_again: Text = described(
         "Asks for the fingers once more if they could not be measured.",

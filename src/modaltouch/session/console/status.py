@@ -275,7 +275,7 @@ class Status:
         firing, index = event["confirmed"], event["trial"]["index"]
         self._facts["generator"] |= {"outputs": "off", "confirmed": firing["confirmed"]}
         if firing.get("stalled"):
-            trouble = f"trial {index}: the computer was held up, and the stimulus comes again"
+            trouble = f"trial {index}: the computer was held up, and the stimulus is repeated"
             self._facts["generator"]["last_error"] = trouble
         # Since log format 2, the answer is already known from the line `answered`.
         if event.get("answered") is None:
