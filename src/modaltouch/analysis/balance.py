@@ -68,8 +68,8 @@ def check_balance(table: Table, frame: pd.DataFrame, *, is_crossed: bool = True)
         participant, *cell = key
         lines = frame.index[(frame[keys] == list(key)).all(axis=1)]
         given = f"{answers.loc[participant, tuple(cell)]} answers from participant {participant}"
-        given += f" in {describe_cell(cell, scale)} (lines {', '.join(map(str, lines[:5]))})"
-        remedy = "remove the duplicate row; every cell needs the same number of repetitions"
+        given += f" in {describe_cell(cell, scale)} (line{'s' * (len(lines) > 1)} {', '.join(map(str, lines[:5]))})"
+        remedy = "remove duplicate rows, or correct n: every cell needs the same number of answers"
         return table.problem(int(lines[-1]), "participant", given, f"{usual}, as in the other cells", remedy)
 
     lacks = np.maximum(usual - counts, 0)
