@@ -182,7 +182,7 @@ def _stimulus_lines(checked: preflight.Preflight, stimuli: list[dict[str, Any]])
         yield (
             f"{f'{name}: focus' if name else 'Focus'} {each['focus']}, law {each['law']}, modes "
             f"{', '.join(map(str, each['selected_modes']))}, {each['n_samples']} samples at "
-            f"{each['sampling_rate_Hz'] / 1e6:g} MHz, spot {each['fwhm_mm']:.1f} mm wide"
+            f"{each['sampling_rate_Hz'] / 1e6:g} MHz, spot {each['fwhm_mm']:.1f} mm wide (FWHM)"
             + (f"; {protocol.n_bursts(name)} bursts at {rate:g} Hz{mask}" if name else "")
         )
 
@@ -205,10 +205,10 @@ def _show_explored(asked: dict[str, Any]) -> None:
         )
         drawn, spread = found["drawn"], found["drawn"]["deviations"]
         say(
-            f"{drawn['n_draws']} beams drawn with deviations of {spread['natural_frequency']:.1%} in frequency, "
+            f"{drawn['n_draws']} beams drawn with standard deviations of {spread['natural_frequency']:.1%} in frequency, "
             f"{spread['damping_ratio']:.0%} in damping and {spread['modal_gain']:.0%} in gain: worst modal error "
-            f"{drawn['median_modal_error_mm_s']:.1f} mm/s in the middle one, {drawn['p95_modal_error_mm_s']:.1f} mm/s "
-            "in one of twenty"
+            f"{drawn['median_modal_error_mm_s']:.1f} mm/s (median), {drawn['p95_modal_error_mm_s']:.1f} mm/s (95th "
+            "percentile)"
         )
     if rows := asked.get("designs"):
         print_table(
