@@ -3,9 +3,9 @@
 SHELL := /bin/sh
 PYTHON := $(if $(filter Windows_NT,$(OS)),.venv/Scripts/python.exe,.venv/bin/python)
 UV := $(shell command -v uv 2>/dev/null || echo .uv/bin/uv)
-# Root needs no sudo; everyone else is asked for it only where a package is missing.
+# Root needs no sudo; others need it only if a package is missing.
 SUDO := $(shell [ "$$(id -u)" = 0 ] || echo sudo)
-# Installs the Debian packages named in the shell variable `packages`, or says who may.
+# Installs the Debian packages in the shell variable `packages`, or says how to.
 define INSTALL_PACKAGES
 command -v apt-get >/dev/null || { echo "Install what holds these Debian packages on this system, then run make again: $$packages" >&2; exit 1; }; \
 [ "$$(id -u)" = 0 ] || command -v sudo >/dev/null || { echo "This user may not install packages. As root: apt-get install $$packages" >&2; exit 1; }; \
@@ -13,7 +13,7 @@ $(SUDO) apt-get update -q && $(SUDO) env DEBIAN_FRONTEND=noninteractive apt-get 
 endef
 export UV_SYSTEM_CERTS := 1
 export MPLBACKEND := agg
-# Tests share the cores out among processes; threads of theirs would only wait for each other, busily.
+# Tests run in several processes; threads of BLAS would only compete with them.
 test certify soak soak-identification soak-calibration spoilt fuzz oldest mutants: export OPENBLAS_NUM_THREADS := 1
 
 ## help: list the targets
@@ -36,12 +36,12 @@ install: .venv/.installed compiled system
 	$(UV) pip install --python $(PYTHON) --quiet --no-deps --no-build-isolation --editable .
 	@touch $@
 
-# Every start of the program would compile it anew where Python is told to leave no bytecode behind.
+# Otherwise, where Python writes no bytecode, every start of the program would compile it.
 .PHONY: compiled
 compiled: .venv/.installed
 	@$(PYTHON) -m compileall -q src
 
-# What draws the window, plays the noise, and shows a screen where there is none: `doctor` knows the packages.
+# Packages for the window, the masking noise and a virtual display, as listed by `doctor`.
 .PHONY: system
 system: compiled
 	@[ "$$(uname)" = Linux ] || exit 0; \
@@ -53,8 +53,8 @@ system: compiled
 demo: install
 	$(PYTHON) -m modaltouch demo
 
-# Five processes keep two cores busy: windows, disks and watchdogs are waited for. Compiled tests are kept, for each
-# process would compile all of them anew where Python is told to leave no bytecode behind.
+# Five processes keep two cores busy, since tests wait for windows, disks and watchdogs. Compiled tests are kept:
+# otherwise, where Python writes no bytecode, each process would compile all of them.
 ## test: the whole test suite, window tests included, on two cores
 .PHONY: test
 test: export PYTHONDONTWRITEBYTECODE :=
@@ -71,7 +71,7 @@ check: install
 	$(PYTHON) tests/names.py
 	$(UV) pip check --python $(PYTHON)
 
-## format: let ruff format and mend the code
+## format: let ruff format and fix the code
 .PHONY: format
 format: install
 	$(PYTHON) -m ruff format src tests docs
@@ -96,63 +96,63 @@ results: install
 	for name in fields price robustness drives; do cp build/comparison/$$name.png results/reference/comparison_$$name.png; done
 	cp build/results/simulated/demo/derivatives/sub-demo_ses-1/screenshots/question_one_hand_AC.png results/reference/answer_window.png
 
-## bench: run time against error, beside the peers, into results/benchmarks
+## bench: run time against error, compared with other libraries; results in results/benchmarks
 .PHONY: bench
 bench: .venv/.bench
 	for script in tests/benchmarks/bench_*.py; do echo $$script; $(PYTHON) $$script || exit 1; done
 	$(PYTHON) tests/benchmarks/bars.py
 
-## soak: sessions cut short at 1,200 seeded points; what came of them goes into results/benchmarks/soak.json
+## soak: sessions killed or interrupted at 1,200 seeded points; results in results/benchmarks/soak.json
 .PHONY: soak
 soak: install
 	MODALTOUCH_KILL_POINTS=1200 MODALTOUCH_SOAK_RESULTS=results/benchmarks/soak.json \
 	  $(PYTHON) -m pytest --timeout 7200 tests/session/test_durability.py
 
-## accounted: a session of 240 trials in real time, its record against what the twin played
+## accounted: compare the record of 240 trials in real time with what the twin played
 .PHONY: accounted
 accounted: install
 	$(PYTHON) tests/session/accounted.py --out results/benchmarks/accounted.json
 
-## stops: 1,000 seeded deaths and dead links while bursts play; what came of them goes into results/benchmarks/stops.json
+## stops: 1,000 seeded process deaths and dead links while bursts play; results in results/benchmarks/stops.json
 .PHONY: stops
 stops: install
 	$(PYTHON) tests/rig/stops.py --cases 1000 --out results/benchmarks/stops.json
 
-## doorstep: clone and wheel in bare Debian 12 and 13, as root and as a user; DOORSTEP_PYTHON=FOLDER is a Python 3.11 or 3.12 for 13
+## doorstep: install clone and wheel in bare Debian 12 and 13, as root and as a user; DOORSTEP_PYTHON=FOLDER is a Python 3.11 or 3.12 for 13
 .PHONY: doorstep
 doorstep: install
 	@command -v debootstrap >/dev/null || { packages=debootstrap; $(INSTALL_PACKAGES); }
 	$(SUDO) python3 tests/doorstep.py $(if $(DOORSTEP_PYTHON),--python $(DOORSTEP_PYTHON)) --out results/benchmarks/doorstep.json
 
-## stalls: twenty demonstrations whose processes are stopped and continued at seeded moments; results/benchmarks/stalls.json
+## stalls: twenty demonstrations with processes stopped and continued at seeded times; results in results/benchmarks/stalls.json
 .PHONY: stalls
 stalls: install
 	$(PYTHON) tests/session/stalls.py --demos 20 --out results/benchmarks/stalls.json
 
-## spoilt: 1,000 identifications and calibrations with one fault each; which are marked, refused and right, in results/benchmarks
+## spoilt: 1,000 identifications and calibrations with one fault each: how many are marked or refused; results in results/benchmarks/spoilt.json
 .PHONY: spoilt
 spoilt: install
 	$(PYTHON) tests/lab/spoilt.py --cases 1000 --out results/benchmarks/spoilt.json
 
-## soak-identification: intervals judged by 200 seeds, and all nine modes through the whole driver, chirp and multisine
+## soak-identification: coverage of intervals over 200 seeds, and all nine modes through the whole driver, by chirp and multisine
 .PHONY: soak-identification
 soak-identification: install
 	MODALTOUCH_IDENTIFIED_SEEDS=200 MODALTOUCH_SCANNED_POINTS=41 \
 	  $(PYTHON) -m pytest --timeout 3600 tests/lab/identification/test_identify.py tests/lab/identification/test_through_the_driver.py
 
-## soak-calibration: forty beams calibrated, forty through the whole driver, and the intervals of 200, judged by the true state
+## soak-calibration: calibrate eighty beams, forty of them through the whole driver, and compare the intervals of 200 with the true state
 .PHONY: soak-calibration
 soak-calibration: install
 	MODALTOUCH_CALIBRATED_BEAMS=40 MODALTOUCH_SEEDED_BEAMS=40 \
 	  $(PYTHON) -m pytest --timeout 600 tests/lab/calibration/test_through_the_driver.py tests/lab/calibration/test_seeded_beams.py
 	$(PYTHON) tests/lab/intervals.py --twins 200 --out results/benchmarks/intervals.json
 
-## certify: how often each test and interval of the report errs in 210 populations, into results/benchmarks; an hour on two cores
+## certify: error rate of each test and interval of the report in 210 populations; results in results/benchmarks; an hour on two cores
 .PHONY: certify
 certify: install
 	$(PYTHON) tests/certify.py
 
-## models-r: models.R of every design in R, and p, intervals and estimates against R's own; installs R by apt
+## models-r: run models.R of every design in R, and compare p, intervals and estimates with R's; installs R by apt
 .PHONY: models-r
 models-r: install
 	@command -v Rscript >/dev/null || { packages="r-base-core r-cran-lme4 r-cran-ordinal r-cran-coin r-cran-exactranktests"; $(INSTALL_PACKAGES); }
@@ -168,7 +168,7 @@ build/bids/.installed: tests/record/requirements.lock | $(filter .uv/bin/uv,$(UV
 	$(UV) pip sync --quiet --python build/bids/bin/python --require-hashes tests/record/requirements.lock
 	@touch $@
 
-## fuzz: 20,000 spoilt files through every reader, and new examples for every property
+## fuzz: 20,000 corrupted files through every reader, and new examples for every property test
 .PHONY: fuzz
 fuzz: install
 	MODALTOUCH_MUTATIONS=20000 $(PYTHON) -m pytest --timeout 7200 tests/test_mutated_files.py
@@ -185,12 +185,12 @@ oldest: | $(filter .uv/bin/uv,$(UV))
 	PYTHONPATH=src build/oldest/bin/python -m pytest -n 2 --dist loadfile -W ignore tests/protocol tests/stimulus \
 	  tests/preflight tests/record tests/analysis tests/planning
 
-## mutants: spoil what others rest on, from stimulus to watchdog, one small mistake at a time; a test must notice each
+## mutants: make one small error at a time, from stimulus to watchdog; a test must notice each
 .PHONY: mutants
 mutants: install
 	$(PYTHON) tests/mutation.py --out results/benchmarks/mutants.json
 
-## schemas: write the JSON Schemas for editors again, after a change to what a file may hold
+## schemas: write the JSON Schemas for editors again, after a change to the keys of a file
 .PHONY: schemas
 schemas: install
 	$(PYTHON) -c "from pathlib import Path; from modaltouch.protocol.schemas import write_schemas; write_schemas(Path('protocols/schema'))"
@@ -214,7 +214,7 @@ docs: .venv/.docs
 	@PYTHONPATH=src NUMEXPR_NUM_THREADS=1 $(PYTHON) -m sphinx --quiet --fail-on-warning --keep-going --fresh-env docs build/docs
 	@echo 'Open build/docs/index.html'
 
-## docs-check: build the site, run every command and every snippet on it, and look at it in a browser where there is one
+## docs-check: build the site, run every command and snippet on it, and open it in a headless browser
 .PHONY: docs-check
 docs-check: docs
 	@command -v chromium || command -v google-chrome || { packages=chromium; $(INSTALL_PACKAGES); }
