@@ -143,13 +143,14 @@ def design_warnings(protocol: Protocol) -> Iterator[str]:
         if without:
             yield (f"{f'stimulus {name}: ' if name else ''}no finger touches the focus {', '.join(foci)} on {where}")
     kinds = protocol.schedule.session_kinds
-    if kinds and not any(each.analysed for each in kinds):
+    is_analysed = not kinds or any(each.analysed for each in kinds)
+    if not is_analysed:
         yield "no kind of session is analysed (schedule.sessions): there will be nothing for `analyse`"
     if len(protocol.groups) == 1:
         yield "there is only one group: nothing can be compared between groups; add another, or leave it out"
     pairs, levels, _ = map(set, zip(*protocol.cells(conditions.finger_conditions[0]), strict=True))
     n_pairs, n_fingers = len(pairs), len(conditions.finger_conditions)
-    is_fixed = protocol.adaptive is None  # runs are compared with each other, and have no parts
+    is_fixed = is_analysed and protocol.adaptive is None  # runs are compared with each other, and have no parts
     by = () if protocol.uncrossed_by[:1] == ("conditions",) and _is_crossed(protocol) else protocol.uncrossed_by
     if is_fixed and by:
         yield _PARTS[by[0]].format(".".join(by))
