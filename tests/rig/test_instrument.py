@@ -60,6 +60,8 @@ def test_command_carries_value_and_unit(setting: Setting, command: str) -> None:
         (ON, "on", True),
         (OFF, "0", True),
         (OFF, "1", False),
+        (OFF, "Off", True),
+        (Setting("SOUR1:FUNC:ARB", "mt2"), "MT2", True),
         (QUIET[1], "NORMAL", True),
         (QUIET[1], "INV", False),
         (BURST[2], "TRIGGERED", True),

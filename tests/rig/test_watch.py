@@ -300,6 +300,13 @@ def test_outputs_that_do_not_go_off_are_tried_again_over_new_sessions() -> None:
     assert instrument.opened == 2
 
 
+def test_an_output_is_off_if_the_instrument_says_0_or_off() -> None:
+    """Both are replies of generators to `OUTP?`; one reply too few says nothing of the other output."""
+    instrument = Instrument(b"OFF\n", b"OFF;ON\n", b"off;OFF\n")
+    assert WatchdogProcess(instrument, ASKED_OFF, persistence=5).switch_off()
+    assert instrument.sent.count(OFF) == 3
+
+
 class Terminal:
     """Keeps what was said to whoever sits there, and when [s]."""
 

@@ -178,12 +178,13 @@ class Controls:
         off = ";".join(f":{output.off.command}" for output in outputs)
         replies = split_reply(self.ask(f"{asked};{off};{asked};:SYST:ERR?"))
         n = len(outputs)
-        if len(replies) != 2 * n + 1 or any(reply != "0" for reply in replies[n : 2 * n]):
+        are_off = [output.off.confirmed_by(reply) for output, reply in zip(2 * outputs, replies, strict=False)]
+        if len(replies) != 2 * n + 1 or not all(are_off[n:]):
             raise Unconfirmed(f"asked whether its outputs are off, the generator says {replies[n : 2 * n]}")
         errors: list[str] = []
         if _error_number(replies[-1]) != NO_ERROR:
             errors = [replies[-1], *self.pending_errors()]
-        return tuple(reply != "0" for reply in replies[:n]), tuple(errors)
+        return tuple(not is_off for is_off in are_off[:n]), tuple(errors)
 
     def trigger_command(self) -> str:
         """Return the trigger command: the first in the table that the instrument does not report as undefined.
@@ -292,7 +293,8 @@ class Controls:
         errors = [reply for reply in replies if _error_number(reply) != NO_ERROR]
         if errors:
             errors += self.pending_errors()
-            reported = ", ".join(error or "an empty error" for error in dict.fromkeys(errors))
+            first, *further = dict.fromkeys(error or "an empty error" for error in errors)
+            reported = ", ".join([first, *further[:2], *([f"and {len(further) - 2} more"] if further[2:] else [])])
             raise Unconfirmed(f"to '{what[:80]}' the generator reports {reported}", read_back)
 
 

@@ -71,7 +71,7 @@ class Setting:
         if isinstance(self.value, str) and self.value != "INF":
             # A suffix of 1 may be omitted (SCPI-99, volume 1, 6.2.5.2).
             shown = {"ON": "1", "OFF": "0"}.get(self.value, self.value.removesuffix("1"))
-            return reply.upper() in (self.replies or (self.value, shown))
+            return reply.upper() in {each.upper() for each in self.replies or (self.value, shown)}
         try:
             number = float(reply)
         except ValueError:

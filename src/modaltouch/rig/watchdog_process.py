@@ -255,7 +255,8 @@ class WatchdogProcess:
         while True:
             with contextlib.suppress(Exception):
                 reply = self._transport.exchange(self._off, timeout=REPLY_TIMEOUT, reply=True)
-                if reply.strip() == b";".join([b"0"] * self._off.count(b"?")):
+                states = reply.strip().upper().split(b";")
+                if len(states) == self._off.count(b"?") and {b"0", b"OFF"}.issuperset(states):
                     if warned:
                         self._say("the generator's outputs are off now")
                     return True
