@@ -205,10 +205,10 @@ def _show_explored(asked: dict[str, Any]) -> None:
         )
         drawn, spread = found["drawn"], found["drawn"]["deviations"]
         say(
-            f"{drawn['n_draws']} beams drawn with standard deviations of {spread['natural_frequency']:.1%} in frequency, "
-            f"{spread['damping_ratio']:.0%} in damping and {spread['modal_gain']:.0%} in gain: worst modal error "
-            f"{drawn['median_modal_error_mm_s']:.1f} mm/s (median), {drawn['p95_modal_error_mm_s']:.1f} mm/s (95th "
-            "percentile)"
+            f"{drawn['n_draws']} beams drawn with standard deviations of {spread['natural_frequency']:.1%} in "
+            f"frequency, {spread['damping_ratio']:.0%} in damping and {spread['modal_gain']:.0%} in gain: worst modal "
+            f"error {drawn['median_modal_error_mm_s']:.1f} mm/s (median), {drawn['p95_modal_error_mm_s']:.1f} mm/s "
+            "(95th percentile)"
         )
     if rows := asked.get("designs"):
         print_table(
