@@ -109,7 +109,7 @@ def analyse(
     path : Path or str
         A tidy CSV, or a tree of recorded sessions.
     out : Path or str, optional
-        Output folder; by default ``analysis`` in the tree, or ``<name>_analysis`` beside the CSV.
+        By default ``derivatives/analysis`` in a dataset, ``analysis`` in another folder, ``<name>_analysis`` by a CSV.
     labs : sequence of Path or str
         Trees of other labs with the same protocol, compared like groups; `out` is then required.
     mode : {"real", "pilot", "simulated"}, optional
