@@ -70,7 +70,7 @@ def test_what_the_data_cannot_say_comes_first_among_the_notes() -> None:
     test, interval = ExactTest(2, 0.25, 0.25, 3), Interval(0.5, 0.1, 0.9, 10)
     row = finding_of("b", "a test", "everywhere", test, "share", interval, 10, family="f", notes=notes)
     assert row.note == (
-        "no information: only 3 can affect the statistic, so p cannot be below 0.25 in either direction; first; second"
+        "no information: only 3 participants can affect the statistic, so p cannot be below 0.25; first; second"
     )
     expected = Finding("b", "a test", "everywhere", "share", 0.5, 0.1, 0.9, 10, 2.0, 0.25, 0.25, "f", row.note)
     assert repr(row) == repr(expected)  # by repr, since p_holm is not a number

@@ -106,8 +106,9 @@ def finding_of(
     """Return a finding from an interval and an optional test; its note says if the data are uninformative."""
     words = [note for note in notes if note]
     if test is not None and test.p_min > ALPHA:
-        whose = f"only {int(test.n_informative)} can affect the statistic" if test.n_informative else "nothing varies"
-        words.insert(0, f"no information: {whose}, so p cannot be below {test.p_min:.2g} in either direction")
+        count, of = int(test.n_informative), "answer" if question == "a1" else "participant"
+        whose = f"only {count} {of}{'s' * (count > 1)} can affect the statistic" if count else "nothing varies"
+        words.insert(0, f"no information: {whose}, so p cannot be below {test.p_min:.2g}")
     values = (interval.estimate, interval.low, interval.high)
     # Round numerical noise to zero.
     estimate, low, high = (0.0 if abs(each) < 1e-12 else float(each) for each in values)

@@ -250,8 +250,10 @@ def tell(found: planning.Power, target: float) -> None:
     for floor in (each for each in found.floors if each.least_participants != 1):
         least = floor.least_participants
         reach = "any number of participants" if least is None else f"fewer than {least} participants"
-        where = f"{floor.family} ({floor.n_tests} test{'s' * (floor.n_tests != 1)}, {floor.n_repetitions} per cell)"
-        say(f"[dim]{where}: never significant with {reach}[/]")
+        say(
+            f"[dim]{floor.family} ({floor.n_tests} test{'s' * (floor.n_tests != 1)}, {floor.n_repetitions} per cell): "
+            f"never significant with {reach}[/]"
+        )
 
 
 def _cell(row: dict[str, Any]) -> str:
