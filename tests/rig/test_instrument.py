@@ -285,7 +285,7 @@ def test_part_of_the_range_that_codes_use_is_all_that_can_be_set(burst: Burst) -
 def test_data_sheet() -> None:
     """AFG3022B: 131,072 points a record; its successor takes the same commands."""
     assert AFG3022B.converter.max_points == 131_072
-    assert [each.models for each in instruments()] == [("AFG3022B", "AFG3022C"), ("33522B", "33512B")]
+    assert instruments()[0].models == ("AFG3022B", "AFG3022C")
 
 
 def test_simulator_says_what_it_is_where_others_have_their_number() -> None:

@@ -45,7 +45,14 @@ SampleCount = Annotated[int, Field(strict=True, ge=2, le=524_288, multiple_of=2)
 class FieldSection(Section):
     """Target velocity field at the focusing instant."""
 
-    shape: Literal["triangle", "box", "half_cosine", "raised_cosine", "gaussian", "sampled"] = described(
+    shape: Literal[
+        "triangle",
+        "box",
+        "half_cosine",
+        "raised_cosine",
+        "gaussian",
+        "sampled",
+    ] = described(
         "Shape of the velocity along the beam; sampled: straight lines between points.", default="triangle"
     )
     base_mm: Positive = described(

@@ -11,7 +11,10 @@ def instruments() -> tuple[Instrument, ...]:
     """Return all supported generators; the first is used for any other model named in an apparatus file."""
     from modaltouch.rig.keysight33500b import KEYSIGHT_33500B
 
-    return (AFG3022B, KEYSIGHT_33500B)
+    return (
+        AFG3022B,
+        KEYSIGHT_33500B,
+    )
 
 
 def instrument_of(apparatus: Apparatus) -> Instrument:

@@ -15,7 +15,14 @@ from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.quantities import FloatArray, require_finite, require_positive
 from modaltouch.stimulus.shapes import gauss_legendre, mode_shapes
 
-Shape = Literal["triangle", "box", "half_cosine", "raised_cosine", "gaussian", "sampled"]
+Shape = Literal[
+    "triangle",
+    "box",
+    "half_cosine",
+    "raised_cosine",
+    "gaussian",
+    "sampled",
+]
 
 _PROFILES: dict[Shape, Callable[[FloatArray], FloatArray]] = {
     "triangle": lambda u: 1 - u,

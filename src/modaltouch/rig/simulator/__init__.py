@@ -40,7 +40,11 @@ def twin_of(model: str) -> Callable[..., tuple[Any, CommandTable]]:
         return afg_twin
     from modaltouch.rig.simulator.keysight33500b import keysight_twin
 
-    return {"33522B": keysight_twin, "33512B": keysight_twin}.get(model, afg_twin)
+    twins = {
+        "33522B": keysight_twin,
+        "33512B": keysight_twin,
+    }
+    return twins.get(model, afg_twin)
 
 
 class Simulator(AbstractContextManager["Simulator"]):
