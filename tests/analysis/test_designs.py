@@ -29,7 +29,7 @@ from modaltouch.analysis.measures import (
     mean_findings,
     over_participants,
 )
-from modaltouch.analysis.permutation import by_flips, by_ranks, friedman, group_test, shuffle_together
+from modaltouch.analysis.permutation import by_flips, by_ranks, flip_test, friedman, group_test, shuffle_together
 from modaltouch.analysis.pipeline import analyse, read_responses
 from modaltouch.analysis.ratings import level_findings, power_law
 from modaltouch.analysis.report import design_limits
@@ -492,6 +492,19 @@ def test_magnitudes_have_the_exponent_of_their_power_law(magnitudes, tmp_path: P
     page = done.files["report.html"].read_text(encoding="utf-8")
     assert "What do ratings and further answers say?" in page and "exponent of magnitude is not zero" in page
     assert not {"fig_10.svg", "fig_10.csv"} & set(done.files)
+
+
+def test_numerical_noise_is_no_difference_between_conditions(magnitudes, tmp_path: Path) -> None:
+    """Numbers twice as large with two hands have the same exponent, however its sums are rounded."""
+    exact = magnitudes.assign(value=magnitudes["velocity_mm_s"].astype(float), finger_condition="one_hand")
+    doubled = exact.assign(value=2 * exact["value"], finger_condition="two_hands")
+    table = tmp_path / "numbers.csv"
+    pd.concat([exact, doubled]).to_csv(table, index=False)
+    design = {"answers": {"scale": {"kind": "number"}}}
+    done = analyse(table, table_format=TableFormat(AnswerList.of({"keys": ["rated"]}), design=design))
+    compared = done.tests.set_index("name").loc["exponent of magnitude compared, sign flips"]
+    assert (compared["estimate"], compared["low"], compared["high"], compared["p"]) == (0, -np.inf, np.inf, 1)
+    assert float(flip_test(np.full(12, 2.2e-16)).p) == 1
 
 
 def test_the_power_law_is_least_squares_of_logarithms() -> None:

@@ -19,6 +19,7 @@ from modaltouch.analysis.columns import LevelScale, label_zones
 from modaltouch.analysis.findings import ALPHA, Finding, finding_of, grouped
 from modaltouch.analysis.intervals import BoundedMean, Interval
 from modaltouch.analysis.permutation import (
+    NOISE,
     Located,
     by_flips,
     by_ranks,
@@ -233,6 +234,7 @@ def contrast_findings(values: Sequence[IndividualValue], tested: Sequence[Places
             scope = f"{a[0]} - {b[0]} {a[1]}".strip() if a[1] == b[1] else f"{a[0]} {a[1]} - {b[1]}"
             name = f"{measure.name} compared, {_RANKS if measure.is_ranked else _FLIPS}"
             gaps = np.array([np.mean([x - y for x, y in each]) for each in paired.values()])
+            gaps[np.abs(gaps) < NOISE] = 0.0
             yield from _compared(measure, name, scope, gaps, _remarks(measure, places[a], places[b]))
     yield from _joint_findings(values)
 

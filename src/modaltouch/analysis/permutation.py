@@ -51,6 +51,9 @@ def flip_test(values: FloatArray) -> ExactTest:
     )
 
 
+NOISE = 1e-9
+"""Values up to this are numerical noise: none of the measures is known as finely."""
+
 # Maximum common denominator of exact values, and the numbers of distinct values and of steps up to the largest.
 _DENOMINATORS, _DISTINCT, _STEPS = np.arange(1, 2001), 500, 10_000
 
@@ -63,7 +66,7 @@ def _unit(values: FloatArray) -> float:
     """
     sizes = np.unique(np.abs(values))
     largest = float(sizes.max(initial=0.0))
-    if not largest:
+    if largest < NOISE:
         return 1.0
     if sizes.size <= _DISTINCT:
         scaled = sizes[:, np.newaxis] * _DENOMINATORS[_DENOMINATORS * largest <= _STEPS]
