@@ -174,6 +174,7 @@ def model_findings(answers: AnswerCounts, frame: pd.DataFrame) -> Iterator[Findi
     means, errors, spread = fitted
     half = NormalDist().inv_cdf(1 - (1 - CONFIDENCE) / 2)
     note = f"participants spread by {spread:.2g} logit; priors normal, {PRIOR_EFFECT:g} and {PRIOR_SPREAD:g} logit wide"
+    note += "; how often this interval misses the true value has not been simulated"
     for name, mean, error in zip(names, means, errors, strict=True):
         interval = Interval(mean, mean - half * error, mean + half * error, n)
         yield finding_of("model", _NAME, name, None, "log odds of the dominant zone", interval, n, notes=[note])
