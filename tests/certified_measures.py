@@ -11,10 +11,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import islice
 
 import numpy as np
-from scipy.special import ncfdtr, ndtr
+from scipy.special import ncfdtr, ndtr, xlogy
 
 from modaltouch.analysis.detection import m_intervals, odd_of_three, same_different, share_correct, yes_no
 from modaltouch.analysis.intervals import BoundedMean, Interval, student_interval
@@ -22,6 +23,7 @@ from modaltouch.analysis.permutation import by_ranks, flip_test, friedman, rank_
 from modaltouch.analysis.psychometric import JND_OF_SPREAD, MOST_LAPSE, Fits, fit_counts
 from modaltouch.analysis.ratings import power_law
 from modaltouch.protocol.conditions import StaircaseSection
+from modaltouch.protocol.levels import Quest
 
 ALPHA = 0.05
 TIES = 1 + 1e-9
@@ -53,6 +55,8 @@ REASONS = {
     "mean d' compared": SHRUNK, "mean criterion compared": SHRUNK,
     "mean threshold compared": FITTED_FEW, "mean PSE compared": FITTED_FEW, "mean JND compared": FITTED_FEW,
     "mean of runs compared, forced choice": FITTED_FEW, "mean of runs compared, felt": FITTED_FEW,
+    "mean of runs, forced choice, QUEST+": BIASED, "mean of runs, felt, QUEST+": BIASED,
+    "mean of runs compared, forced choice, QUEST+": FITTED_FEW, "mean of runs compared, felt, QUEST+": FITTED_FEW,
     "mean detection threshold": FITTED_FEW, "mean detection threshold compared": FITTED_FEW,
     "mean d', same and different": KEPT_FINITE, "mean d' compared, same and different": SHRUNK,
     "mean differencing criterion compared": SHRUNK,
@@ -127,6 +131,7 @@ def errors_of_measures(number: int, participants: int, n: int) -> Errors:
     yield from _of_ratings(task, np.random.default_rng([1916, number]), (n, participants))
     yield from _of_gaps_compared(task, np.random.default_rng([1919, number]), (n, participants))
     yield from _of_groups_together(task, np.random.default_rng([1917, number]), (n, participants))
+    yield from _of_quests(task, np.random.default_rng([1920, number]), (n, participants))
 
 
 def _of_tests(task: Task, rng: np.random.Generator, shape: tuple[int, int]) -> Errors:
@@ -379,20 +384,39 @@ def _of_runs(task: Task, rng: np.random.Generator, shape: tuple[int, int]) -> Er
     """Yield thresholds of adaptive runs: of a forced choice, down after two successes, and of what is felt."""
     for name in ("forced choice", "felt"):
         own, spread = _people(task, rng, shape[0])
-        found = _run_of(task, rng, own, spread, name)
-        yield f"run of one, {name}", _missed(found.threshold, own)[found.is_determined]
-        known = _known(found, found.threshold)
-        means = [student_interval(row[np.isfinite(row)]) for row in known[rng.integers(shape[0], size=shape)]]
-        for kind, truth in ((name, own.mean()), (f"{name}, as estimated", np.nanmean(known))):
-            yield f"mean of runs, {kind}", np.array([not each.low <= truth <= each.high for each in means])
+        yield from _of_thresholds(name, rng, _run_of(task, rng, own, spread, name), own, shape)
+
+
+def _of_thresholds(name: str, rng: np.random.Generator, found: Fits, own: np.ndarray, shape: tuple[int, int]) -> Errors:
+    """Yield the thresholds of single runs, and their means over the participants of each experiment."""
+    yield f"run of one, {name}", _missed(found.threshold, own)[found.is_determined]
+    known = _known(found, found.threshold)
+    means = [student_interval(row[np.isfinite(row)]) for row in known[rng.integers(own.size, size=shape)]]
+    for kind, truth in ((name, own.mean()), (f"{name}, as estimated", np.nanmean(known))):
+        yield f"mean of runs, {kind}", np.array([not each.low <= truth <= each.high for each in means])
+
+
+def _of_quests(task: Task, rng: np.random.Generator, shape: tuple[int, int]) -> Errors:
+    """Yield thresholds of QUEST+ runs, alone and compared with those of a condition as in `_of_fits_compared`."""
+    for name in ("forced choice, QUEST+", "felt, QUEST+"):
+        own, spread = _people(task, rng, min(shape[0], FITTED))
+        rise, wider = rng.normal(1, 0.5, own.size), np.exp(rng.normal(0.1, 0.1, own.size))
+        first, second = (_run_of(task, rng, *each, name) for each in ((own, spread), (own + rise, spread * wider)))
+        yield from _of_thresholds(name, rng, first, own, shape)
+        gaps = _known(second, second.threshold) - _known(first, first.threshold)
+        yield from _of_mean(f"of runs compared, {name}", rng, gaps, rise, shape, LEAST_DB)
 
 
 def _run_of(task: Task, rng: np.random.Generator, own: np.ndarray, spread: np.ndarray, name: str) -> Fits:
     """Return the fits of a run of each person."""
-    guess, down_after = (1 / task.alternatives, 2) if name == "forced choice" else (0.0, 1)
+    guess, down_after = (1 / task.alternatives, 2) if name.startswith("forced choice") else (0.0, 1)
     rule = StaircaseSection(down_after=down_after, steps_dB=(8.0, 4.0, 2.0))
     rising = ndtr((LEVELS_DB - own[:, None]) / spread[:, None])
-    place, success = staircases(rule, rng, task.run, guess + (1 - guess - task.lapse) * rising)
+    chances = guess + (1 - guess - task.lapse) * rising
+    if name.endswith("QUEST+"):
+        place, success = quests(guess, rng, task.run, chances)
+    else:
+        place, success = staircases(rule, rng, task.run, chances)
     tries = np.stack([(place == at).sum(axis=-1) for at in range(LEVELS_DB.size)], axis=-1).astype(float)
     hits = np.stack([(success & (place == at)).sum(axis=-1) for at in range(LEVELS_DB.size)], axis=-1).astype(float)
     return fit_counts(LEVELS_DB, hits, tries, guess_rate=guess, most_lapse=0.06, flat_rate=guess or None)
@@ -429,6 +453,42 @@ def staircases(rule, rng, n_trials, chances):
         moved = level + direction * steps[np.minimum(turns, steps.size - 1)].astype(int)
         level = np.clip(moved, 0, LEVELS_DB.size - 1)
     return np.stack(places, axis=-1), np.stack(successes, axis=-1)
+
+
+def quests(guess, rng, n_trials, chances):
+    """Return the places of the levels of QUEST+ runs, and which answers succeed, as `staircases` does.
+
+    The level with the least expected entropy has the largest mutual information of answer and parameters; of two
+    answers it takes two products with the posterior, over all runs at once.
+
+    Parameters
+    ----------
+    guess : float
+        Guess rate of the rule [1].
+    rng, n_trials, chances
+        As in `staircases`.
+    """
+    rule = quest_of(guess)
+    likelihood = rule._likelihood.reshape(-1, 2, LEVELS_DB.size)
+    posterior = np.tile(rule._prior.reshape(-1), (len(chances), 1))
+    known = xlogy(likelihood, likelihood).sum(axis=1)
+    rows, level = np.arange(len(chances)), np.full(len(chances), START)
+    places, successes = [], []
+    for _ in range(n_trials):
+        places.append(level)
+        success = rng.random(len(chances)) < chances[rows, level]
+        successes.append(success)
+        posterior *= likelihood[:, np.where(success, 0, 1), level].T
+        posterior /= posterior.sum(axis=1, keepdims=True)
+        chance = posterior @ likelihood[:, 0]
+        level = (xlogy(chance, chance) + xlogy(1 - chance, 1 - chance) - posterior @ known).argmin(axis=1)
+    return np.stack(places, axis=-1), np.stack(successes, axis=-1)
+
+
+@lru_cache
+def quest_of(guess: float) -> Quest:
+    """Return the rule of QUEST+ runs from the highest but four of the levels, lapses up to 6 %."""
+    return Quest((LEVELS_DB[0], LEVELS_DB[-1]), LEVELS_DB[START], guess, 0.06)
 
 
 def _of_exponents(rng: np.random.Generator, shape: tuple[int, int]) -> Errors:

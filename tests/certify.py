@@ -47,7 +47,7 @@ LIMITS = {
     "of one, of runs, mean d' to mean exponent": "participants answer by the model that is fitted",
     "compared": "hold if differences are symmetric about their mean; shares do not differ, but numbers of answers do",
     "magnitude": "a fifth of the participants use numbers ten times as large; errs less without them",
-    "fits compared, detection threshold": "participants are drawn from 500 people, since two fits of each take long",
+    "fits compared, detection threshold, QUEST+": "participants are drawn from 500 people, since fits take long",
     "rating": "a fifth of the participants rate much higher",
     "as estimated": "the truth is the population mean of estimates from as many trials, including their bias",
     "all": "an interval that inverts a test errs as often; answers are missing by chance; mixed models have none",

@@ -9,7 +9,7 @@ import pytest
 
 from modaltouch.analysis.statistics import STATISTICS
 from modaltouch.protocol.conditions import StaircaseSection
-from modaltouch.protocol.levels import follow
+from modaltouch.protocol.levels import Quest, follow
 
 PLACE = Path(__file__).with_name("certify.py")
 
@@ -44,6 +44,7 @@ def test_a_population_gives_a_row_for_each_family_of_tests(certify) -> None:
     assert set(rows) >= {"mean JND, as estimated", "b together", "c together", "mean criterion"}
     assert set(rows) >= {"shares compared", "mean d' compared", "mean criterion compared", "mean magnitude"}
     assert set(rows) >= {"mean PSE compared", "mean of runs compared, felt", "mean rating", "group together"}
+    assert set(rows) >= {"run of one, felt, QUEST+", "mean of runs compared, forced choice, QUEST+"}
     assert all(0 <= row["errors"] <= row["n"] <= 12 for row in rows.values())
 
 
@@ -75,6 +76,18 @@ def test_the_populations_are_those_that_are_promised(certify) -> None:
         "participants": (6, 60), "repetitions": (1, 8),
     }  # fmt: skip
     assert {each.kind for each in drawn} == set(certify.KINDS)
+
+
+def test_simulated_quests_follow_the_rule_of_sessions(certify) -> None:
+    """Reference: the rule that sets the levels of a session, answer by answer."""
+    measures = certify.certified_measures
+    rng, levels = np.random.default_rng(3), measures.LEVELS_DB
+    places, successes = measures.quests(0.5, rng, 12, np.linspace(0.5, 0.98, 21) * np.ones((3, 1)))
+    for place, success in zip(places, successes, strict=True):
+        rule, history = Quest((-20.0, 20.0), levels[measures.START], 0.5, 0.06), []
+        for at, succeeded in zip(place, success, strict=True):
+            assert rule.next_level(history) == levels[at]
+            history.append((float(levels[at]), bool(succeeded)))
 
 
 @pytest.mark.parametrize("down_after", [1, 2])

@@ -32,6 +32,7 @@ from modaltouch.analysis.runs import (
     is_forced,
     over_participants,
 )
+from modaltouch.analysis.words import certificates_in_words
 from modaltouch.cli.analyse import tell
 from modaltouch.planning.design import designs_for
 from modaltouch.planning.fitting import fit_answers
@@ -249,6 +250,8 @@ def test_a_session_ends_in_thresholds_that_the_observer_has(
     report = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "SIMULATED DATA" in report
     assert "<p><strong>The mean threshold is " in report
+    for name in ("run of one, felt, QUEST+", "mean of runs, felt, QUEST+"):
+        assert certificates_in_words([name]) in report, "the certificates are those of the method"
     assert "http://" not in report.replace("http://www.w3.org", "")
 
 

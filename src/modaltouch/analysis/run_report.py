@@ -189,7 +189,7 @@ def _page_files(
     design = responses.start["design"]
     both, nothing = responses.answers.naming("left", "right"), responses.answers.naming()
     task = "forced choice" if is_forced(responses) else "felt"
-    has_groups = any(run.group for run in analysis.runs)
+    task += ", QUEST+" if design["adaptive"]["method"] == "quest_plus" else ""
     return page_files(
         "modaltouch.analysis",
         "runs",
@@ -211,7 +211,8 @@ def _page_files(
         is_forced=is_forced(responses),
         certified=[certificates_in_words(names) for names in (
             (f"mean of runs, {task}, as estimated", f"mean of runs, {task}"), (f"run of one, {task}",),
-            (f"mean of runs compared, {task}, as estimated", f"mean of runs compared, {task}", *["group"] * has_groups),
+            (f"mean of runs compared, {task}, as estimated", f"mean of runs compared, {task}",
+             *["group"] * any(run.group for run in analysis.runs)),
         )],
         rule=responses.start.get("adaptive", {}),
         scale=scale_of(responses.frame.columns),
