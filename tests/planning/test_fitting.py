@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -102,11 +103,9 @@ def test_two_stimuli_give_back_their_observer() -> None:
 
 
 def test_what_does_not_say_its_stimulus_is_refused(tmp_path: Path, preflight: Preflight) -> None:
-    """A CSV for a protocol with several; participants who are not the same; adaptive runs, whatever the answers."""
+    """A CSV without them for a protocol with several; different participants; adaptive runs, whatever the answers."""
     (tmp_path / "a.csv").write_text(f"{HEADER}\np1,one_hand,A,C,80,left,1\n", encoding="utf-8")
-    with pytest.raises(
-        InputError, match="does not say which stimulus an answer belongs to; allowed: sessions with sharp"
-    ):
+    with pytest.raises(InputError, match="add the column stimulus"):
         fit_answers(examine(TWO_FIELDS).require(), tmp_path / "a.csv", Observer())
     one = RecordedAnswers(np.ones((1, 1, 3), dtype=int), np.ones((1, 2)), ("one_hand",), np.ones(1))
     two = RecordedAnswers(np.ones((2, 1, 3), dtype=int), np.ones((1, 2)), ("one_hand",), np.ones(2))
@@ -114,6 +113,18 @@ def test_what_does_not_say_its_stimulus_is_refused(tmp_path: Path, preflight: Pr
         RecordedAnswers.joined([one, two])
     with pytest.raises(InputError, match="adaptive sessions, which have no table of counts"):
         fit_answers(examine(TWO_FIELDS.with_name("threshold.yaml")).require(), tmp_path / "a.csv", Observer())
+
+
+def test_a_table_that_says_its_stimuli_is_fitted(tmp_path: Path) -> None:
+    """One answer to each cell of both stimuli counts once, with what was felt of its own stimulus."""
+    preflight = examine(TWO_FIELDS).require()
+    rows = [f"{HEADER},stimulus"]
+    for stimulus, design in designs_for(preflight, TRUTH).items():
+        for condition, pair, level in product(design.finger_conditions, design.pairs, design.levels):
+            rows.append(f"p1,{condition},{pair.left},{pair.right},{level:g},both,1,{stimulus}")
+    (tmp_path / "a.csv").write_text("\n".join(rows), encoding="utf-8")
+    fitted = fit_answers(preflight, tmp_path / "a.csv", Observer())
+    assert (fitted.n_participants, fitted.fit.n_answers, len(fitted.responses)) == (1, len(rows) - 1, 2)
 
 
 def test_answers_about_another_beam_are_refused(tmp_path: Path, preflight: Preflight) -> None:

@@ -254,7 +254,6 @@ def fit_observer(recorded: RecordedAnswers, prior: Observer) -> Fit:
 
 
 def _observer_at(prior: Observer, fitted: Sequence[_Quantity], point: ArrayLike) -> Observer:
-    """Return the prior's observer with the fitted parameters replaced."""
     values = np.asarray(point, dtype=float).tolist()
     natural = {q.name: max(_FROM_FIT[q.scale](x), 0.0) if q.scale == "log1p" else _FROM_FIT[q.scale](x)
                for q, x in zip(fitted, values, strict=True)}  # fmt: skip
@@ -265,7 +264,6 @@ def _observer_at(prior: Observer, fitted: Sequence[_Quantity], point: ArrayLike)
 
 
 def _covariance(cost: Callable[[FloatArray], float], point: FloatArray, deviation: FloatArray) -> FloatArray:
-    """Return the inverse Hessian at a minimum, bounded by the prior covariance."""
     from statsmodels.tools.numdiff import approx_hess3
 
     scaled = approx_hess3(np.zeros(point.size), lambda step: cost(point + step * deviation), 0.05)
@@ -373,14 +371,6 @@ def fit_answers(preflight: Preflight, path: Path, prior: Observer, *, mode: str 
     _refuse_adaptive(path, is_adaptive=preflight.experiment.protocol.adaptive is not None)
     preflight = of_analysed_kind(preflight)
     refuse_unlike(preflight)
-    is_table = path.is_file() and path.suffix != ".jsonl"
-    if is_table and preflight.variants:
-        raise InputError.of(
-            path,
-            "a CSV file, which does not say which stimulus an answer belongs to",
-            f"sessions with {', '.join(preflight.variants)}",
-            "give the sessions themselves",
-        )
     if preflight.findings.measured:
         raise InputError(
             [
@@ -392,7 +382,7 @@ def fit_answers(preflight: Preflight, path: Path, prior: Observer, *, mode: str 
                 )
             ]
         )
-    table_format = TableFormat.of(preflight.findings) if is_table else None
+    table_format = TableFormat.of(preflight.findings) if path.is_file() and path.suffix != ".jsonl" else None
     taken = {
         name: read_responses(path, mode=mode, stimulus=name or None, table_format=table_format)
         for name in preflight.parts
@@ -441,11 +431,12 @@ def _record(answers: AnswerCounts, felt: Callable[[str, str, str, float], tuple[
         for pair in answers.pairs
         for level in answers.levels
     ]
-    n_each = len(answers.pairs) * len(answers.levels)
     return RecordedAnswers(
         counts=answers.compared().reshape(answers.n_participants, -1, 3),
         speeds=np.array(speeds),
-        finger_conditions=tuple(name for name in answers.finger_conditions for _ in range(n_each)),
+        finger_conditions=tuple(
+            name for name in answers.finger_conditions for _ in range(len(speeds) // len(answers.finger_conditions))
+        ),
         facing=answers.facing.astype(float),
         offers_nothing=answers.has_none_answer,
     )
