@@ -17,6 +17,7 @@ from scipy.special import ndtr, ndtri
 
 from modaltouch.analysis.columns import VELOCITY
 from modaltouch.analysis.crossed import Analysis
+from modaltouch.analysis.csv_table import TableFormat
 from modaltouch.analysis.designs import analyse_design
 from modaltouch.analysis.detection import CRITERION, D_PRIME, m_intervals, same_different, yes_no
 from modaltouch.analysis.findings import Finding, correct
@@ -33,7 +34,7 @@ from modaltouch.analysis.permutation import by_flips, by_ranks, flip_test, fried
 from modaltouch.analysis.pipeline import analyse, read_responses
 from modaltouch.analysis.ratings import level_findings, power_law
 from modaltouch.analysis.report import design_limits
-from modaltouch.analysis.responses import AnswerSource, Responses, TableFormat
+from modaltouch.analysis.responses import AnswerSource, Responses
 from modaltouch.analysis.words import certificates, certificates_of
 from modaltouch.protocol import AnswerList, InputError
 from modaltouch.session import simulate_session

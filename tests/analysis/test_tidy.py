@@ -7,10 +7,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from modaltouch.analysis.counts import count_answers
+from modaltouch.analysis.csv_table import TableFormat
 from modaltouch.analysis.designs import analyse_design
 from modaltouch.analysis.parts import analyse_parts
 from modaltouch.analysis.pipeline import read_responses
-from modaltouch.analysis.responses import TableFormat
 from modaltouch.protocol import AnswerList, Findings, InputError
 
 PAPER = "differentiated_stimulation.yaml"

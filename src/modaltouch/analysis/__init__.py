@@ -14,11 +14,12 @@ from modaltouch.system import lazily
 
 if TYPE_CHECKING:
     from modaltouch.analysis.counts import AnswerCounts, Pair
+    from modaltouch.analysis.csv_table import TableFormat
     from modaltouch.analysis.findings import ALPHA
     from modaltouch.analysis.intervals import wilson
     from modaltouch.analysis.pipeline import analyse, analyse_responses, read_responses
     from modaltouch.analysis.preregistration import terms_of
-    from modaltouch.analysis.responses import Responses, TableFormat
+    from modaltouch.analysis.responses import Responses
     from modaltouch.analysis.statistics import STATISTICS
     from modaltouch.analysis.words import scope_in_words
 else:
@@ -26,11 +27,12 @@ else:
         __name__,
         {
             "counts": "AnswerCounts Pair",
+            "csv_table": "TableFormat",
             "findings": "ALPHA",
             "intervals": "wilson",
             "pipeline": "analyse analyse_responses read_responses",
             "preregistration": "terms_of",
-            "responses": "TableFormat Responses",
+            "responses": "Responses",
             "statistics": "STATISTICS",
             "words": "scope_in_words",
         },

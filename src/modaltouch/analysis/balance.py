@@ -111,14 +111,13 @@ def check_doubling(table: Table, frame: pd.DataFrame, most: int | None) -> tuple
     found = int(frame.groupby(["participant", *cell], observed=True)["n"].sum().max())
     if most is not None and found > most:
         given = f"every row {times} times, which gives {found} answers of a participant in a cell"
-        allowed = f"{most}, as in the protocol"
-        return [Problem(table.file, 1, 1, "", given, allowed, "remove the copies")], []
+        return [Problem(table.file, 1, 1, "", given, f"{most}, as in the protocol", "remove the copies")], []
     # Levels of a pair are alike to some participants, and participants to others: the larger probability counts.
     alike = (cell, ["participant", *cell_of(frame.columns)[:-1]])
     if most is None and max(_log_chance(frame, by, times) for by in alike) < _LEAST_LOG_CHANCE:
-        allowed = "each once, as repetitions would differ somewhere"
+        given, allowed = f"every row {times} times", "each once, as repetitions would differ somewhere"
         remedy = "remove the copies, or number the repetitions under repetition"
-        return [Problem(table.file, 1, 1, "", f"every row {times} times", allowed, remedy)], []
+        return [Problem(table.file, 1, 1, "", given, allowed, remedy)], []
     note = f"every row occurs {times} times, taken as repetitions: if the table was pasted together, remove the copies"
     return [], [note]
 
@@ -151,8 +150,13 @@ def _doubled(table: Table, frame: pd.DataFrame) -> list[Problem]:
         row, cell = frame.loc[lines[1]], cell_of(frame.columns)
         where = describe_cell((row[name] for name in cell), scale_of(frame.columns))
         given = f"participant {row['participant']}, {where} again (first on line {lines[0]})"
-        allowed = f"one row for each {', '.join(keys)}"
-        return table.problem(int(lines[1]), keys[-1], given, allowed, "remove one of the rows, or number them")
+        return table.problem(
+            int(lines[1]),
+            keys[-1],
+            given,
+            f"one row for each {', '.join(keys)}",
+            "remove one of the rows, or number them",
+        )
 
     return list_faults(table.file, list(again.groupby(keys, observed=True).groups.values()), "duplicate rows", problem)
 

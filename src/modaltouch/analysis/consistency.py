@@ -61,9 +61,9 @@ def effect_findings(answers: AnswerCounts) -> Iterator[Finding]:
         mean, worst = BoundedMean(shares.mean, 0.0, 1.0), _missing_notes(shares)
         intervals = mean.interval()
         for place, (label, _) in enumerate(labelled):
-            notes = worst[place : place + 1]
             yield finding_of(
-                "f", SHARE, scope, None, f"P({label})", intervals[place], int(mean.n[place]), notes=notes
+                "f", SHARE, scope, None, f"P({label})", intervals[place], int(mean.n[place]),
+                notes=worst[place : place + 1],
             )  # fmt: skip
     if not answers.is_nominal:
         yield from _paired_cells(answers)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import product
@@ -312,8 +312,7 @@ class AnswerCounts:
 
     def modal(self) -> NDArray[np.int64]:
         """Return the index of each participant's most frequent answer per cell; -1 for ties."""
-        top = self.counts.max(axis=-1, keepdims=True)
-        tied = (self.counts == top).sum(axis=-1) > 1
+        tied = (self.counts == self.counts.max(axis=-1, keepdims=True)).sum(axis=-1) > 1
         return np.where(tied, -1, self.counts.argmax(axis=-1))
 
 
@@ -345,7 +344,8 @@ def count_answers(
         If a response is not one of the answers.
     """
     participants = sorted(map(str, frame["participant"].unique()), key=_natural)
-    conditions = _ordered_conditions(map(str, frame["finger_condition"].unique()))
+    named = list(map(str, frame["finger_condition"].unique()))
+    conditions = sorted(named, key=[*PAPER_CONDITIONS, *named].index)
     names = zones_of(frame.columns)
     touched = sorted({str(zone) for name in names for zone in frame[name].unique()})
     placed = np.stack([_codes(frame[name], touched) for name in names])
@@ -380,7 +380,6 @@ def count_answers(
 
 
 def _offered(responses: pd.Series, offered: AnswerList | None) -> AnswerList:
-    """Return the answers offered; refuse any other response."""
     if offered is None:
         words = responses.astype("category").cat.categories
         offered = AnswerList.of_words(("none",) if "none" in words else ())
@@ -403,11 +402,6 @@ def find_focus(zones: Sequence[tuple[str, ...]]) -> str:
     return "C" if any(zone == "C" for zone, _ in touched) else ""
 
 
-def _ordered_conditions(names: Iterable[str]) -> list[str]:
-    given = list(names)
-    return sorted(given, key=[*PAPER_CONDITIONS, *given].index)
-
-
 def _natural(name: str) -> tuple[tuple[int, int, str], ...]:
     """Return a natural sort key, so that p2 precedes p10."""
     parts = filter(None, re.split(r"(\d+)", name))
@@ -415,7 +409,6 @@ def _natural(name: str) -> tuple[tuple[int, int, str], ...]:
 
 
 def _codes(column: pd.Series, words: Sequence[str]) -> NDArray[np.int64]:
-    """Return the index of each row's value in a list of words."""
     return np.asarray(pd.Categorical(column, categories=list(words)).codes, dtype=np.int64)
 
 

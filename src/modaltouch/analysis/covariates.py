@@ -153,8 +153,7 @@ def _rounded(interval: Interval, known: float) -> Interval:
     """Return an interval rounded to the decimal place of the resolution `known`."""
     if not known > 0:
         return interval
-    digits = max(0, -math.ceil(math.log10(known)))
-    return interval.changed(lambda value: round(value, digits))
+    return interval.changed(lambda value: round(value, max(0, -math.ceil(math.log10(known)))))
 
 
 def speed_findings(answers: AnswerCounts, frame: pd.DataFrame) -> Iterator[Finding]:

@@ -10,20 +10,76 @@ import csv
 import hashlib
 import io
 import sys
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TypeVar
+from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 import pandas as pd
 
-from modaltouch.protocol import InputError, Problem, suggest
+from modaltouch.analysis.responses import kinds_of
+from modaltouch.protocol import AnswerList, InputError, Problem, suggest
+
+if TYPE_CHECKING:
+    from modaltouch.protocol import Findings
 
 SEPARATORS = (",", ";", "\t")
 MOST_LISTED = 20
 """Maximum number of problems of one kind to list; the rest are only counted."""
 
 Fault = TypeVar("Fault")
+
+
+@dataclass(frozen=True)
+class TableFormat:
+    """Format of a CSV file.
+
+    Attributes
+    ----------
+    answers : AnswerList or None
+        The answers offered; by default the paper's.
+    words : dict of str to str
+        Mapping from words in the file to answers.
+    missing : tuple of str
+        Words for a missing answer, besides an empty field, ``n/a`` and ``time_out``.
+    margin : float or None
+        Equivalence margin of the finger conditions [1].
+    design : dict
+        Sections of the protocol; empty if no protocol is given.
+    most : int or None
+        Most answers of a participant in a cell, in all analysed sessions of the protocol.
+    """
+
+    answers: AnswerList | None = None
+    words: Mapping[str, str] = field(default_factory=dict)
+    missing: tuple[str, ...] = ()
+    margin: float | None = None
+    design: Mapping[str, Any] = field(default_factory=dict)
+    most: int | None = None
+
+    @classmethod
+    def of(cls, findings: Findings, words: Mapping[str, str] | None = None, missing: tuple[str, ...] = ()) -> Self:
+        """Return the format of answers to a protocol, whose `findings` include those of its groups and kinds."""
+        planned = Counter[tuple[Any, ...]]()
+        for each in (findings, *findings.others):
+            own, (group, kind) = each.experiment().protocol, each.occasion
+            kinds = [met.name for met in own.schedule.session_kinds if met.analysed]
+            n_times = own.scheduled_repetitions * (kinds.count(kind) if kind else own.schedule.n_sessions)
+            cells = [(group, name, *cell) for name in own.conditions.finger_conditions for cell in own.cells(name)]
+            planned.update(cells * n_times)
+        first = findings.experiment().protocol
+        margin, design = first.analysis.equivalence_margin, first.model_dump(mode="json")
+        return cls(first.answers.offered, words or {}, missing, margin, design, max(planned.values(), default=None))
+
+    @property
+    def asked(self) -> tuple[str, ...]:
+        """Columns required by the protocol; without them, the analysis could silently assume a different design."""
+        answers = self.design.get("answers") or {}
+        sections = {"interval": self.design.get("intervals"), "value": answers.get("scale"),
+                "stimulus": self.design.get("stimuli"), "group": self.design.get("groups"),
+                "session_kind": len(kinds_of(self.design)) > 1}  # fmt: skip
+        return (*(name for name, section in sections.items() if section), *(answers.get("then") or {}))
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,8 +190,15 @@ def read_table(path: Path, required: Sequence[str]) -> Table:
         _check_header(file, header_line, header, required, text)
         fields, problems = _read_fields(file, header, rows, separator)
     except csv.Error as error:
-        given = f"a line that is not CSV ({error})"
-        where = Problem(file, reader.line_num, 1, "", given, "fields in matching quotes", "repair that line")
+        where = Problem(
+            file,
+            reader.line_num,
+            1,
+            "",
+            f"a line that is not CSV ({error})",
+            "fields in matching quotes",
+            "repair that line",
+        )
         raise InputError([where]) from error
     if fields.empty and not problems:
         problems = [_whole(file, "a header without any row", "one row for each answer", "write the answers into it")]
@@ -212,8 +275,8 @@ def _read_fields(
             wrong.append((line, len(row)))
             continue
         lines.append(line)
-        for column, field in zip(columns, row, strict=False):
-            column.append(sys.intern(field.strip()))
+        for column, word in zip(columns, row, strict=False):
+            column.append(sys.intern(word.strip()))
 
     def problem(fault: tuple[int, int]) -> Problem:
         line, found = fault

@@ -167,7 +167,6 @@ def _limits(responses: Responses, task: TrialTask, fits: Sequence[FittedCell]) -
 
 
 def _shares(responses: Responses) -> Iterator[IndividualValue]:
-    """Yield the share of each effect by participant and cell."""
     chosen = responses.by_choice()
     counts = chosen.count()
     for cell, part in cells(chosen.frame, counts.scale, by_level=True):

@@ -301,15 +301,20 @@ def sensitivities(responses: Responses, task: TrialTask) -> Iterator[IndividualV
         for cell, part in cells(frame, scale, by_level=by_level):
             # The criterion may differ with other fingers or before training, so use only false alarms from this cell.
             caught = responses.caught(cell[0], cell[1], kind_of(part))
-            alarms = caught.total() - sum(caught[word] for word in nothing), caught.total()
             if caught:
-                yield from _measured(cell, yes_no(_share(part, ~part["response"].isin(nothing)), alarms), part)
+                yield from _measured(
+                    cell,
+                    yes_no(
+                        _share(part, ~part["response"].isin(nothing)),
+                        (caught.total() - sum(caught[word] for word in nothing), caught.total()),
+                    ),
+                    part,
+                )
             elif responses.catches:
                 yield from _without_d_prime(cell, "answers without catch trials of their own", part)
 
 
 def _of_intervals(part: pd.DataFrame, task: TrialTask, level: float) -> SignalDetection:
-    """Return the sensitivity in a cell of a forced-choice design."""
     place, named = part["interval"].astype(int), part["response"].map(task.named).astype(int)
     if task.wants_standard(level):
         place = 3 - place

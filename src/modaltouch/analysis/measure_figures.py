@@ -194,8 +194,7 @@ def _panels(number: int, *, sharey: bool = False) -> Iterator[tuple[Figure, list
     """Yield a figure with panels in rows; unused panels are hidden."""
     columns = min(number, PANELS_PER_ROW)
     rows = math.ceil(number / columns)
-    width = max(2.5 * columns + 0.3, 4.6)
-    with house_style(width, 2.8 * rows, rows, columns, sharey=sharey) as (figure, panels):
+    with house_style(max(2.5 * columns + 0.3, 4.6), 2.8 * rows, rows, columns, sharey=sharey) as (figure, panels):
         every = list(panels.flat)
         for axes in every[number:]:
             axes.set_axis_off()

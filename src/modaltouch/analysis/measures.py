@@ -223,7 +223,9 @@ def contrast_findings(values: Sequence[IndividualValue], tested: Sequence[Places
         places = {place: [each for each in own if (each.finger_condition, each.pair) == place] for place in tables}
         for (a, first), (b, second) in combinations(tables.items(), 2):
             differ = [x != y for x, y in zip(_factors(*a), _factors(*b), strict=True)]
-            if sum(differ) != 1 or (measure.question == "shares" and any(differ[:2]) and _is_tested(tested, a, b)):
+            own_places = {(condition, label.split(" ")[0]) for condition, label in (a, b)}
+            is_tested = tested is None or any(own_places <= {*each} for each in tested)
+            if sum(differ) != 1 or (measure.question == "shares" and any(differ[:2]) and is_tested):
                 continue
             if first.keys().isdisjoint(second):
                 continue  # different participants, e.g. in groups
@@ -237,11 +239,6 @@ def contrast_findings(values: Sequence[IndividualValue], tested: Sequence[Places
             gaps[np.abs(gaps) < NOISE] = 0.0
             yield from _compared(measure, name, scope, gaps, _remarks(measure, places[a], places[b]))
     yield from _joint_findings(values)
-
-
-def _is_tested(tested: Sequence[Places] | None, *places: tuple[str, str]) -> bool:
-    own = {(condition, label.split(" ")[0]) for condition, label in places}
-    return tested is None or any(own <= {*each} for each in tested)
 
 
 def _joint_findings(values: Sequence[IndividualValue]) -> Iterator[Finding]:

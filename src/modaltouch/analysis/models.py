@@ -181,7 +181,6 @@ def model_findings(answers: AnswerCounts, frame: pd.DataFrame) -> Iterator[Findi
 
 
 def _separation(predictors: NDArray[np.float64], chosen: NDArray[np.int64], names: list[str]) -> str:
-    """Return the predictors that separate the answers; empty if none do."""
     from scipy.optimize import linprog
 
     if np.ptp(chosen) == 0:

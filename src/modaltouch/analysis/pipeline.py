@@ -17,9 +17,10 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from modaltouch.analysis.crossed import Analysis
+    from modaltouch.analysis.csv_table import TableFormat
     from modaltouch.analysis.parts import PartsAnalysis
     from modaltouch.analysis.preregistration import RegisteredAnalysis
-    from modaltouch.analysis.responses import Responses, TableFormat
+    from modaltouch.analysis.responses import Responses
     from modaltouch.analysis.runs import ThresholdAnalysis
 
 Held = TypeVar("Held", bound="RegisteredAnalysis")
@@ -223,7 +224,6 @@ def default_folder(path: Path, stimulus: str = "") -> Path:
 
 
 def _figures(asked: Collection[str]) -> Collection[str]:
-    """Return the names of the requested figures; refuse unknown ones."""
     if not asked:
         return ()
     from modaltouch.analysis.optional_figures import FIGURES
@@ -250,8 +250,11 @@ def render_files(analysis: Analysis, figures: Collection[str] = ()) -> dict[str,
     if analysis.design and analysis.design.rows:
         files["measures.csv"] = analysis.design.rows
     files |= {"tests.csv": tests, "tests.json": [plain_row(row) for row in tests]}
-    by_zone = analysis.answers.compares
-    files |= model_files(analysis.answers, analysis.responses) if by_zone else tidy_files(analysis.responses)
+    files |= (
+        model_files(analysis.answers, analysis.responses)
+        if analysis.answers.compares
+        else tidy_files(analysis.responses)
+    )
     # Matplotlib is loaded only now, since the tables above take much memory until they are written as text.
     from modaltouch.analysis.figures import draw_bars
 

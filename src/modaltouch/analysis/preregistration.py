@@ -121,9 +121,9 @@ class RegisteredAnalysis(ABC):
         ]
         early = [each.name for each in self.responses.sessions if each.day < str(terms.get("date", ""))]
         if early:
-            n = len(self.responses.sessions)
             departures.append(
-                f"{len(early)} of {n} sessions began before the day of the preregistration, {terms['date']}"
+                f"{len(early)} of {len(self.responses.sessions)} sessions began before the day of the preregistration, "
+                f"{terms['date']}"
             )
         return tuple(departures)
 

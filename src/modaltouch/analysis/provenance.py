@@ -86,11 +86,6 @@ class SessionFacts:
         """Participant and session in words."""
         return f"{self.participant} (session {self.number})"
 
-    @property
-    def n_events(self) -> int:
-        """Number of events that need attention."""
-        return self.faults.total()
-
 
 @lru_cache(maxsize=4096)
 def share(kind: str, value: Shared) -> Shared:
@@ -281,8 +276,7 @@ def _masking_in_words(masking: dict[str, Any] | None) -> str:
 
 
 def _settings(sessions: Sequence[SessionFacts]) -> dict[str, str]:
-    names = sessions[0].settings
-    facts = {name: _unanimous([session.settings[name] for session in sessions]) for name in names}
+    facts = {name: _unanimous([session.settings[name] for session in sessions]) for name in sessions[0].settings}
     return {name: text for name, text in facts.items() if text}
 
 

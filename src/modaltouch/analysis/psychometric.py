@@ -331,7 +331,6 @@ def _crossing(values: FloatArray, profiles: FloatArray, bound: FloatArray) -> Fl
 
 
 def _log_constant(hits: FloatArray, tries: FloatArray) -> FloatArray:
-    """Return the maximum log likelihood of a constant probability."""
     from scipy.special import xlogy
 
     share = hits / np.maximum(tries, 1)

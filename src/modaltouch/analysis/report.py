@@ -36,7 +36,6 @@ CATCHES = "Beside d', criteria and detection thresholds, catch trials are in no 
 
 
 def _cautions(answers: AnswerCounts) -> dict[str, str]:
-    """Return cautions on the interpretation of the results, by question."""
     felt = [answers.answers[place].name for place in answers.felt]
     return {
         "a1": "Each p is of all answers in a cell, tested against an even split over "
@@ -165,7 +164,6 @@ def design_limits(analysis: Analysis) -> list[str]:
 
 
 def _aliases(pairs: Sequence[Pair]) -> Iterator[str]:
-    """Yield the pairs of zones confounded with side, in words."""
     sides = {(pair.left, pair.right) for pair in pairs}
     for left, right in ((pair.left, pair.right) for pair in pairs if not pair.focused):
         if (right, left) not in sides:

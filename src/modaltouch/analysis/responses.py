@@ -14,7 +14,7 @@ from collections import Counter
 from collections.abc import Callable, Collection, Container, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -35,7 +35,6 @@ from modaltouch.protocol import AnswerList, InputError
 
 if TYPE_CHECKING:
     from modaltouch.analysis.task import TrialTask
-    from modaltouch.protocol import Findings
 
 REQUIRED = ("participant", "finger_condition", "zone_left", "zone_right", "velocity_mm_s", "response")
 CELL = ("finger_condition", "zone_left", "zone_right", "velocity_mm_s")
@@ -97,59 +96,6 @@ def missing_answer_notes(asked: pd.DataFrame, given: pd.DataFrame) -> tuple[str,
         every, answered = (dict.fromkeys(zip(*map(frame.get, names), strict=True)) for frame in (asked, given))
         notes += [say(*each) for each in every if each not in answered]
     return (f"Left out, since there is no answer at all: {', '.join(notes)}",) if notes else ()
-
-
-@dataclass(frozen=True)
-class TableFormat:
-    """Format of a CSV file.
-
-    Attributes
-    ----------
-    answers : AnswerList or None
-        The answers offered; by default the paper's.
-    words : dict of str to str
-        Mapping from words in the file to answers.
-    missing : tuple of str
-        Words for a missing answer, besides an empty field, ``n/a`` and ``time_out``.
-    margin : float or None
-        Equivalence margin of the finger conditions [1].
-    design : dict
-        Sections of the protocol; empty if no protocol is given.
-    most : int or None
-        Most answers of a participant in a cell, in all analysed sessions of the protocol.
-    """
-
-    answers: AnswerList | None = None
-    words: Mapping[str, str] = field(default_factory=dict)
-    missing: tuple[str, ...] = ()
-    margin: float | None = None
-    design: Mapping[str, Any] = field(default_factory=dict)
-    most: int | None = None
-
-    @classmethod
-    def of(cls, findings: Findings, words: Mapping[str, str] | None = None, missing: tuple[str, ...] = ()) -> Self:
-        """Return the format of answers to a protocol, whose `findings` include those of its groups and kinds."""
-        planned = Counter[tuple[Any, ...]]()
-        for each in (findings, *findings.others):
-            own, (group, kind) = each.experiment().protocol, each.occasion
-            n_sessions = own.schedule.n_sessions
-            if kind:
-                n_sessions = sum(met.name == kind and met.analysed for met in own.schedule.session_kinds)
-            for name in own.conditions.finger_conditions:
-                for cell in own.cells(name):
-                    planned[group, name, *cell] += n_sessions * own.scheduled_repetitions
-        first = findings.experiment().protocol
-        margin, design = first.analysis.equivalence_margin, first.model_dump(mode="json")
-        return cls(first.answers.offered, words or {}, missing, margin, design, max(planned.values(), default=None))
-
-    @property
-    def asked(self) -> tuple[str, ...]:
-        """Columns required by the protocol; without them, the analysis could silently assume a different design."""
-        answers = self.design.get("answers") or {}
-        sections = {"interval": self.design.get("intervals"), "value": answers.get("scale"),
-                "stimulus": self.design.get("stimuli"), "group": self.design.get("groups"),
-                "session_kind": len(kinds_of(self.design)) > 1}  # fmt: skip
-        return (*(name for name, section in sections.items() if section), *(answers.get("then") or {}))
 
 
 @dataclass(frozen=True)
@@ -376,8 +322,9 @@ class Responses:
         if speed == "delivered":
             if "delivered_mm_s" not in self.frame:
                 given = "answers without a delivered speed"
-                allowed = "sessions with `stimulus.fingers: measured`"
-                raise InputError.of(self.source.path, given, allowed, "take --speed predicted")
+                raise InputError.of(
+                    self.source.path, given, "sessions with `stimulus.fingers: measured`", "take --speed predicted"
+                )
             speeds, scale = self.frame["delivered_mm_s"].fillna(speeds), DELIVERED
         if not self.is_adaptive:
             speeds = speeds.groupby(self.frame[column]).transform("mean")

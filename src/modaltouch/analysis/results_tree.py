@@ -290,7 +290,6 @@ def _open_logs(place: Path) -> list[SessionAnswers]:
 
 
 def _open_labs(*places: Path) -> list[SessionAnswers]:
-    """Open the sessions of several labs, labelled by folder name."""
     names = [place.resolve().name for place in places]
     if twice := next((name for name in names if names.count(name) > 1), None):
         given = f"several folders named {twice!r}"

@@ -94,8 +94,14 @@ def chance_tests(answers: AnswerCounts) -> FamilyResult | None:
         ]
 
     share = Interval.point(clopper_pearson(kinds[..., felt].max(axis=-1), n).estimate, n)
-    quantities = [f"P({label})" for label in named]
-    return FamilyResult([scope for _, scope in cells], quantities, multinomial_test(kinds[..., felt]), share, n, notes)
+    return FamilyResult(
+        [scope for _, scope in cells],
+        [f"P({label})" for label in named],
+        multinomial_test(kinds[..., felt]),
+        share,
+        n,
+        notes,
+    )
 
 
 def _cells_of(answers: AnswerCounts) -> tuple[list[tuple[int, str]], IntArray]:
@@ -376,7 +382,6 @@ def uncorrected(answers: AnswerCounts, frame: pd.DataFrame, of_design: Iterable[
 
 
 def _choice_findings(answers: AnswerCounts) -> Iterator[Finding]:
-    """Yield the findings on answers chosen from a list."""
     for family in STATISTICS:
         yield from (own := list(family_findings(family, answers)))
         if family == "a1" and own:

@@ -13,14 +13,13 @@ import pandas as pd
 
 from modaltouch.analysis.balance import check_balance, check_doubling, check_unit
 from modaltouch.analysis.columns import OWN_THRESHOLD, VELOCITY, zones_of
-from modaltouch.analysis.csv_table import Table, list_faults, read_table
+from modaltouch.analysis.csv_table import Table, TableFormat, list_faults, read_table
 from modaltouch.analysis.responses import (
     MODES,
     REQUIRED,
     AnswerSource,
     ExcludedSource,
     Responses,
-    TableFormat,
     answers_per_cell,
     kinds_of,
     missing_answer_notes,
@@ -174,16 +173,9 @@ def _foci(frame: pd.DataFrame, design: Mapping[str, Any]) -> list[str]:
     return [str(own.get(name, {}).get("focus") or focal) for name in frame.get("stimulus", [""] * len(frame))]
 
 
-def _questions(design: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """Return the section of each question by column, for the question of the trial and further questions."""
-    section = design.get("answers") or {}
-    return {"value": {"scale": section.get("scale")}, **(section.get("then") or {})}
-
-
 def _frame_of(
     columns: _Columns, fields: pd.DataFrame, counts: pd.Series, table_format: TableFormat
 ) -> tuple[pd.DataFrame, AnswerList]:
-    """Return the values of all rows, and the answers offered."""
     answers = table_format.answers
     # An empty column of zones belongs to an unused finger.
     absent = [name for name in zones_of(fields.columns)[1:] if set(fields[name]) <= set(_EMPTY)]
@@ -199,19 +191,20 @@ def _frame_of(
     frame[level.column] = columns.numbers(
         level.column, levels[level], lambda value: _LEAST_LEVEL <= value <= _MOST, where=counts
     )
-    given = {table_format.words.get(word, word) for word in fields["response"].cat.categories}
+    meant = {table_format.words.get(word, word) for word in fields["response"].cat.categories}
     remedy = "map it as in --answers L=left,R=right, or, if it stands for no answer, name it with --missing"
     if answers is None:
-        answers = AnswerList.of_words(("none",) if "none" in given else ())
+        answers = AnswerList.of_words(("none",) if "none" in meant else ())
         remedy += "; or name the protocol that offers other answers with --protocol"
     frame["response"] = columns.answers("response", answers.ranked.names, remedy, table_format)
     frame["n"] = columns.whole_numbers("n", 0, _MOST) if "n" in fields else 1
     if "repetition" in fields:
         frame["repetition"] = columns.whole_numbers("repetition", 1)
-    asked = _questions(table_format.design)
+    section = table_format.design.get("answers") or {}
+    asked = {"value": {"scale": section.get("scale")}, **(section.get("then") or {})}
     for name in fields.columns.difference([*frame.columns, "catch", VELOCITY.column, OWN_THRESHOLD.column], sort=False):
-        if section := asked.get(name, {}).get("scale"):
-            scale, words = ScaleSection.model_validate(section), table_format.missing
+        if given := asked.get(name, {}).get("scale"):
+            scale, words = ScaleSection.model_validate(given), table_format.missing
             frame[name] = columns.numbers(name, f"{scale.allowed}, or nothing", scale.takes, empty=True, missing=words)
         elif listed := asked.get(name, {}).get("keys"):
             frame[name] = columns.answers(name, tuple(listed), "leave it empty, or see --missing", table_format)
@@ -352,9 +345,14 @@ class _Columns:
         )
         if (middle := values.median()) > _LONG:
             line, given = int(values.index[values > _LONG][0]), f"a median time of {middle:g} s"
-            remedy = "divide times in milliseconds by 1000"
             self.problems.append(
-                self._table.problem(line, name, given, f"seconds, with a median of at most {_LONG:g}", remedy)
+                self._table.problem(
+                    line,
+                    name,
+                    given,
+                    f"seconds, with a median of at most {_LONG:g}",
+                    "divide times in milliseconds by 1000",
+                )
             )
         return values
 
@@ -395,8 +393,7 @@ class _Columns:
 
         def problem(fault: tuple[Any, str]) -> Problem:
             line, zone = fault
-            given = f"zone {zone!r} under both fingers"
-            return self._table.problem(line, "zone_right", given, allowed, remedy)
+            return self._table.problem(line, "zone_right", f"zone {zone!r} under both fingers", allowed, remedy)
 
         same = zones.loc[zones["zone_left"] == zones["zone_right"], "zone_right"]
         self.problems += list_faults(

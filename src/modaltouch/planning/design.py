@@ -144,9 +144,16 @@ def designs_for(preflight: Preflight, observer: Observer) -> dict[str, Design]:
     """
     preflight = of_analysed_kind(preflight)
     protocol = preflight.experiment.protocol
-    adaptive = "adaptive runs, which have no fixed conditions"
-    remedy = "let `modaltouch prereg` say how precisely thresholds will be known, or plan with fixed levels"
-    _refuse(preflight, (protocol.adaptive, ("adaptive",), adaptive, "fixed levels", remedy))
+    _refuse(
+        preflight,
+        (
+            protocol.adaptive,
+            ("adaptive",),
+            "adaptive runs, which have no fixed conditions",
+            "fixed levels",
+            "let `modaltouch prereg` say how precisely thresholds will be known, or plan with fixed levels",
+        ),
+    )
     refuse_own_levels(preflight)
     refuse_unlike(preflight)
     placements = _placements(protocol)
@@ -228,7 +235,6 @@ def _refuse(preflight: Preflight, *known: tuple[object, tuple[str, ...], str, st
 
 
 def _design(name: str, preflight: Preflight, observer: Observer, placements: tuple[bool, ...]) -> Design:
-    """Return the design of one stimulus of a protocol."""
     protocol = preflight.experiment.protocol
     felt = felt_speeds(preflight, observer.front_end)
     conditions = protocol.conditions

@@ -105,7 +105,6 @@ class DrawnParticipants:
     def _shares_felt(
         self, speeds: FloatArray, finger_conditions: Sequence[str], facing: ArrayLike, *, offers_nothing: bool
     ) -> FloatArray:
-        """Return the probabilities as in `shares` for given felt speeds."""
         from scipy.special import ndtr
 
         felt = speeds + self.typical.floor
@@ -121,8 +120,7 @@ class DrawnParticipants:
         named = np.stack([ndtr((-limit - expected) / scale), ndtr((expected - limit) / scale)])
         if offers_nothing:
             # The detection threshold varies from trial to trial with the noise of the comparison.
-            margin = np.log(np.maximum(speeds.max(axis=1), _LEAST_NOISE) / self.typical.floor)
-            nothing = ndtr(-margin / scale)
+            nothing = ndtr(-np.log(np.maximum(speeds.max(axis=1), _LEAST_NOISE) / self.typical.floor) / scale)
             named = np.stack([*(named * (1 - nothing)), nothing])
         guessed = self.typical.lapse_rate / (4 if offers_nothing else 3)
         return np.asarray((1 - self.typical.lapse_rate) * named + guessed)

@@ -228,8 +228,7 @@ class Participant:
         return named[chosen], reaction_time
 
     def _reaction_time(self, margin: float, noise: float, pace: float) -> float:
-        difficulty = math.exp(-margin / max(noise, _LEAST_FLOOR))
-        median = self.decision_time * (1 + self.hesitation * difficulty)
+        median = self.decision_time * (1 + self.hesitation * math.exp(-margin / max(noise, _LEAST_FLOOR)))
         return self.quickest + median * math.exp(self.decision_spread * pace)
 
 

@@ -338,9 +338,14 @@ def _draw_curves(place: Axes, rows: list[dict[str, Any]], mark: float) -> None:
         n = [row["n_participants"] for row in own]
         colour = report.PAIR_COLOURS[i % len(report.PAIR_COLOURS)]
         place.fill_between(n, [row["low"] for row in own], [row["high"] for row in own], color=colour, alpha=0.25, lw=0)
-        style = _LINE_STYLES[i % len(_LINE_STYLES)]
         place.plot(
-            n, [row["power"] for row in own], color=colour, ls=style, marker="o", ms=2.5, label=f"{r} repetitions"
+            n,
+            [row["power"] for row in own],
+            color=colour,
+            ls=_LINE_STYLES[i % len(_LINE_STYLES)],
+            marker="o",
+            ms=2.5,
+            label=f"{r} repetitions",
         )
     place.axhline(mark, color=report.FAINT, lw=0.8, ls=":")
     place.set_ylim(-0.02, 1.02)

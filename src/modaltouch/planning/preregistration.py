@@ -125,12 +125,11 @@ def _public(path: Path) -> str:
 
 
 def _terms(preflight: Preflight, found: _Plan) -> dict[str, Any]:
-    protocol = preflight.experiment.protocol
     return {
         "date": datetime.now(UTC).date().isoformat(),
         **found.terms,
         "protocol (SHA-256)": preflight.experiment.sources.protocol.sha256,
-        "equivalence margin": protocol.analysis.equivalence_margin,
+        "equivalence margin": preflight.experiment.protocol.analysis.equivalence_margin,
     }
 
 
@@ -153,12 +152,13 @@ def _by_counts(
 ) -> _Plan:
     """Return the plan of a design whose answers are simulated as counts without sessions."""
     design = study.design
-    sizes = [(n_participants, design.n_repetitions)]
-    found = plan(study, sizes, n_experiments, n_processes=n_processes, on_progress=on_progress)
+    found = plan(
+        study, [(n_participants, design.n_repetitions)], n_experiments, n_processes=n_processes, on_progress=on_progress
+    )
     floors = {floor.family: floor.least_participants or "none" for floor in found.floors}
     rows = [{**row, "floor": floors[row["family"]]} for row in found.families]
-    shape = (n_participants, *design.shape, len(design.answers))
-    planned = design.count(np.zeros(shape, dtype=np.int64), design.n_repetitions)
+    nobody = np.zeros((n_participants, *design.shape, len(design.answers)), dtype=np.int64)
+    planned = design.count(nobody, design.n_repetitions)
     described: list[dict[str, Any]] = [
         {
             "name": family,
@@ -184,7 +184,6 @@ def _by_sessions(
     n_processes: int,
     on_progress: Callable[[int, int], None] | None,
 ) -> _Plan:
-    """Return the plan of a design by simulating and analysing whole sessions."""
     import joblib
 
     significant: Counter[str] = Counter()
@@ -213,8 +212,16 @@ def _by_sessions(
     again += "{threshold} --out FILE"
     terms = analysis.terms({family["name"]: len(family["scopes"]) for family in families})
     thresholds = [_describe_threshold(name, found) for name, found in estimates.items()]
-    counts = getattr(analysis, "answers", None)
-    return _Plan(counts, terms, families, rows, n_experiments, again, thresholds, analysis.design_in_words())
+    return _Plan(
+        getattr(analysis, "answers", None),
+        terms,
+        families,
+        rows,
+        n_experiments,
+        again,
+        thresholds,
+        analysis.design_in_words(),
+    )
 
 
 def _simulated(study: Callable[[int], Responses], seed: int) -> Any:
@@ -222,7 +229,6 @@ def _simulated(study: Callable[[int], Responses], seed: int) -> Any:
 
 
 def _describe_threshold(name: str, found: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Return the precision of a mean threshold over the simulated experiments."""
     bounds = [(row["threshold_low_mm_s"], row["threshold_high_mm_s"]) for row in found]
     factors = [float(np.sqrt(high / low)) for low, high in bounds if low and high]
     return {

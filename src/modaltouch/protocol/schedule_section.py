@@ -257,8 +257,7 @@ class ScheduleSection(Section):
     @property
     def all_repetitions(self) -> int:
         """Repetitions of a cell over all analysed sessions of a participant, if these are alike."""
-        left_out = sum(not kind.analysed for kind in self.session_kinds)
-        return self.repetitions * (self.n_sessions - left_out)
+        return self.repetitions * (self.n_sessions - sum(not kind.analysed for kind in self.session_kinds))
 
     def kind_of(self, session: int) -> SessionKind | None:
         """Return the kind of a participant's session, from 1; the kind of the last session for higher numbers."""

@@ -317,13 +317,12 @@ class Protocol(Section):
     def uncrossed_by(self) -> tuple[str, ...]:
         """Path of the first key that makes the design uncrossed; empty for a crossed design."""
         conditions, kinds = self.conditions, self.schedule.session_kinds
-        n_analysed = len({kind.name for kind in kinds if kind.analysed})
         known: tuple[tuple[tuple[str, ...], object], ...] = (
             (("conditions", "table"), conditions.table),
             (("conditions", "cells"), conditions.cells),
             (("conditions", "exclude"), conditions.exclude),
             (("groups",), self.groups),
-            (("schedule", "sessions"), kinds and n_analysed != 1),
+            (("schedule", "sessions"), kinds and len({kind.name for kind in kinds if kind.analysed}) != 1),
         )
         return next((path for path, value in known if value), ())
 

@@ -138,7 +138,6 @@ def refuse_other(folder: Path, command: str) -> None:
 
 
 def _new_folder(folder: Path, place: Path) -> Path:
-    """Create a temporary folder in `place`, named after `folder`."""
     try:
         place.mkdir(parents=True, exist_ok=True)
         return Path(tempfile.mkdtemp(prefix=f".{folder.name}.", suffix=".tmp", dir=place))
@@ -163,7 +162,6 @@ def _read_manifest(folder: Path) -> tuple[str, dict[str, list[str]]]:
 
 
 def _refuse_foreign_file(path: Path, own: list[str]) -> None:
-    """Refuse to replace an existing file whose hash is not among `own`."""
     if not path.exists():
         return
     try:
