@@ -43,7 +43,7 @@ def test_what_went_wrong_is_counted_with_its_sessions() -> None:
     """A cut trial and a resumed sitting of the second participant."""
     found = facts(session("p01"), session("p02", {"event": "trial_cut", "n": 3}, {"event": "resume", "n": 4}))
     assert ("trials interrupted and presented again", 1, "p02 (session 1)") in found["faults"]
-    assert [row.n_events for row in found["sessions"]] == [0, 2]
+    assert [row.faults.total() for row in found["sessions"]] == [0, 2]
 
 
 def test_settings_that_differ_are_listed() -> None:
@@ -73,7 +73,7 @@ def test_troubles_of_the_rig_are_found_among_its_exchanges() -> None:
     """Ordinary commands are no deviation, a lost connection is."""
     lost = {"event": "rig", "n": 3, "exchanges": [{"what": "scpi"}, {"what": "connection_lost"}]}
     calm = {"event": "rig", "n": 3, "exchanges": [{"what": "scpi"}]}
-    assert [row.n_events for row in facts(session("p1", lost), session("p2", calm))["sessions"]] == [1, 0]
+    assert [row.faults.total() for row in facts(session("p1", lost), session("p2", calm))["sessions"]] == [1, 0]
 
 
 def with_form(participant: str, **said: float | str):
