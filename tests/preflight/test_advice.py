@@ -137,6 +137,14 @@ def test_a_design_is_judged_by_its_cells_not_by_the_keys_that_list_them(
     assert any("there is only one level" in each for each in said) == ("80]" in listed or "80}" in listed) & is_crossed
 
 
+def test_the_levels_of_a_training_are_not_those_of_the_tests(edit: Edit) -> None:
+    """One level is enough to practise with; the tests have four."""
+    training = "{name: training, analysed: false, conditions: {peak_velocities_mm_s: [200]}}"
+    protocol = read(edit, ("schedule:\n", f"schedule:\n  sessions: [{training}, {{name: test}}]\n"))
+    assert protocol.scheduled_levels == (200,)
+    assert not any("only one level" in each for each in design_warnings(protocol))
+
+
 def test_groups_are_not_told_to_be_parts_of_a_design_that_is_not_crossed(edit: Edit) -> None:
     """They may meet the same cells; adaptive runs have no tests of parts at all."""
     said = list(design_warnings(read(edit, ("schedule:\n", "groups: {low: {}, high: {}}\nschedule:\n"))))

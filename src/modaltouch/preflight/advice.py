@@ -154,7 +154,7 @@ def design_warnings(protocol: Protocol) -> Iterator[str]:
     by = () if protocol.uncrossed_by[:1] == ("conditions",) and _is_crossed(protocol) else protocol.uncrossed_by
     if is_fixed and by:
         yield _PARTS[by[0]].format(".".join(by))
-    elif is_fixed:
+    elif is_fixed and not kinds:  # the protocol may be that of a training
         numbers = {"level": len(levels), "finger condition": n_fingers, "pair of zones": n_pairs}
         alone = " and one ".join(noun for noun, number in numbers.items() if number == 1)
         if alone:
