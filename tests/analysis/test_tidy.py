@@ -651,6 +651,13 @@ def test_who_has_no_answer_at_all_is_named_and_a_table_without_any_refused(write
         read_responses(write_csv([row | {"response": ""} for row in paper_rows]))
 
 
+@pytest.mark.parametrize("times", [1, 2])
+def test_a_table_whose_every_row_is_left_out_has_no_answers(write_csv, paper_rows, times) -> None:
+    """As where the column marks the rows to keep instead."""
+    with pytest.raises(InputError, match="given no answers; allowed: at least one answer that is not practice"):
+        read_responses(write_csv([row | {"excluded": 1} for row in paper_rows * times]))
+
+
 @pytest.mark.parametrize("times", [2, 3])
 def test_a_table_that_stands_there_several_times_is_told(write_csv, paper_rows, times) -> None:
     """Repetitions of clear cells may be all alike, so they are read; one row that differs is enough to say nothing."""

@@ -43,7 +43,8 @@ def check_balance(table: Table, frame: pd.DataFrame, *, is_crossed: bool = True)
         Whether the design is crossed. If not, every trial has a row, and only duplicate rows are reported.
     """
     if frame["n"].sum() == 0:
-        return [Problem(table.file, 1, 1, "", "no answers", "at least one answer that is not practice", "")], 0
+        remedy = "look at the columns excluded, practice, catch and n, as far as there are any"
+        return [Problem(table.file, 1, 1, "", "no answers", "at least one answer that is not practice", remedy)], 0
     again = [*_doubled(table, frame), *_copied(table, frame)]
     if not is_crossed:
         return again, 0
@@ -105,7 +106,7 @@ def check_doubling(table: Table, frame: pd.DataFrame, most: int | None) -> tuple
         Most answers of a participant in a cell, according to the protocol; None if unknown.
     """
     times = math.gcd(*pd.util.hash_pandas_object(table.fields, index=False).value_counts().tolist())
-    if times < 2:
+    if times < 2 or frame.empty:
         return [], []
     cell = [*cell_of(frame.columns), *({"stimulus"} & {*frame.columns})]
     found = int(frame.groupby(["participant", *cell], observed=True)["n"].sum().max())

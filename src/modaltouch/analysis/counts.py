@@ -344,9 +344,8 @@ def count_answers(
         If a response is not one of the answers.
     """
     participants = sorted(map(str, frame["participant"].unique()), key=_natural)
-    named = list(map(str, frame["finger_condition"].unique()))
+    names, named = zones_of(frame.columns), list(map(str, frame["finger_condition"].unique()))
     conditions = sorted(named, key=[*PAPER_CONDITIONS, *named].index)
-    names = zones_of(frame.columns)
     touched = sorted({str(zone) for name in names for zone in frame[name].unique()})
     placed = np.stack([_codes(frame[name], touched) for name in names])
     joint, pairing = np.unique(np.ravel_multi_index(tuple(placed), (len(touched),) * len(names)), return_inverse=True)

@@ -84,9 +84,8 @@ def read_csv(
         asked = unmirror(frame[counts], answers)
         is_whole, parts = _is_crossed(table_format.design), _parts(asked, table_format.design)
         checked = [check_balance(table, part, is_crossed=is_whole) for part in parts]
-        columns.problems += [problem for problems, _ in checked for problem in problems]
-    if not columns.problems:
-        columns.problems, noted = check_doubling(table, asked, table_format.most)
+        doubled, noted = check_doubling(table, asked, table_format.most)
+        columns.problems += [problem for problems, _ in checked for problem in problems] or doubled
     if columns.problems:
         raise InputError(columns.problems)
     left_out += [ExcludedSource(f"{table.file}: {rows.sum()} rows", why) for why, rows in apart.items() if rows.any()]
@@ -158,7 +157,7 @@ def _parts(asked: pd.DataFrame, design: Mapping[str, Any]) -> list[pd.DataFrame]
     by = ["stimulus", *["group"] * ("group" in asked and bool(design.get("groups")))]
     by += ["session_kind"] * ("session_kind" in asked)
     named = asked if "stimulus" in asked else asked.assign(stimulus="")
-    return [part for _, part in named.groupby(by, sort=False)]
+    return [part for _, part in named.groupby(by, sort=False)] or [named]
 
 
 def _is_crossed(design: Mapping[str, Any]) -> bool:

@@ -83,8 +83,7 @@ def power(
     sizes_r = parse_sizes(reps, "--reps", _MOST_ANSWERS) if reps is not None else None
     with reporting(json_output=json_output):
         model = planning.Observer.read(observer)
-        checked = preflight.examine(protocol, uncalibrated=True).require()
-        designs = planning.designs_for(checked, model)
+        designs = planning.designs_for(preflight.examine(protocol, uncalibrated=True).require(), model)
         first = next(iter(designs.values()))
         repetitions = sizes_r or (first.n_repetitions,)
         n_answers = max(sizes_n) * max(repetitions) * len(first.levels)
