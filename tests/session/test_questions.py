@@ -233,8 +233,8 @@ def test_what_cannot_have_been_answered_is_found(
             "then.level: given level, which is already a column of the table of answers",
         ),
         (
-            KEYS + "  then: {duration: {scale: {kind: vas}}}\n",
-            "then.duration: given duration, which has another meaning in BIDS",
+            KEYS + "  then: {stim_file: {scale: {kind: vas}}}\n",
+            "then.stim_file: given stim_file, which has another meaning in BIDS",
         ),
         (KEYS + "  then: {sure: {scale: {kind: vas}}}\n", "given 'sure', which has no text in english.yaml"),
         (

@@ -54,8 +54,8 @@ speed_between_mm_s delivered_mm_s log_line value n mode standard_mm_s correct le
 """
 RESERVED_COLUMNS = frozenset(_TAKEN.split())
 """Fixed columns of a table of answers."""
-BIDS_COLUMNS = frozenset({"HED", "duration", "stim_file"})
-"""Columns to which BIDS itself gives a meaning that no question has: tags, length of an event, a file."""
+BIDS_COLUMNS = frozenset({"HED", "stim_file"})
+"""Columns to which BIDS itself gives a meaning that no question has: tags, and a file that must exist."""
 
 _BOUNDS = {"vas": (0.0, 100.0), "likert": (1.0, 7.0)}
 _MOST_POINTS, _MOST_STEPS = 11, 1000
