@@ -119,7 +119,7 @@ def check_people(reading: Reading[Any]) -> Iterator[Problem]:
                 "leave it out, ask for the age instead of a birthday, or write `identifies: true`",
                 at_key=True,
             )
-        if name in ("participant_id", "group", "HED"):
+        if name in ("participant_id", "HED") or (name == "group" and reading.keys("groups")):
             what = "has another meaning in BIDS" if name == "HED" else "is already a column"
             yield reading.problem(("people", name), f"{name}, which {what}", "any other name", at_key=True)
 
