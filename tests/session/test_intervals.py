@@ -238,12 +238,13 @@ def test_the_console_tells_which_interval_plays(recorded: Session) -> None:
 @pytest.mark.parametrize("rule", ["correct", "second"])
 def test_a_run_follows_from_right_answers_or_from_one_that_is_named(tmp_path: Path, rule: str) -> None:
     """Verification computes every level from the answers before; no success lifts it, no failure lowers it."""
+    places = "[1, 2]" if rule == "correct" else "[2]"
     run = f"adaptive: {{method: staircase, trials: 8, start_mm_s: 130, success: {rule}, guess_rate: 0.5, "
     file = write(
         tmp_path,
         ("peak_velocities_mm_s: [70, 80, 90, 110, 125, 140]", "peak_velocities_mm_s: [100, 150]"),
         ("schedule:\n  repetitions: 1", run + "staircase: {down_after: 2, steps_dB: [1]}}\n\nschedule:"),
-        ("asked: stronger", "asked: comparison"),
+        ("asked: stronger", f"comparison_in: {places}\n  asked: comparison"),
     )
     session = simulate_session(file, "p01", tmp_path)
     verdict = audit_session(session)

@@ -82,7 +82,10 @@ def test_what_must_identify_a_person_says_so(edit: Callable[..., Path]) -> None:
         ("age: {kind: number, question: Age?, lowest: 30, highest: 20}", "given bounds for a number, 30 to 20"),
         ("note: {kind: text, question: Note?, lowest: 30}", "given bounds for a text, 30 to any"),
         ("participant_id: {kind: text, question: Code?}", "given participant_id, which is already a column"),
-        ("group: {kind: text, question: Group?}\ngroups: {low: {}, high: {}}", "given group, which is already a column"),
+        (
+            "group: {kind: text, question: Group?}\ngroups: {low: {}, high: {}}",
+            "given group, which is already a column",
+        ),
         ("HED: {kind: text, question: Tags?}", "given HED, which has another meaning in BIDS"),
     ],
 )

@@ -144,6 +144,7 @@ def _check_success(reading: Reading[Any]) -> Iterator[Problem]:
                 )
     offered, at = offered_answers(reading), ("adaptive", "success")
     several = reading.keys("intervals") is not None
+    is_moved = several and len(reading.sound("intervals", "comparison_in") or (1, 2)) > 1
     if success == "correct":
         yield from _check_correct(reading, offered)
     elif success not in ("focus_named", "felt", *offered.names):
@@ -151,6 +152,13 @@ def _check_success(reading: Reading[Any]) -> Iterator[Problem]:
             at, "a rule or an answer", dict.fromkeys(["focus_named", "felt", "correct", *offered.names])
         )
     yield from reading.faults(
+        (
+            is_moved and isinstance(offered.named(success).interval, int),
+            at,
+            f"{success}, but the comparison is not always in that interval",
+            "correct",
+            "count `correct` as success, or give the comparison one place with intervals.comparison_in",
+        ),
         (
             success == "felt" and "felt" not in offered.names and offered.naming() is None,
             at,
