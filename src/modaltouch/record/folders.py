@@ -334,5 +334,5 @@ def refuse_existing(path: Path) -> None:
     if path.exists():
         raise RecordExistsError(
             f"{path}: this session exists already and is never overwritten; "
-            f"continue it with `modaltouch resume {path.parent}`, or give another --session number"
+            f"continue it with `modaltouch resume {path.parent}`, or give another --session number or --results folder"
         )
