@@ -171,8 +171,8 @@ def _resolved(root: dict[str, Any], schema: dict[str, Any]) -> dict[str, Any]:
 
 
 def _branches(schema: dict[str, Any]) -> list[dict[str, Any]]:
-    branches: list[dict[str, Any]] = schema.get("anyOf") or schema.get("oneOf") or [schema]
-    return branches
+    branches: list[dict[str, Any]] = schema.get("anyOf") or schema.get("oneOf") or []
+    return [leaf for branch in branches for leaf in _branches(branch)] or [schema]
 
 
 def _in_words(root: dict[str, Any], schema: dict[str, Any]) -> str:

@@ -10,6 +10,7 @@ from pydantic import Field
 
 from modaltouch.protocol.reading import read
 from modaltouch.protocol.section import Count, Positive, Section, Text
+from modaltouch.protocol.sections import Protocol
 from modaltouch.protocol.source import Source
 from modaltouch.protocol.wording import describe, suggest_number
 
@@ -133,6 +134,13 @@ def test_an_unreadable_text_has_no_sound_values() -> None:
 def test_what_is_allowed_is_said_in_words(path: tuple[str | int, ...], words: str) -> None:
     """The annotations of the model above, in plain English."""
     assert describe(File, path) == words
+
+
+def test_a_choice_of_types_within_another_is_described_too() -> None:
+    """A stimulus of several may leave out a key that is a number or a list."""
+    number_or_list = describe(Protocol, ("stimulus", "selected_modes"))
+    assert number_or_list.startswith("a whole number of at least 1 or a list of at least 1")
+    assert describe(Protocol, ("stimuli", "fast", "selected_modes")) == f"{number_or_list} or null"
 
 
 @pytest.mark.parametrize(
