@@ -251,4 +251,7 @@ def smallest_type(
     words = {mark for picture in every for mark in picture.marks if isinstance(mark, Words)}
     set_type = typesetter_of(texts).set_type
     # A capital of Noto Sans, which the other Noto fonts match, is 0.714 em high.
-    return min((0.714 * set_type(mark, size[1]).size, mark.text) for mark in words)
+    return min(
+        ((0.714 * set_type(mark, size[1]).size, mark.text) for mark in words),
+        key=lambda found: (found[0], -len(found[1])),  # of words that share a size, the longest decides it
+    )
