@@ -81,12 +81,8 @@ def test_what_must_identify_a_person_says_so(edit: Callable[..., Path]) -> None:
         ("age: {kind: number, question: Age?, choices: [1, 2]}", "people.age.choices"),
         ("age: {kind: number, question: Age?, lowest: 30, highest: 20}", "given bounds for a number, 30 to 20"),
         ("note: {kind: text, question: Note?, lowest: 30}", "given bounds for a text, 30 to any"),
-        ("participant_id: {kind: text, question: Code?}", "given participant_id, which is already a column"),
-        (
-            "group: {kind: text, question: Group?}\ngroups: {low: {}, high: {}}",
-            "given group, which is already a column",
-        ),
-        ("HED: {kind: text, question: Tags?}", "given HED, which has another meaning in BIDS"),
+        ("participant_id: {kind: text, question: Code?}", "given participant_id, to which BIDS gives another meaning"),
+        ("HED: {kind: text, question: Tags?}", "given HED, to which BIDS gives another meaning"),
     ],
 )
 def test_a_question_that_cannot_be_asked_is_refused(edit: Callable[..., Path], line: str, said: str) -> None:

@@ -226,15 +226,15 @@ def test_what_cannot_have_been_answered_is_found(
         ),
         (
             KEYS + "  then: {trial: {scale: {kind: vas}}}\n",
-            "then.trial: given trial, which is already a column of the table of answers",
+            "then.trial: given trial, which has another meaning in the table of answers",
         ),
         (
             KEYS + "  then: {level: {scale: {kind: vas}}}\n",
-            "then.level: given level, which is already a column of the table of answers",
+            "then.level: given level, which has another meaning in the table of answers",
         ),
         (
             KEYS + "  then: {stim_file: {scale: {kind: vas}}}\n",
-            "then.stim_file: given stim_file, which has another meaning in BIDS",
+            "then.stim_file: given stim_file, which has another meaning in the table of answers",
         ),
         (KEYS + "  then: {sure: {scale: {kind: vas}}}\n", "given 'sure', which has no text in english.yaml"),
         (

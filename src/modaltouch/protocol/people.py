@@ -119,9 +119,9 @@ def check_people(reading: Reading[Any]) -> Iterator[Problem]:
                 "leave it out, ask for the age instead of a birthday, or write `identifies: true`",
                 at_key=True,
             )
-        if name in ("participant_id", "HED") or (name == "group" and reading.keys("groups")):
-            what = "has another meaning in BIDS" if name == "HED" else "is already a column"
-            yield reading.problem(("people", name), f"{name}, which {what}", "any other name", at_key=True)
+        if name in ("participant_id", "HED"):
+            given = f"{name}, to which BIDS gives another meaning"
+            yield reading.problem(("people", name), given, "any other name", "choose another", at_key=True)
 
 
 def read_people(fields: Mapping[str, PersonField], path: Path) -> dict[str, float | str | None]:

@@ -51,11 +51,10 @@ finger_left finger_right finger_between placement velocity_mm_s multiple_of_thre
 repetition response response_time response_onset response_uncertainty answered_by way double confirmed onset
 onset_uncertainty n_bursts n_bursts_dropped repetition_by presentation device speed_left_mm_s speed_right_mm_s
 speed_between_mm_s delivered_mm_s log_line value n mode standard_mm_s correct level pair zone zones dominant
+HED stim_file
 """
 RESERVED_COLUMNS = frozenset(_TAKEN.split())
-"""Fixed columns of a table of answers."""
-BIDS_COLUMNS = frozenset({"HED", "stim_file"})
-"""Columns to which BIDS itself gives a meaning that no question has: tags, and a file that must exist."""
+"""Fixed columns of a table of answers, and two to which BIDS gives a meaning: tags, and a file that must exist."""
 
 _BOUNDS = {"vas": (0.0, 100.0), "likert": (1.0, 7.0)}
 _MOST_POINTS, _MOST_STEPS = 11, 1000
@@ -308,12 +307,10 @@ def check_questions(reading: Reading[Any]) -> Iterator[Problem]:
     yield from _check_scale(reading, (*answers, "scale"))
     for section in (("answers", "then"), ("form",)):
         for name in reading.keys(*section) or ():
-            is_bids = name in BIDS_COLUMNS
-            if is_bids or name in RESERVED_COLUMNS or name.endswith("_time"):
-                what = "has another meaning in BIDS" if is_bids else "is already a column of the table of answers"
+            if name in RESERVED_COLUMNS or name.endswith("_time"):
                 yield reading.problem(
                     (*section, name),
-                    f"{name}, which {what}",
+                    f"{name}, which has another meaning in the table of answers",
                     "any other name",
                     "choose another",
                     at_key=True,
