@@ -93,8 +93,9 @@ class ShapeTable(Section):
         from modaltouch.stimulus import MeasuredShapes
 
         values = {mode.label: mode.values for mode in self.modes}
-        shapes = np.array([values[label] for label in labels])
-        return MeasuredShapes(labels, np.array(self.position_mm) * 1e-3, shapes, length)
+        return MeasuredShapes(
+            labels, np.array(self.position_mm) * 1e-3, np.array([values[label] for label in labels]), length
+        )
 
 
 def check_shapes(reading: Reading[Any]) -> Iterator[Problem]:

@@ -144,7 +144,6 @@ def _check_success(reading: Reading[Any]) -> Iterator[Problem]:
                 )
     offered, at = offered_answers(reading), ("adaptive", "success")
     several = reading.keys("intervals") is not None
-    is_moved = several and len(reading.sound("intervals", "comparison_in") or (1, 2)) > 1
     if success == "correct":
         yield from _check_correct(reading, offered)
     elif success not in ("focus_named", "felt", *offered.names):
@@ -153,7 +152,9 @@ def _check_success(reading: Reading[Any]) -> Iterator[Problem]:
         )
     yield from reading.faults(
         (
-            is_moved and isinstance(offered.named(success).interval, int),
+            several
+            and len(reading.sound("intervals", "comparison_in") or (1, 2)) > 1
+            and isinstance(offered.named(success).interval, int),
             at,
             f"{success}, but the comparison is not always in that interval",
             "correct",

@@ -292,8 +292,11 @@ class Session:
     @property
     def complete(self) -> bool:
         """Whether all scheduled trials are answered, practice excluded, and the closing form is filled in."""
-        asked = self.start.get("design", {}).get("form", {})
-        return bool(self.start) and not self.lacks_trials and asked.keys() <= self.form.keys()
+        return (
+            bool(self.start)
+            and not self.lacks_trials
+            and self.start.get("design", {}).get("form", {}).keys() <= self.form.keys()
+        )
 
     @property
     def unfit(self) -> str:
