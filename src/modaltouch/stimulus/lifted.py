@@ -92,7 +92,7 @@ def _raised(
     n_blocks = highest.shape[1]
     swing = np.exp(np.outer(np.arange(_BLOCK), rate)) * output[:, None]
     swing_parts = np.concatenate([swing.real, -swing.imag], axis=2)
-    for block in np.argsort(-(bound - peak[:, None]).max(axis=0)).tolist():
+    for block in range(n_blocks):
         which = np.flatnonzero(bound[:, block] > peak)
         later = np.maximum(np.arange(n_blocks - block) - 1, 0) * _BLOCK
         faded = np.exp(np.outer(rate.real, later)) * size[:, block, None]
