@@ -74,7 +74,10 @@ def check(
     ] = None,
     export: Annotated[
         Path | None,
-        typer.Option(help="Also write the voltages at the beam, at the highest level, into this .npz file."),
+        typer.Option(
+            help="Also write the drive at the highest level into this .npz file: `time_s`, the start of each sample "
+            "at the beam, and `voltage_V`, held until the next, before the pole of an amplifier with a bandwidth."
+        ),
     ] = None,
     tolerance: _TOLERANCE = None,
 ) -> None:

@@ -82,6 +82,14 @@ class Acquisition:
         if len(set(self.drives)) < len(self.drives) or not set(self.drives) <= set(OUTPUTS):
             raise ValueError(f"drives are {self.drives}: name each generator output of {OUTPUTS} at most once")
 
+    def require_clock(self, rate: float) -> None:
+        """Raise RigError if the sampling rate exceeds the clock rate of the scope [Hz]."""
+        if self.sampling_rate > rate * (1 + 1e-9):
+            raise RigError(
+                f"{self.sampling_rate:g} samples per second are asked for: the scope takes at most {rate:g}; lower the "
+                "sampling rate"
+            )
+
     @property
     def n_channels(self) -> int:
         """Scope inputs in use."""
@@ -280,11 +288,7 @@ class PicoScope(Scope):
 
     def configure(self, acquisition: Acquisition) -> Acquisition:
         """Apply the settings and return them."""
-        if acquisition.sampling_rate > CLOCK:
-            raise RigError(
-                f"{acquisition.sampling_rate:g} samples per second are asked for: at most {CLOCK:g}; lower the "
-                "sampling rate"
-            )
+        acquisition.require_clock(CLOCK)
         self._disarm()
         velocity_range, drive_range = self._inputs.ranges(acquisition)
         wanted = {0: velocity_range} | dict.fromkeys(acquisition.drives, drive_range)
@@ -325,20 +329,20 @@ class PicoScope(Scope):
     def _recording(self, position: float, records: Sequence[tuple[NDArray[np.int16], int]]) -> Recording:
         """Convert records from counts and overload bits to SI units."""
         asked, (counts, overs) = self._asked, map(np.array, zip(*records, strict=True))
-        over = np.bitwise_or.reduce(overs)
-        first = round(asked.start * self._rate)
         scale = {0: self._inputs.sensitivity} | dict.fromkeys(asked.drives, self._inputs.attenuation)
         values = [
             counts[:, row].astype(float) * (self._ranges[channel] / self._full_scale * scale[channel])
             for row, channel in enumerate(self._used)
         ]
         names = ("velocity", *(f"drive {number}" for number in asked.drives))
-        cut = {name for name, channel in zip(names, self._used, strict=True) if over >> channel & 1}
+        cut = {
+            name for name, channel in zip(names, self._used, strict=True) if np.bitwise_or.reduce(overs) >> channel & 1
+        }
         if np.abs(values[0]).max() > self._inputs.highest_velocity:
             cut.add("velocity")
         return Recording(
             position=position,
-            time=(first + np.arange(asked.n_samples)) / self._rate,
+            time=(round(asked.start * self._rate) + np.arange(asked.n_samples)) / self._rate,
             velocity=values[0],
             drive=np.stack(values[1:], axis=1) if asked.drives else np.empty((len(counts), 0, asked.n_samples)),
             sampling_rate=self._rate,
@@ -376,12 +380,11 @@ class PicoScope(Scope):
         status = self._driver.ps3000aOpenUnit(ctypes.byref(self._handle), None)
         if status == NOT_FOUND:
             raise RigError("no PicoScope 3000 is found: connect it by USB, and close other programs that use it")
-        self._open = True
-        if status in (POWER_NOT_CONNECTED, NOT_A_USB3_PORT):
-            self._call("ChangePowerSource", status)
-        elif status != OK:
-            self._open = False
+        if status not in (OK, POWER_NOT_CONNECTED, NOT_A_USB3_PORT):
             raise RigError(f"the PicoScope does not open (status {status} of Pico's library): reconnect it")
+        self._open = True
+        if status != OK:
+            self._call("ChangePowerSource", status)
 
     def _about(self, what: int) -> str:
         text, needed = ctypes.create_string_buffer(32), ctypes.c_int16()
@@ -399,9 +402,7 @@ class PicoScope(Scope):
         came, over = ctypes.c_uint32(asked.n_samples), ctypes.c_int16()
         self._call("GetValues", 0, ctypes.byref(came), 1, 0, 0, ctypes.byref(over))
         if came.value != asked.n_samples:
-            raise RigError(
-                f"{asked.n_samples} samples were requested from the PicoScope, but {came.value} came: measure again"
-            )
+            raise RigError(f"the PicoScope sent {came.value} samples of {asked.n_samples}: measure again")
         return counts, over.value
 
     def _wait(self, longest: float, pause: float = 1e-3) -> tuple[float, float]:

@@ -81,11 +81,7 @@ class SimulatedScope(Scope):
         """Apply the settings and return them."""
         scope = self._twin.apparatus.twin.scope
         clock = scope.clock_MHz * 1e6
-        if acquisition.sampling_rate > clock * (1 + 1e-9):
-            raise RigError(
-                f"{acquisition.sampling_rate:g} samples per second are asked for: the scope takes at most {clock:g}; "
-                "lower the sampling rate"
-            )
+        acquisition.require_clock(clock)
         room = scope.memory_samples // acquisition.n_channels
         if acquisition.n_samples > room:
             raise RigError(
