@@ -65,21 +65,20 @@ class Afg(GeneratorState[Channel]):
         Fault: the output stage silently clips amplitudes to this value [V peak to peak, open circuit].
     """
 
-    SETTINGS = ("trigger_source", "timer", "level_concurrent", "frequency_concurrent", "trigger_output", "clock_source")
+    SETTINGS = (
+        *("channels", "trigger_source", "timer", "level_concurrent", "frequency_concurrent"),
+        *("trigger_output", "clock_source"),
+    )
 
     identity: str = "TEKTRONIX,AFG3022B,SIMULATED,SCPI:99.0 FV:3.2.2"
     min_points: int = 2
     max_points: int = 131_072
     clip_amplitude: float = math.inf
 
-    def __post_init__(self) -> None:
-        self.user: dict[int, bytes | None] = dict.fromkeys(range(1, len(MEMORIES) + 1))
-        self.locked: dict[int, bool] = dict.fromkeys(self.user, False)
-        super().__post_init__()
-
     def wipe(self) -> None:
         """Erase the USER memories and their locks."""
-        self.user, self.locked = dict.fromkeys(self.user), dict.fromkeys(self.user, False)
+        self.user: dict[int, bytes | None] = dict.fromkeys(range(1, len(MEMORIES) + 1))
+        self.locked: dict[int, bool] = dict.fromkeys(self.user, False)
 
     def forget(self) -> None:
         """Lose the edit memory; USER memories are kept."""

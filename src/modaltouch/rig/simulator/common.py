@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import copy
 import math
 import threading
 from abc import ABC, abstractmethod
@@ -125,7 +126,7 @@ class GeneratorState(ABC, Generic[C]):
         Settings stored under numbers, which outlast a power failure; number 0 holds those of the last one.
     """
 
-    SETTINGS: ClassVar[tuple[str, ...]]  # names of those that belong to no channel
+    SETTINGS: ClassVar[tuple[str, ...]]  # their names
 
     behaviour: Behaviour = field(default_factory=Behaviour)
     n_channels: int = 2
@@ -144,15 +145,12 @@ class GeneratorState(ABC, Generic[C]):
     def __post_init__(self) -> None:
         self.errors: deque[str] = deque()
         self.timeline = Timeline(self.delays, self.behaviour.retrigger, self.seed)
+        self.wipe()
         self.power_on()
 
     @abstractmethod
     def reset(self) -> None:
         """Reset as ``*RST`` does; status and errors are kept."""
-
-    @abstractmethod
-    def change(self, number: int, **settings: Any) -> None:
-        """Change amplitude, offset or limits, into an open circuit [V]; reject outputs beyond the limits."""
 
     @abstractmethod
     def forget(self) -> None:
@@ -164,13 +162,11 @@ class GeneratorState(ABC, Generic[C]):
 
     def settings(self) -> dict[str, Any]:
         """Return a copy of all settings."""
-        channels = {number: replace(channel) for number, channel in self.channels.items()}
-        return {"channels": channels} | {name: getattr(self, name) for name in self.SETTINGS}
+        return copy.deepcopy({name: getattr(self, name) for name in self.SETTINGS})
 
     def restore(self, settings: Mapping[str, Any]) -> None:
         """Restore settings; records are those now in memory."""
-        vars(self).update(settings)
-        self.channels = {number: replace(channel) for number, channel in self.channels.items()}
+        vars(self).update(copy.deepcopy(dict(settings)))
 
     @abstractmethod
     def tick(self) -> float | None:
@@ -400,7 +396,7 @@ def number(
     return Command(set=change, get=get_number(state, name, low, high, form))
 
 
-def edge(state: State, sign: int, lowest: float, form: str) -> Command:
+def edge(state: Any, sign: int, lowest: float, form: str) -> Command:
     """Return the command for the high (1) or low (-1) level of a channel, with the `lowest` amplitude [V]."""
 
     def change(number: int, arguments: Arguments) -> None:

@@ -92,11 +92,7 @@ class TrueformChannel(OutputChannel):
 class Trueform(GeneratorState[TrueformChannel]):
     """A generator with a memory for each channel."""
 
-    SETTINGS = ("byte_order", "trigger_output")
-
-    def __post_init__(self) -> None:
-        self.wipe()
-        super().__post_init__()
+    SETTINGS = ("channels", "byte_order", "trigger_output")
 
     def wipe(self) -> None:
         """Delete the files."""
