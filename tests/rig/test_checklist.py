@@ -70,10 +70,11 @@ def test_answer_follows_the_instrument(
         assert re.search(said, row["answer"])
 
 
-def test_fault_in_a_question_leaves_the_others(apparatus: Apparatus) -> None:
-    """A question that breaks the link is unanswered; the next ones are asked over a new one."""
+@pytest.mark.parametrize("fault", ["lost_reply", "wrong_reply"])
+def test_fault_in_a_question_leaves_the_others(apparatus: Apparatus, fault: Any) -> None:
+    """Without a reply, or a number in it, a question is unanswered; the next ones are asked over a new link."""
     with Simulator(apparatus) as simulator:
-        simulator.faults.inject("lost_reply", when=r"TRIG:TIM\?")
+        simulator.faults.inject(fault, when=r"^TRIG:TIM\?", value="about 140 ms")
         rows = check_rig(simulator.address, apparatus, patience=PATIENCE)
     assert [row["number"] for row in rows if row["state"] == "unanswered"] == [2]
 

@@ -67,6 +67,9 @@ UPLOAD, READ_BACK, ARM, SWITCH_ON, TRIGGER, STOP = (
     r"OUTP1\?;:OUTP2\?;:OUTP1 OFF",
 )
 
+LARGE_FILE = '#245Data Type:"short"\nData:\n99999999999999999999\n'
+"""A file with a code that no integer of the machine can hold."""
+
 MATRIX: list[tuple[str, str, Any, str, str, str]] = [
     # fault, message that meets it, value, phase, what is seen, words; as in test_faults
     ("lost_reply", "IDN", 0, "connect", "refused", "no generator answers at .* no output was switched on"),
@@ -81,6 +84,8 @@ MATRIX: list[tuple[str, str, Any, str, str, str]] = [
     ("scpi_error", UPLOAD, -222, "upload", "recovers", ""),
     ("garbled_reply", READ_BACK, 0, "upload", "recovers", ""),
     ("dropped_reply", READ_BACK, 0, "upload", "recovers", ""),
+    ("wrong_reply", READ_BACK, LARGE_FILE, "upload", "recovers", ""),
+    ("wrong_reply", r"ATTR:POIN\?", "1E99999", "upload", "recovers", ""),
     ("scpi_error", "MMEM:STOR", -250, "upload", "recovers", ""),
     ("power_cycle", "BURS:STAT ON", 0, "upload", "recovers", ""),
     ("front_panel", r"SOUR2:BURS:STAT ON", "SOUR1:FUNC SIN", "upload", "unconfirmed", "SOUR1:FUNC reads SIN"),

@@ -291,7 +291,7 @@ def _ask(connection: Connection, number: int, question: str, find: Callable[[Con
     """Answer one question, then restore any connection or setting that it disturbed."""
     try:
         state, answer, advice = find(connection)
-    except (LinkError, Unconfirmed) as error:
+    except (LinkError, Unconfirmed, ValueError) as error:  # some replies are converted to numbers
         connection.restore(f"question {number}", (), lambda: None)
         state, answer = "unanswered", str(error)
         advice = "check again; if it persists, look at the instrument"

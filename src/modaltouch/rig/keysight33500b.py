@@ -124,11 +124,11 @@ def _agrees(reply: str, figure: float) -> bool:
     decimals = len(mantissa.partition(".")[2])
     try:
         return abs(float(reply) - figure) <= 1.001 * 10.0 ** (int(exponent or 0) - decimals) * (decimals > 0) + 1e-9
-    except ValueError:
+    except (ValueError, OverflowError):
         return False
 
 
-def _read_back(controls: Controls, channel: int, name: str) -> NDArray[np.uint16] | None:
+def _read_back(controls: Controls, channel: int, name: str) -> NDArray[np.int_] | None:
     """Return the codes of a record from the file written by the instrument; None if there is no such file."""
     # Unverified: that the file contains the selected record, and the format of its header.
     controls.apply([Setting(f"SOUR{channel}:FUNC:ARB", f'"{name}"', replies=(f'"{name}"', name))])
@@ -143,9 +143,9 @@ def _read_back(controls: Controls, channel: int, name: str) -> NDArray[np.uint16
         head, _, body = content.decode("ascii").partition("Data:")
         # Files of any data type other than codes cannot be used.
         points = np.array(body.split(), dtype=int) if '"short"' in head.lower() else None
-    except ValueError as error:
+    except (ValueError, OverflowError) as error:
         raise LinkError(f"the file of {name} cannot be read ({error})") from error
-    return None if points is None else (points + ZERO).astype(np.uint16)
+    return None if points is None else points + ZERO
 
 
 def _level(name: str) -> Setting:
