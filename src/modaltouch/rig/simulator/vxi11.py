@@ -150,7 +150,7 @@ class Links:
             _TRIGGER: (lambda link, _: device.trigger(0 if link.panel else link.number), 0),
             _CLEAR: (self._clear, 0),
             **dict.fromkeys((_REMOTE, _LOCAL, _ENABLE_SERVICE), (lambda link, _: None, 0)),
-            _DESTROY_LINK: (self._destroy_link, 0),
+            _DESTROY_LINK: (lambda link, _: self.forget([link.number]), 0),
         }
 
     def __len__(self) -> int:
@@ -198,9 +198,6 @@ class Links:
             raise _Refused(_NOT_SUPPORTED)
         link = self.open(own, panel=name == PANEL)
         return struct.pack(">iII", link.number, 0, LARGEST_MESSAGE)
-
-    def _destroy_link(self, link: _Link, parameters: bytes) -> None:
-        self.forget([link.number])
 
     def _write(self, link: _Link, parameters: bytes) -> bytes:
         *_, flags, length = struct.unpack_from(">iIIiI", parameters)
