@@ -369,6 +369,17 @@ def test_another_instrument_at_the_address_is_refused(loaded: Generator, simulat
         loaded.stop()
 
 
+def test_one_garbled_identity_is_asked_again(loaded: Generator, simulator: Simulator, burst: Burst) -> None:
+    """Half a reply to ``*IDN?`` after a lost link: the session goes on with the same instrument."""
+    loaded.fire(0.1)
+    simulator.faults.inject("truncated_reply", when="IDN")
+    simulator.server.drop_connections()
+    loaded.stop()
+    assert not simulator.faults.any
+    assert loaded.fire(0.2).started
+    assert_plays(simulator, burst, (12.0, 8.0))
+
+
 def test_unreadable_blocks_fall_back_to_spots(
     simulator: Simulator, open_generator: Callable[..., Generator], burst: Burst, heard: Any
 ) -> None:

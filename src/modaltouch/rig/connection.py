@@ -257,8 +257,11 @@ class Connection:
         self.controls.open()
         identity = self.controls.ask("*IDN?")
         if identity != self.identity:
+            # A single garbled reply does not make another instrument.
+            identity = self.controls.ask("*IDN?")
+        if identity != self.identity:
             raise RigError(
-                f"{self.address} now answers as '{identity}' instead of '{self.identity}'; the outputs of the latter "
+                f"{self.address} now answers as '{identity[:100]}' instead of '{self.identity}'; the outputs of the latter "
                 "may be on: SWITCH THE AMPLIFIER OFF; connect one generator and start again"
             )
         found = self.controls.outputs_off()
