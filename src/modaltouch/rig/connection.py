@@ -261,8 +261,8 @@ class Connection:
             identity = self.controls.ask("*IDN?")
         if identity != self.identity:
             raise RigError(
-                f"{self.address} now answers as '{identity[:100]}' instead of '{self.identity}'; the outputs of the latter "
-                "may be on: SWITCH THE AMPLIFIER OFF; connect one generator and start again"
+                f"{self.address} now answers as '{identity[:100]}' instead of '{self.identity}'; the outputs of the "
+                "latter may be on: SWITCH THE AMPLIFIER OFF; connect one generator and start again"
             )
         found = self.controls.outputs_off()
         self.guard.disarm()
