@@ -87,22 +87,19 @@ def _raised(
     """
     highest = BlockKernel.blocks(np.abs(speed), _BLOCK).max(axis=2)
     size = _BETWEEN * BlockKernel.blocks(np.abs(difference), _BLOCK // SHORT).max(axis=2)
-    from_here = np.maximum.accumulate(highest[:, ::-1], axis=1)[:, ::-1]
-    bound = from_here + np.abs(output) @ size
     n_blocks = highest.shape[1]
     swing = np.exp(np.outer(np.arange(_BLOCK), rate)) * output[:, None]
     swing_parts = np.concatenate([swing.real, -swing.imag], axis=2)
     for block in range(n_blocks):
-        which = np.flatnonzero(bound[:, block] > peak)
         later = np.maximum(np.arange(n_blocks - block) - 1, 0) * _BLOCK
         faded = np.exp(np.outer(rate.real, later)) * size[:, block, None]
-        near = highest[which, block:] + np.abs(output[which]) @ faded > peak[which, None]
+        near = highest[:, block:] + np.abs(output) @ faded > peak[:, None]
         away = difference[:, block * _BLOCK // SHORT : (block + 1) * _BLOCK // SHORT]
         since = SHORT * np.arange(away.shape[1])
         for ahead in np.flatnonzero(near.any(axis=0)).tolist():
             begun = np.exp(np.outer(rate, ahead * _BLOCK - since)) * away
             begun_parts = np.concatenate([begun.real, begun.imag])
-            for point in which[near[:, ahead]].tolist():
+            for point in np.flatnonzero(near[:, ahead]).tolist():
                 some = speed[point, (block + ahead) * _BLOCK :][:_BLOCK, None]
                 found = np.abs(some + swing_parts[point, : some.size] @ begun_parts)
                 if not ahead:  # no decay before the fingers are lifted
