@@ -220,3 +220,12 @@ def test_a_labview_file_must_hold_what_its_header_says(tmp_path: Path, change: t
     (tmp_path / "a.lvm").write_text(HEAD.replace(*change) + "\n".join(rows))
     with pytest.raises(ValueError, match=f"a.lvm: {said}"):
         read_responses([tmp_path / "a.lvm"])
+
+
+def test_frequencies_that_are_complex_are_refused(tmp_path: Path) -> None:
+    """They were read with a warning of numpy, and their imaginary part was dropped."""
+    bins = np.arange(64)
+    response = (bins + 1j)[None, None]
+    np.savez(tmp_path / "a.npz", frequency=bins + 1j, response=response, sets=["centre"], positions=[0.0])
+    with pytest.raises(ValueError, match="cannot be read .*complex"):
+        read_responses([tmp_path / "a.npz"], ResponseFormat("velocity"))

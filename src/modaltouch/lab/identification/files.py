@@ -395,7 +395,7 @@ def _read_npz(path: Path, how: ResponseFormat) -> Part:
         with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
             arrays = dict(file)
         over_time = "time" in arrays
-        axis = np.asarray(arrays["time" if over_time else "frequency"], dtype=float)
+        axis = arrays["time" if over_time else "frequency"].astype(float, casting="same_kind")
         values = arrays["drive"] + 1j * arrays["motion"] if over_time else np.asarray(arrays["response"], dtype=complex)
         sets = [str(name) for name in arrays["sets"]]
         n_points = values.shape[-2]
