@@ -52,9 +52,7 @@ class FieldSection(Section):
         "raised_cosine",
         "gaussian",
         "sampled",
-    ] = described(
-        "Shape of the velocity along the beam; sampled: straight lines between points.", default="triangle"
-    )
+    ] = described("Shape of the velocity along the beam; sampled: straight lines between points.", default="triangle")
     base_mm: Positive = described(
         "Width of its base; for the gaussian, its full width at half maximum [mm].", default=56.0
     )
