@@ -253,5 +253,5 @@ def smallest_type(
     # A capital of Noto Sans, which the other Noto fonts match, is 0.714 em high.
     return min(
         ((0.714 * set_type(mark, size[1]).size, mark.text) for mark in words),
-        key=lambda found: (found[0], -len(found[1])),  # of words that share a size, the longest decides it
+        key=lambda found: (found[0], -len(found[1]), found[1]),  # of words that share a size, the longest decides it
     )
