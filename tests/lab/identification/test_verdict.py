@@ -271,6 +271,13 @@ def test_exchanged_sets_are_no_error_of_units(clean: FrequencyResponses, apparat
         check_gains(found, apparatus)
 
 
+def test_a_wrong_unit_is_no_exchange_of_sets(clean: FrequencyResponses, apparatus: Apparatus) -> None:
+    """Each set moves the other's modes by a tenth: times g, these are the other's gains, but its own are tenfold."""
+    found = identify(replace(clean, response=9.80665 * clean.response), 0.1, most=0)
+    with pytest.raises(ValueError, match="times those of .*an acceleration in g was taken for m/s.2"):
+        check_gains(found, apparatus)
+
+
 def test_sets_between_which_the_beam_drifted_are_marked(clean: FrequencyResponses, beam: TrueBeam) -> None:
     """Two resonances of one shape, each fitted well: no noise is left, yet the gains are wrong."""
     later = replace(beam.table, natural_frequency=beam.table.natural_frequency * 1.004)

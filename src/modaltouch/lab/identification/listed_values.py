@@ -117,14 +117,17 @@ def _refuse_axis(ratios: Sequence[float], apparatus: Apparatus) -> None:
 
 def _refuse_exchanged(found: Mapping[int, IdentifiedMode], sets: Sequence[str], apparatus: Apparatus) -> None:
     """Refuse gains of the sets that are the listed ones of other sets."""
-    off = np.full((len(sets), len(sets)), np.nan)
+    factor, off = np.full((2, len(sets), len(sets)), np.nan)
     for (row, _), (column, other) in itertools.product(enumerate(sets), enumerate(sets)):
         known = [
             (found[mode.label], mode.gain_mm_s2_per_V.get(other)) for mode in apparatus.modes if mode.label in found
         ]
         ratio = [own.gain[row].value * 1e3 / value for own, value in known if own.gain and value]
-        off[row, column] = np.median(np.abs(np.log(np.abs(ratio)))) if len(ratio) >= FEWEST_GAINS else np.nan
-    if len(sets) < 2 or np.isnan(off).any():
+        if len(ratio) >= FEWEST_GAINS:
+            size = np.log(np.abs(ratio))
+            factor[row, column], off[row, column] = np.median(size), np.median(np.abs(size))
+    # Sets that move each other's modes by a tenth seem exchanged if all gains are tenfold, as by a wrong unit.
+    if len(sets) < 2 or np.isnan(off).any() or (np.diag(factor) > np.log(SCALE)).all():
         return
     nearest, correct = off.argmin(axis=1), np.arange(len(sets))
     if (nearest != correct).all() and (off[correct, nearest] < np.log(SCALE)).all():
