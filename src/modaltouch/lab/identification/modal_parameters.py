@@ -59,6 +59,16 @@ REMEDIES = {
     "nonlinearity": "drive at half the voltage, and compare; if nothing changes, check the filters of sensor and "
     "analyser (one that is not listed, or none against aliasing), and the window and the trigger of the records",
     "drift": "let the beam warm up, and scan again",
+    "drift between the sets": "let the beam warm up, and scan all sets again",
+    "the mass of a sensor that is moved": "measure without contact, or leave the sensor in place and move the "
+    "excitation",
+    "a trigger that is late at some points": "start all records at their excitation, with one delay of the trigger",
+    "a phase that differs between the points": "keep filters, range and coupling of the sensor the same at all points",
+    "a filter that is not listed": "give the bandwidth of the vibrometer in the apparatus file, and set other filters "
+    "far above the band, or use less of it with --highest-kHz",
+    "interpolation of the responses": "export them at the frequencies of the analyser",
+    "aliasing": "an unlisted resonance may be one above half the sampling rate; use a filter against aliasing or a "
+    "higher rate",
     "a missing mode": "measure with a filter against aliasing, finer bins or more points, or leave that band out",
     "nonlinearity or a missing mode": "drive at half the voltage, and compare, or measure with finer bins",
     "a strange point": "check that it is of the same beam, its trigger and the sign of its phase; measure it again, or "

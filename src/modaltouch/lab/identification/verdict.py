@@ -7,6 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from modaltouch.lab.identification.causes import probable_cause
 from modaltouch.lab.identification.joint_fit import axis_error
 from modaltouch.lab.identification.modal_parameters import (
     REMEDIES,
@@ -75,7 +76,7 @@ def check_modes(identification: Identification, labels: Sequence[int]) -> None:
     elif lines and spoilt:
         cut = [mark for mark in identification.responses.marks if mark.endswith(STILL_MOVES)]
         known = axis_error(identification) or _digit(identification) or _hum(identification)
-        lines += cut or [known or _cause(identification.modes)]
+        lines += cut or [known or _cause(identification, identification.modes)]
     if lines:
         raise ValueError("\n".join(lines))
 
@@ -93,33 +94,12 @@ def _split(identification: Identification, missing: Sequence[int] | None = None,
         named = all(each.label or each.torsion for each in (one, other))
         label = _is_one(identification, one, other) if apart < width and not named else None
         if label is not None and (missing is None or label in {*missing, *faulty}):
-            return _foreign(identification, one, other) or (
+            return (
                 f"the resonances at {one.natural_frequency.value:.6g} and {other.natural_frequency.value:.6g} Hz are "
-                "within one width of each other, like a single mode that moved: the most probable cause is drift, also "
-                "between sets or by the mass of a sensor that is moved, or nonlinearity: "
-                f"{REMEDIES['drift']}, or {REMEDIES['nonlinearity']}"
+                "within one width of each other, like a single mode that moved: "
+                f"{_cause(identification, identification.modes)}"
             )
     return ""
-
-
-def _foreign(identification: Identification, one: IdentifiedMode, other: IdentifiedMode) -> str:
-    """Describe points that have only one of two close resonances, while the others have the other; else empty.
-
-    The shares of both change gradually over a beam that drifts, and once over one that was changed during the scan.
-    """
-    power = np.abs(np.stack([one.residue, other.residue])) ** 2
-    seen = power.sum(axis=0) > 0.01 * power.sum(axis=0).max()
-    share = power[1] / np.maximum(power.sum(axis=0), 1e-300)
-    second = share > 0.5
-    alone = np.abs(share - 0.5) > 0.4
-    if alone[seen].mean() < 0.9 or np.count_nonzero(np.diff(second[seen])) < 2:
-        return ""
-    few, these = (other, second) if 2 * second.sum() < second.size else (one, ~second)
-    named = ", ".join(str(identification.responses.places[point]) for point in np.flatnonzero(these & alone & seen))
-    return (
-        f"the responses at {named} have a resonance of their own at {few.natural_frequency.value:.6g} Hz, which the "
-        f"other points lack: {REMEDIES['a strange point']}"
-    )
 
 
 def _is_one(identification: Identification, one: IdentifiedMode, other: IdentifiedMode) -> int | None:
@@ -200,7 +180,7 @@ def check_all(identification: Identification) -> None:
     modes = identification.modes
     faults = [_faults(f"the mode at {mode.natural_frequency.value:.6g} Hz", mode) for mode in modes]
     if 2 * sum(bool(each) for each in faults) > len(modes):
-        cause = [_cause(modes)] if any(mode.rest.share > MOST_LEFT for mode in modes) else []
+        cause = [_cause(identification, modes)] if any(mode.rest.share > MOST_LEFT for mode in modes) else []
         raise ValueError("\n".join([*(line for each in faults for line in each), *cause]))
 
 
@@ -272,8 +252,10 @@ def _digit(identification: Identification) -> str:
     return ""
 
 
-def _cause(modes: Sequence[IdentifiedMode]) -> str:
+def _cause(identification: Identification, modes: Sequence[IdentifiedMode]) -> str:
     """Return the most probable cause of the residual and its remedy."""
+    if known := probable_cause(identification):
+        return known
     weight: dict[str, float] = {}
     for mode in modes:
         weight[mode.rest.cause] = weight.get(mode.rest.cause, 0.0) + mode.rest.share
@@ -301,7 +283,7 @@ def warnings(identification: Identification) -> list[str]:
             left = max(max(each.rest.smooth, each.rest.share) for each in chosen)
             sentences.append(
                 f"the residual is up to {left:.1%} of the response around {names}, and the intervals may not cover it: "
-                f"{known or _cause(chosen)}"
+                f"{known or _cause(identification, chosen)}"
             )
     if of_points := _misplaced(identification) or _uneven(identification):
         sentences.append(of_points)
