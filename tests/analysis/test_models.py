@@ -135,6 +135,7 @@ def test_answers_that_name_no_finger_have_a_table_and_a_script_too() -> None:
     table = list(csv.DictReader(files["answers.csv"].splitlines()))
     assert [row["response"] for row in table] == ["comparison", "standard"] * 2
     assert [row["sure"] for row in table] == ["low"] * 4
+    assert [row["chosen"] for row in table] == ["1", "0"] * 2, "of the first answer, which the script names"
     assert "glmer(\n  chosen ~ group + level + (1 | participant)" in files["models.R"]
     assert 'glmer(\n  (`sure` == "high") ~ group + level + (1 | participant)' in files["models.R"]
     assert "ordered(`sure`)" not in files["models.R"]  # a list has no order

@@ -97,6 +97,16 @@ def test_it_is_verified_and_stands_in_the_table(recorded: Session) -> None:
     assert {"interval", "standard_mm_s", "correct"} <= set(table.read_text().splitlines()[0].split("\t"))
 
 
+def test_an_interval_changed_after_the_answer_is_noticed(recorded: Session) -> None:
+    """The line of the finished trial repeats the earlier intervals of the line of its answer."""
+    events = copy.deepcopy(recorded.events)
+    place, trial = next((n, each) for n, each in enumerate(events, start=1) if each["event"] == "trial")
+    assert trial["intervals"][0]["bursts"]["whole"] > 0
+    trial["intervals"][0]["bursts"]["uncertainty_s"] += 1e-4
+    problems = audit_session(replace(recorded, events=events)).problems
+    assert any(f":{place}: " in each and "where it was answered, in interval" in each for each in problems), problems
+
+
 @pytest.mark.parametrize("interval", [1, 2])
 def test_a_session_that_was_killed_in_an_interval_goes_on_with_that_trial(
     recorded: Session, tmp_path: Path, interval: int
