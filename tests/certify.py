@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import hashlib
 import json
+import math
 import time
 from dataclasses import asdict, dataclass
 from itertools import chain
@@ -54,7 +55,7 @@ LIMITS = {
 }
 BATCH = 500
 ALPHA = 0.05
-ROWS = 35  # certificates in a column of the picture
+N_COLUMNS = 3  # of the picture
 TIES = 1 + 1e-9
 
 
@@ -398,8 +399,9 @@ def draw(certificates, place):
     from matplotlib.figure import Figure
 
     rng, names = np.random.default_rng(1), list(certificates)
-    columns = [names[start : start + ROWS] for start in range(0, len(names), ROWS)]
-    figure = Figure(figsize=(6 * len(columns), 0.25 * len(columns[0]) + 1.2), layout="constrained")
+    rows = math.ceil(len(names) / N_COLUMNS)
+    columns = [names[start : start + rows] for start in range(0, len(names), rows)]
+    figure = Figure(figsize=(6.5 * len(columns), 0.25 * len(columns[0]) + 1.2), layout="constrained")
     for axes, listed in zip(figure.subplots(1, len(columns), squeeze=False)[0], columns, strict=True):
         for y, each in enumerate(map(certificates.get, listed)):
             rates = np.array(each["errors"]) / np.array(each["experiments"])
@@ -410,7 +412,7 @@ def draw(certificates, place):
         axes.set_ylim(len(columns[0]) - 0.3, -0.7)
         axes.set_xscale("function", functions=(np.sqrt, np.square))
         axes.set_xlim(0, 1)
-        axes.set_xticks([0.01, 0.05, 0.2, 0.5, 1], ["0.01", "0.05", "0.2", "0.5", "1"])
+        axes.set_xticks([0.01, 0.05, 0.2, 0.5, 1], ["0.01", " 0.05", "0.2", "0.5", "1"])
     figure.supxlabel("rate of errors: a true null rejected, or the truth outside the 95 % interval", fontsize=10)
     figure.suptitle("Each dot a population; red: above 0.05 beyond doubt", fontsize=10)
     figure.savefig(place, dpi=100)
