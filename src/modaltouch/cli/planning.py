@@ -61,7 +61,7 @@ def power(
         str | None,
         typer.Option(
             help="Which families of tests: a1, a2, b, c, d, the means `a2 mean` to `d mean`, and `c alike`.",
-            show_default="a1,a2,b,c,d, and c alike if the protocol sets a margin",
+            show_default="all but the means; c alike if the protocol sets a margin",
         ),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed; the same seed gives the same figures.")] = 1,
@@ -178,7 +178,8 @@ def _refuse(option: str, words: str, most: int) -> None:
 
 def _families(questions: str | None, scopes: Callable[[str], tuple[str, ...]], *, null: bool) -> tuple[str, ...]:
     """Return the requested families of tests that apply to the protocol."""
-    asked = [word.strip() for word in (questions or "a1,a2,b,c,d,c alike").split(",")]
+    by_default = ",".join(family for family in analysis.STATISTICS if not family.endswith(" mean"))
+    asked = [word.strip() for word in (questions or by_default).split(",")]
     for word in asked:
         if word not in analysis.STATISTICS:
             allowed = ", ".join(analysis.STATISTICS)
