@@ -182,6 +182,13 @@ ADAPTIVE = "adaptive: {method: staircase, trials: 8, start_mm_s: 130, success: c
             [("schedule:", ADAPTIVE.replace("correct", "first") + ", guess_rate: 0.5}\nschedule:")],
             "given first, but the comparison is not always in that interval; allowed: correct",
         ),
+        (
+            [
+                ("asked: stronger ", "comparison_in: [2]\n  asked: stronger "),
+                ("schedule:", ADAPTIVE.replace("correct", "first") + ", guess_rate: 0.5}\nschedule:"),
+            ],
+            "given first, but the comparison is not always in that interval; allowed: correct",
+        ),
     ],
 )
 def test_what_does_not_go_together_is_refused_in_its_place(

@@ -153,8 +153,8 @@ def _check_success(reading: Reading[Any]) -> Iterator[Problem]:
     yield from reading.faults(
         (
             several
-            and len(reading.sound("intervals", "comparison_in") or (1, 2)) > 1
-            and isinstance(offered.named(success).interval, int),
+            and isinstance(named := offered.named(success).interval, int)
+            and {*(reading.sound("intervals", "comparison_in") or (1, 2))} != {named},
             at,
             f"{success}, but the comparison is not always in that interval",
             "correct",
