@@ -88,6 +88,11 @@ def _split(identification: Identification, missing: Sequence[int] | None = None,
     it. Neither is true of bending and torsion with close natural frequencies. If missing or faulty labels are given,
     only resonances of these modes are considered.
     """
+    # A mode that moved far has a pole for each of its places, which fit well: the causes of what is left are others.
+    unclear = (
+        "the most probable cause is drift, also between sets or by the mass of a sensor that is moved, or "
+        f"nonlinearity: {REMEDIES['drift']}, or {REMEDIES['nonlinearity']}"
+    )
     for one, other in pairwise(identification.modes):
         apart = other.natural_frequency.value - one.natural_frequency.value
         width = 2 * one.natural_frequency.value * one.damping_ratio.value
@@ -97,7 +102,7 @@ def _split(identification: Identification, missing: Sequence[int] | None = None,
             return (
                 f"the resonances at {one.natural_frequency.value:.6g} and {other.natural_frequency.value:.6g} Hz are "
                 "within one width of each other, like a single mode that moved: "
-                f"{_cause(identification, identification.modes)}"
+                f"{probable_cause(identification) or unclear}"
             )
     return ""
 
