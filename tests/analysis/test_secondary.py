@@ -50,6 +50,17 @@ def test_reaction_times_are_compared_by_medians_of_participants(build) -> None:
     assert "1 of all 240 answers left out as faster than 0.15 s" in finding.note
 
 
+def test_an_interval_narrower_than_the_resolution_is_no_single_value(build) -> None:
+    """Synthetic: participants differ by 1 ms each, and times are known to 16 ms, hence rounded to 0.1 s."""
+    frame = build["tidy"](build["paper"]())
+    own = pd.factorize(frame["participant"])[0] * 1e-3 - 4.5e-3
+    times = 0.8 + (frame["zone_left"] == "B").to_numpy() * own
+    frame = frame.assign(response_time=times, response_uncertainty=0.016)
+    finding = {f.scope: f for f in time_findings(count_answers(frame), frame)}["one_hand A-C - B-D"]
+    assert (finding.low, finding.high) == (-0.1, 0.1)
+    assert "one value as interval" not in finding.note
+
+
 def test_a_pair_that_everybody_answered_too_early_has_no_time(build) -> None:
     """Synthetic: all answers to (A, C) below 0.15 s; nothing is compared, and nothing breaks."""
     frame = build["tidy"](build["paper"]())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -150,10 +151,15 @@ def time_findings(answers: AnswerCounts, frame: pd.DataFrame, n_untimed: int = 0
 
 
 def _rounded(interval: Interval, known: float) -> Interval:
-    """Return an interval rounded to the decimal place of the resolution `known`."""
+    """Return an interval rounded to the decimal place of the resolution `known`; outward if it would become a point."""
     if not known > 0:
         return interval
-    return interval.changed(lambda value: round(value, max(0, -math.ceil(math.log10(known)))))
+    digits = max(0, -math.ceil(math.log10(known)))
+    rounded = interval.changed(lambda value: round(value, digits))
+    if rounded.low < rounded.high or not interval.low < interval.high:
+        return rounded
+    low = math.floor(interval.low * 10**digits) / 10**digits
+    return replace(rounded, low=low, high=math.ceil(interval.high * 10**digits) / 10**digits)
 
 
 def speed_findings(answers: AnswerCounts, frame: pd.DataFrame) -> Iterator[Finding]:
