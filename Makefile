@@ -55,9 +55,11 @@ demo: install
 
 # Five processes keep two cores busy, since tests wait for windows, disks and watchdogs. Compiled tests are kept:
 # otherwise, where Python writes no bytecode, each process would compile all of them.
+# Each process has one thread for linear algebra: more would wait for each other, and take twice as long.
 ## test: the whole test suite, window tests included, on two cores
 .PHONY: test
 test: export PYTHONDONTWRITEBYTECODE :=
+test: export OPENBLAS_NUM_THREADS := 1
 test: install
 	$(PYTHON) -m pytest -n 5 --dist loadfile --no-loadscope-reorder
 
