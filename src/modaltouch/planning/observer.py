@@ -220,14 +220,15 @@ class Observer:
         """
         bias, noise, criterion, suppression, pace = np.asarray(deviates, dtype=float)
         middle = self.typical
-        return DrawnParticipants(
-            typical=middle,
-            noise=middle.noise * np.exp(self.noise_spread * noise),
-            criterion=middle.criterion * np.exp(self.criterion_spread * criterion),
-            side_bias=middle.side_bias + self.side_bias_spread * bias,
-            pace=np.exp(self.pace_spread * pace),
-            sharpening=np.exp(self.suppression_spread * suppression),
-        )
+        with np.errstate(over="ignore"):  # a fit also tries spreads that nobody has
+            return DrawnParticipants(
+                typical=middle,
+                noise=middle.noise * np.exp(self.noise_spread * noise),
+                criterion=middle.criterion * np.exp(self.criterion_spread * criterion),
+                side_bias=middle.side_bias + self.side_bias_spread * bias,
+                pace=np.exp(self.pace_spread * pace),
+                sharpening=np.exp(self.suppression_spread * suppression),
+            )
 
     def as_dict(self) -> dict[str, Any]:
         """Return the observer as plain values, for records and ``--json``."""

@@ -110,3 +110,9 @@ def test_an_observer_survives_the_record() -> None:
     """Expected: through JSON and back, the same observer."""
     observer = replace(Observer(), front_end="envelope", name="x", typical=Participant(noise=0.3))
     assert Observer.from_dict(json.loads(json.dumps(observer.as_dict()))) == observer
+
+
+def test_a_spread_without_end_is_no_warning() -> None:
+    """A fit also tries spreads under which a participant's suppression overflows."""
+    far = replace(Observer.read("paper"), suppression_spread=500.0).participants_at(np.full((5, 1), 2.0))
+    assert np.isinf(far.sharpening).all()
