@@ -87,7 +87,12 @@ def test_trigger_into_a_dead_raw_socket_is_no_trigger(simulator: Simulator) -> N
 def test_session_that_was_cut_may_still_be_counted(single_link: Simulator, monkeypatch: pytest.MonkeyPatch) -> None:
     """An instrument of one session that learns of a reset 0.3 s late admits the next; a stranger is refused at once."""
     forget = Links.forget
-    monkeypatch.setattr(Links, "forget", lambda links, numbers: (time.sleep(0.3), forget(links, numbers)))
+
+    def forget_late(links, numbers):
+        time.sleep(0.3)
+        forget(links, numbers)
+
+    monkeypatch.setattr(Links, "forget", forget_late)
     session = VisaSession(single_link.address)
     session.open()
     session.close(broken=True)
