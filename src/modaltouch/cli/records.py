@@ -112,14 +112,8 @@ def doctor(
             return
         findings = window.examine_machine(results)
         if json_output:
-            print_json(
-                {
-                    "findings": [
-                        dict(zip(("subject", "state", "found", "remedy"), finding, strict=False))
-                        for finding in findings
-                    ]
-                }
-            )
+            named = "subject", "state", "found", "remedy"
+            print_json({"findings": [dict(zip(named, finding, strict=False)) for finding in findings]})
         else:
             for finding in findings:
                 word, colour = STATES[finding.state]

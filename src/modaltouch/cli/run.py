@@ -429,10 +429,8 @@ def wait_for_start(setup: sessions.Setup, answered: str = "") -> None:
         source = f"found in {own['session']}" if own["found"] == "session" else "as given"
         typer.echo(f"Levels calibrated by participant: threshold {own['threshold_mm_s']:g} mm/s, {source}")
     kind = "" if place.mode == "real" else f" ({place.mode} data)"
-    typer.echo(
-        f"Participant {place.participant}, session {place.session}, {answered}rig {setup.facts['rig_choice']}{kind}, "
-        f"to {place.folder}"
-    )
+    rig = f"rig {setup.facts['rig_choice']}{kind}"
+    typer.echo(f"Participant {place.participant}, session {place.session}, {answered}{rig}, to {place.folder}")
     while True:
         word = str(_prompt("Type start to begin, or q to leave", default="", shown=False)).strip().casefold()
         if word == "start":

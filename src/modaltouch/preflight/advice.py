@@ -176,11 +176,8 @@ def design_warnings(protocol: Protocol) -> Iterator[str]:
 def _is_crossed(protocol: Protocol) -> bool:
     """Test whether the listed cells, without those left out, are every pair at every level, all equally often."""
     first, *others = (Counter(protocol.cells(name)) for name in protocol.conditions.finger_conditions)
-    return (
-        len(first) == math.prod(len(set(parts)) for parts in zip(*first, strict=True))
-        and len(set(first.values())) == 1
-        and all(each == first for each in others)
-    )
+    n_crossed = math.prod(len(set(parts)) for parts in zip(*first, strict=True))
+    return len(first) == n_crossed and len(set(first.values())) == 1 and all(each == first for each in others)
 
 
 def answer_warnings(protocol: Protocol) -> Iterator[str]:

@@ -93,9 +93,8 @@ class ShapeTable(Section):
         from modaltouch.stimulus import MeasuredShapes
 
         values = {mode.label: mode.values for mode in self.modes}
-        return MeasuredShapes(
-            labels, np.array(self.position_mm) * 1e-3, np.array([values[label] for label in labels]), length
-        )
+        shapes = np.array([values[label] for label in labels])
+        return MeasuredShapes(labels, np.array(self.position_mm) * 1e-3, shapes, length)
 
 
 def check_shapes(reading: Reading[Any]) -> Iterator[Problem]:

@@ -204,6 +204,11 @@ class CalibratedStimulus(Section):
     )
     causes: tuple[Text, ...] = described("Why it misses them, and the remedy.", default=())
 
+    @property
+    def worst_error_mm_s(self) -> float:
+        """Largest residual error of a modal velocity or of w eta at the reference level [mm/s]."""
+        return max(abs(each) for mode in self.modes for each in mode.error_after_mm_s)
+
 
 OWN_KEYS = tuple(CalibratedStimulus.model_fields)
 """Keys that each stimulus has separately."""

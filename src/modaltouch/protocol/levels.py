@@ -144,6 +144,7 @@ def _check_success(reading: Reading[Any]) -> Iterator[Problem]:
                 )
     offered, at = offered_answers(reading), ("adaptive", "success")
     several = reading.keys("intervals") is not None
+    places, named = {*(reading.sound("intervals", "comparison_in") or (1, 2))}, offered.named(success).interval
     if success == "correct":
         yield from _check_correct(reading, offered)
     elif success not in ("focus_named", "felt", *offered.names):
@@ -152,9 +153,7 @@ def _check_success(reading: Reading[Any]) -> Iterator[Problem]:
         )
     yield from reading.faults(
         (
-            several
-            and isinstance(named := offered.named(success).interval, int)
-            and {*(reading.sound("intervals", "comparison_in") or (1, 2))} != {named},
+            several and isinstance(named, int) and places != {named},
             at,
             f"{success}, but the comparison is not always in that interval",
             "correct",

@@ -228,10 +228,8 @@ class Texts(Section):
     def placing(self, fingers: tuple[str, ...], zones: tuple[str, ...]) -> str:
         """Return the instruction that assigns fingers to zones."""
         if len(zones) != 2:
-            return "\n".join(
-                (self.place_each_finger or "").format(finger=finger, zone=zone)
-                for finger, zone in zip(fingers, zones, strict=True)
-            )
+            each = self.place_each_finger or ""
+            return "\n".join(each.format(finger=f, zone=zone) for f, zone in zip(fingers, zones, strict=True))
         return self.place_fingers.format(
             left_finger=fingers[0], left_zone=zones[0], right_finger=fingers[1], right_zone=zones[1]
         )

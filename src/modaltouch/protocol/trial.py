@@ -265,8 +265,8 @@ class AnswerList(tuple[Answer, ...]):
     @property
     def refers(self) -> bool:
         """Whether an answer follows from what was felt; if none does, simulated participants answer at random."""
-        # Of two answers, one for nothing felt, the other is for something felt.
-        return any(answer.fingers or answer.interval for answer in self) or (len(self) == 2 and bool(self.naming()))
+        is_yes_or_no = len(self) == 2 and self.naming() is not None
+        return is_yes_or_no or any(answer.fingers or answer.interval for answer in self)
 
     @property
     def names_between(self) -> bool:
@@ -380,6 +380,11 @@ class Response:
     time_uncertainty: float = 0.0
     value: float | None = None
     further: dict[str, dict[str, Any]] = field(default_factory=dict)
+
+    @property
+    def counted_from(self) -> float:
+        """Start of the reaction time [s after the onset of the stimulus]."""
+        return (self.question_after or 0.0) if self.onset == "question" else 0.0
 
     def as_dict(self) -> dict[str, Any]:
         """Return the response as a JSON-serialisable dict for the record."""

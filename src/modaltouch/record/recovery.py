@@ -86,7 +86,8 @@ class Recovery:
     @property
     def is_sound(self) -> bool:
         """Whether no line is lost, except incomplete lines declared by the next one."""
-        return not (self.left_out or self.missing or self.converted) and self.numbers == tuple(sorted(self.numbers))
+        is_whole = not (self.left_out or self.missing or self.converted)
+        return is_whole and self.numbers == tuple(sorted(self.numbers))
 
     @property
     def has_start(self) -> bool:

@@ -292,11 +292,8 @@ class Session:
     @property
     def complete(self) -> bool:
         """Whether all scheduled trials are answered, practice excluded, and the closing form is filled in."""
-        return (
-            bool(self.start)
-            and not self.lacks_trials
-            and self.start.get("design", {}).get("form", {}).keys() <= self.form.keys()
-        )
+        asked = self.start.get("design", {}).get("form", {})
+        return bool(self.start) and not self.lacks_trials and asked.keys() <= self.form.keys()
 
     @property
     def unfit(self) -> str:

@@ -173,14 +173,8 @@ def write_view(
     if form := form_text(session):
         replace_text(place.form_table, form)
         described = {name: describe_question(asked) for name, asked in session.start["design"]["form"].items()}
-        replace_json(
-            place.form_table.with_suffix(".json"),
-            {
-                "TaskName": f"{place.protocol} form",
-                "TaskDescription": "Questions at the end of the session",
-                **described,
-            },
-        )
+        task = {"TaskName": f"{place.protocol} form", "TaskDescription": "Questions at the end of the session"}
+        replace_json(place.form_table.with_suffix(".json"), task | described)
     text = table_text(session, before)
     replace_text(place.table, text)
     replace_json(place.table.with_suffix(".json"), side)

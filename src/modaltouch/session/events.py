@@ -107,8 +107,7 @@ def describe_answer(
         Events of this trial in the record so far.
     """
     values, last = trial.as_dict(), firings[-1]
-    question_after = response.question_after or 0.0
-    answered = last.onset + (question_after if response.onset == "question" else 0.0) + response.reaction_time
+    answered = last.onset + response.counted_from + response.reaction_time
     asked = None if response.question_after is None else last.onset + response.question_after
     # Any unconfirmed interval makes the trial unconfirmed.
     spoilt = next((each for each in firings if not each.confirmed), last)

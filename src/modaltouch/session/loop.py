@@ -363,10 +363,8 @@ def _complete(sitting: SessionRun, trial: Trial, response: Response) -> tuple[Re
     A trial that is interrupted here is repeated as a whole.
     """
     if response.answer != TIME_OUT:
-        further = {
-            name: _ask_further(sitting, name, asked, trial).as_dict()
-            for name, asked in sitting.protocol.answers.further.items()
-        }
+        asked = sitting.protocol.answers.further
+        further = {name: _ask_further(sitting, name, how, trial).as_dict() for name, how in asked.items()}
         response = replace(response, further=further)
     return response, {} if sitting.probing is None else sitting.probing.delivered(trial)
 

@@ -336,7 +336,5 @@ def _common_lines(
 ) -> tuple[float, list[float]]:
     """Return the largest common type size up to `size` at which all words fit, and the height of each at that size."""
     size = min(common_size(typesetter, (text,), place, size) for text, place in zip(words, places, strict=True))
-    return size, [
-        typesetter.set_type(Words(text, place, size, ""), 1000).height / 1000
-        for text, place in zip(words, places, strict=True)
-    ]
+    common = (Words(text, place, size, "") for text, place in zip(words, places, strict=True))
+    return size, [typesetter.set_type(each, 1000).height / 1000 for each in common]

@@ -340,18 +340,12 @@ class Illustrator:
             "free_hand": texts.placed_by_free_hand,
             "experimenter": texts.placed_by_experimenter,
         }.get("lifting" if self.answers.settles(trial.condition.finger_condition) else way)
-        return (words or texts.press_to_continue).format(
-            key=key_name(texts, self.answers.continue_keys[0]), hand=self._pressing_hand(trial)
-        )
+        key = key_name(texts, self.answers.continue_keys[0])
+        return (words or texts.press_to_continue).format(key=key, hand=self._pressing_hand(trial))
 
     def _headline(self, words: str, size: float, *, dim: bool = False) -> Words:
-        return Words(
-            words,
-            self.layout.headline,
-            size * self.layout.type_scale,
-            self.theme.dim if dim else self.theme.text,
-            bold=not dim,
-        )
+        fill = self.theme.dim if dim else self.theme.text
+        return Words(words, self.layout.headline, size * self.layout.type_scale, fill, bold=not dim)
 
     def form(self, name: str, entered: str | None, *, confirmed: bool) -> Picture:
         """Return the screen of a question of the closing form, with the number or answer entered."""
