@@ -160,10 +160,8 @@ def zone_table(answers: AnswerCounts, finger_condition: str) -> pd.DataFrame:
         If there is no such finger condition.
     """
     if finger_condition not in answers.finger_conditions:
-        raise ValueError(
-            f"finger condition {finger_condition!r} is not in the counts; there are "
-            f"{', '.join(answers.finger_conditions)}"
-        )
+        known = ", ".join(answers.finger_conditions)
+        raise ValueError(f"finger condition {finger_condition!r} is not in the counts; there are {known}")
     sums = answers.counts[:, answers.finger_conditions.index(finger_condition)].sum(axis=0)
     rows = {
         (pair.label, label): sums[q, :, place]

@@ -169,8 +169,8 @@ def render_runs(analysis: ThresholdAnalysis) -> dict[str, Any]:
     sessions = list(dict.fromkeys((run.participant, run.session) for run in analysis.runs))
     for participant, session in sessions[:MOST_FIGURES]:
         own = [run for run in analysis.runs if (run.participant, run.session) == (participant, session)]
-        name = f"runs_sub-{participant.replace('/', '-')}_ses-{session}"
-        pictures.append(ReportFigure(name, draw_runs(own, analysis.bounds)))
+        who = participant.replace("/", "-")
+        pictures.append(ReportFigure(f"runs_sub-{who}_ses-{session}", draw_runs(own, analysis.bounds)))
     page = _page_files(analysis, together, pictures, len(sessions))
     page["report.html"] = page.pop("runs.html")
     return {
