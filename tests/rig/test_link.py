@@ -10,8 +10,7 @@ import pytest
 
 from modaltouch.rig.afg3022b import AFG3022B
 from modaltouch.rig.controls import Controls, describe_block, split_reply
-from modaltouch.rig.interface import LinkError
-from modaltouch.rig.visa import InUse
+from modaltouch.rig.interface import InUse, LinkError
 
 
 class Transport:

@@ -7,10 +7,13 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig import Generator, Simulator
 from modaltouch.rig.afg3022b import AFG3022B
 from modaltouch.rig.pacing import LocalClient
+from modaltouch.rig.simulator.instrument import Kind
 from modaltouch.stimulus.burst import Burst
 from modaltouch.system import VirtualClock
 
@@ -78,5 +81,27 @@ def test_only_a_twin_in_virtual_time_does_without_a_watchdog_process() -> None:
     with Simulator(apparatus) as simulator:
         assert "start_guard" not in simulator.driver_options
     with Simulator(apparatus, clock=VirtualClock(0.0)) as simulator:
-        guard = simulator.driver_options["start_guard"](simulator.address, AFG3022B.off)
+        guard = simulator.driver_options["start_guard"]("simulated", AFG3022B.off)
         assert isinstance(guard, LocalClient)
+
+
+@pytest.mark.parametrize(
+    ("kind", "reason"),
+    [("dropped_connection", "the instrument closed the connection"), ("lost_reply", "no reply within 1 s")],
+)
+def test_driver_in_the_process_of_the_twin_meets_its_faults(
+    apparatus: Apparatus, burst: Burst, heard: Any, kind: Kind, reason: str
+) -> None:
+    """Without a network, too, a fault closes the session; the outputs are read back off over a new one."""
+    with Simulator(apparatus, clock=VirtualClock(0.0)) as simulator:
+        with Generator(apparatus=apparatus, log=heard, **simulator.driver_options) as rig:
+            rig.load(burst)
+            assert rig.fire(0.1).started
+            assert simulator.felt_velocity(["C"]) > 0
+            simulator.faults.inject(kind, when="OUTP1")
+            rig.stop()
+            assert not any(simulator.outputs)
+        (lost,) = heard.of("connection_lost")
+        assert reason in lost["reason"]
+        assert len(heard.of("reconnected")) == 1
+        assert "server" not in vars(simulator)

@@ -19,8 +19,8 @@ import pytest
 
 from modaltouch.rig import watchdog_process as watchdog
 from modaltouch.rig.afg3022b import AFG3022B
+from modaltouch.rig.interface import InUse
 from modaltouch.rig.pacing import Order, Pacer
-from modaltouch.rig.visa import InUse
 from modaltouch.rig.watchdog_process import (
     ARM,
     BEAT,

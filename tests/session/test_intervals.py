@@ -150,7 +150,7 @@ def test_an_interval_that_is_not_confirmed_has_the_trial_asked_again(tmp_path: P
             return opened
 
         def rig(log: Callable[..., None]) -> Any:
-            return Generator(simulator.address, preflight.experiment.apparatus, log=log, **simulator.driver_options)
+            return Generator(apparatus=preflight.experiment.apparatus, log=log, **simulator.driver_options)
 
         begin(replace(setup, open_rig=rig, open_window=window))
     session = read_session(setup.place.log)

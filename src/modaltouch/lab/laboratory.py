@@ -233,9 +233,8 @@ def open_laboratory(
     """
     with ExitStack() as stack:
 
-        def open_generator(where: str, **further: Any) -> Rig:
-            how = {"repetition": repetition, **further, **options}
-            return stack.enter_context(Generator(where, apparatus, **how))
+        def open_generator(**how: Any) -> Rig:
+            return stack.enter_context(Generator(apparatus=apparatus, **{"repetition": repetition, **how, **options}))
 
         if address == SIMULATED:
             from modaltouch.rig import Simulator
@@ -244,11 +243,11 @@ def open_laboratory(
             clock = VirtualClock(SYSTEM_CLOCK.now())
             simulator = stack.enter_context(Simulator(apparatus, seed, clock=clock))
             scope = stack.enter_context(scope or simulator.scope())
-            rig = open_generator(simulator.address, **simulator.driver_options)
+            rig = open_generator(**simulator.driver_options)
             yield Laboratory(apparatus, rig, scope, "simulated", replace(progress, aim=quiet), simulator=simulator)
             return
         # Open the scope first: without one, the generator is not needed.
         scope = stack.enter_context(scope or Scope.open(apparatus))
-        rig = open_generator(address)
+        rig = open_generator(address=address)
         mode: Mode = "simulated" if instrument_of(apparatus).is_simulated(rig.identity) else "real"
         yield Laboratory(apparatus, rig, scope, mode, progress, SETTLING_TIME)

@@ -10,9 +10,8 @@ from modaltouch.protocol import Apparatus
 from modaltouch.rig.catalogue import instrument_of, instruments
 from modaltouch.rig.controls import Controls, Log
 from modaltouch.rig.instrument import Setting
-from modaltouch.rig.interface import LinkError, RigError, Unconfirmed
+from modaltouch.rig.interface import InUse, LinkError, RigError, Unconfirmed
 from modaltouch.rig.pacing import BurstPlayer
-from modaltouch.rig.visa import InUse
 from modaltouch.system import SYSTEM_CLOCK, Clock
 
 

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.rig.instrument import Instrument, Setting
-from modaltouch.rig.interface import LinkError, Unconfirmed
-from modaltouch.rig.visa import InUse, Transport, block_bounds, describe_error
+from modaltouch.rig.interface import InUse, LinkError, Transport, Unconfirmed, block_bounds, describe_error
 
 NO_ERROR, UNDEFINED_HEADER = 0, -113
 QUERIES_PER_MESSAGE = 12

@@ -1,4 +1,4 @@
-"""Interface between a session and a rig: load, fire, end, stop, heartbeat, close."""
+"""Interfaces of a rig: to a session (`Rig`), and from its driver to the instrument (`Transport`)."""
 
 from __future__ import annotations
 
@@ -36,6 +36,14 @@ class Unconfirmed(Exception):  # noqa: N818
     def __init__(self, reason: str, read_back: tuple[str, ...] = ()) -> None:
         super().__init__(reason)
         self.read_back = read_back
+
+
+class InUse(LinkError):  # noqa: N818
+    """The instrument is in use by another program."""
+
+
+class TransportError(Exception):
+    """A failure at the other end of a transport, already described by its text."""
 
 
 class StimulusLost(RigError):  # noqa: N818
@@ -200,3 +208,46 @@ class Rig(typing.Protocol):
 
     def close(self) -> None:
         """Switch the outputs off and release the instrument; never raises."""
+
+
+class Transport(typing.Protocol):
+    """A transport to one instrument; every failure raises, and the transport must then be closed and reopened."""
+
+    def open(self) -> str:
+        """Reopen the transport; return a sentence on how other programs are locked out.
+
+        Raises
+        ------
+        InUse
+            If another program has the instrument.
+        """
+
+    def exchange(self, message: bytes, *, timeout: float, reply: bool) -> bytes:
+        """Send a message and return the reply, if one is expected; each may take up to `timeout` [s]."""
+
+    def close(self, *, broken: bool) -> None:
+        """Close the transport; if broken, without notifying the other end."""
+
+
+def block_bounds(reply: bytes) -> tuple[int, int]:
+    """Return start and end of the content of a definite-length block (IEEE 488.2, 8.7.9).
+
+    Raises
+    ------
+    ValueError
+        If the reply does not begin with a block header.
+    """
+    n_digits = reply[1:2]
+    length = reply[2 : 2 + int(n_digits)] if n_digits.isdigit() else b""
+    if not (reply[:1] == b"#" and length.isdigit()):
+        raise ValueError(f"reply {reply[:20]!r} is not a block")
+    start = 2 + int(n_digits)
+    return start, start + int(length)
+
+
+def describe_error(error: BaseException) -> str:
+    """Return type and text of an error in one line; for a TransportError, the text alone."""
+    text = " ".join(str(error).split())[:200]
+    if isinstance(error, TransportError):
+        return text
+    return f"{type(error).__name__}: {text}" if text else type(error).__name__

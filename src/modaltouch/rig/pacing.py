@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
-from modaltouch.rig.visa import Transport, VisaSession, describe_error
+from modaltouch.rig.interface import Transport, describe_error
 from modaltouch.system import Clock, VirtualClock
 
 LATEST = 0.05
@@ -240,6 +240,13 @@ ROUNDING = 1e-9
 """Tolerance for rounding in sums of virtual times [s]."""
 
 
+class HeldTransport(Transport, typing.Protocol):
+    """A transport that is released by its only user."""
+
+    def release(self) -> None:
+        """Close the transport, and release the instrument to other programs."""
+
+
 class LocalClient:
     """Watchdog client in virtual time, which plays bursts without a separate process.
 
@@ -247,13 +254,13 @@ class LocalClient:
 
     Parameters
     ----------
-    transport : VisaSession
+    transport : HeldTransport
         Transport to the instrument.
     clock : VirtualClock
         Clock of the session.
     """
 
-    def __init__(self, transport: VisaSession, clock: VirtualClock) -> None:
+    def __init__(self, transport: HeldTransport, clock: VirtualClock) -> None:
         self._transport = transport
         self._clock = clock
         self._pacer: Pacer | None = None

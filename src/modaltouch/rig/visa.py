@@ -1,4 +1,4 @@
-"""Transport to an instrument: PyVISA sessions, one per instrument on this machine, and discovery of instruments."""
+"""Transport by PyVISA: sessions, one per instrument on this machine, and discovery of instruments."""
 
 from __future__ import annotations
 
@@ -16,60 +16,8 @@ import warnings
 from pathlib import Path
 from typing import Any
 
-from modaltouch.rig.interface import LinkError, RigError
+from modaltouch.rig.interface import InUse, RigError, block_bounds
 from modaltouch.system import lock
-
-
-class InUse(LinkError):  # noqa: N818
-    """The instrument is in use by another program."""
-
-
-class TransportError(Exception):
-    """A failure at the other end of a transport, already described by its text."""
-
-
-class Transport(typing.Protocol):
-    """A transport to one instrument; every failure raises, and the transport must then be closed and reopened."""
-
-    def open(self) -> str:
-        """Reopen the transport; return a sentence on how other programs are locked out.
-
-        Raises
-        ------
-        InUse
-            If another program has the instrument.
-        """
-
-    def exchange(self, message: bytes, *, timeout: float, reply: bool) -> bytes:
-        """Send a message and return the reply, if one is expected; each may take up to `timeout` [s]."""
-
-    def close(self, *, broken: bool) -> None:
-        """Close the transport; if broken, without notifying the other end."""
-
-
-def block_bounds(reply: bytes) -> tuple[int, int]:
-    """Return start and end of the content of a definite-length block (IEEE 488.2, 8.7.9).
-
-    Raises
-    ------
-    ValueError
-        If the reply does not begin with a block header.
-    """
-    n_digits = reply[1:2]
-    length = reply[2 : 2 + int(n_digits)] if n_digits.isdigit() else b""
-    if not (reply[:1] == b"#" and length.isdigit()):
-        raise ValueError(f"reply {reply[:20]!r} is not a block")
-    start = 2 + int(n_digits)
-    return start, start + int(length)
-
-
-def describe_error(error: BaseException) -> str:
-    """Return type and text of an error in one line; for a TransportError, the text alone."""
-    text = " ".join(str(error).split())[:200]
-    if isinstance(error, TransportError):
-        return text
-    return f"{type(error).__name__}: {text}" if text else type(error).__name__
-
 
 CONNECT_TIMEOUT = 2.0
 """Timeout of a TCP connection to the instrument [s]; a lost packet is resent after one second."""
@@ -134,16 +82,13 @@ class VisaSession:
     ----------
     address : str
         VISA address; the suffix ``@ivi`` selects the vendor's VISA library (NI-VISA, R&S VISA) instead of pyvisa-py.
-    shares : bool
-        Whether other programs on this machine may use the instrument at the same time.
     """
 
-    def __init__(self, address: str, *, shares: bool = False) -> None:
+    def __init__(self, address: str) -> None:
         self._address, _, backend = address.partition("@")
         self._visa_library = f"@{backend or PURE_PYTHON}"
         self._resource: Any = None
         self._timeout = 0.0
-        self._shares = shares
         self._is_socket = self._address.upper().endswith("SOCKET")
         self._acknowledges = not self._is_socket and "HISLIP" not in self._address.upper()
         self._locks: dict[str, int] = {}
@@ -215,7 +160,7 @@ class VisaSession:
 
     def _reserve(self, name: str) -> None:
         """Lock an instrument by one of its names; an empty name reserves nothing."""
-        if name and name not in self._locks and not self._shares:
+        if name and name not in self._locks:
             self._locks[name] = _take_instrument(name)
 
     def close(self, *, broken: bool) -> None:

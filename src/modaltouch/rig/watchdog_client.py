@@ -13,9 +13,8 @@ import time
 from dataclasses import asdict
 from typing import Any
 
-from modaltouch.rig.interface import LinkError, RigError
+from modaltouch.rig.interface import InUse, LinkError, RigError, TransportError
 from modaltouch.rig.pacing import LEASE, Order, Report
-from modaltouch.rig.visa import InUse, TransportError
 from modaltouch.rig.watchdog_process import (
     ARM,
     BEAT,

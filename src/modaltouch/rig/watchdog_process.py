@@ -29,8 +29,9 @@ import typing
 from collections.abc import Callable, Iterator
 from dataclasses import asdict
 
+from modaltouch.rig.interface import InUse, Transport, describe_error
 from modaltouch.rig.pacing import PATIENCE, Order, Pacer
-from modaltouch.rig.visa import InUse, Transport, VisaSession, describe_error
+from modaltouch.rig.visa import VisaSession
 from modaltouch.system import SYSTEM_CLOCK, Clock
 
 OPEN, EXCHANGE, CLOSE, ARM, BEAT, DISARM, CLEAN = b"O", b"X", b"Z", b"A", b".", b"D", b"C"

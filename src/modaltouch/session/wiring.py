@@ -216,7 +216,7 @@ class SessionParts:
     @contextmanager
     def open_rig(self, log: Callable[..., None]) -> Iterator[Rig]:
         """Open the driver; start the twin first if the rig is simulated."""
-        address, options = self.rig, dict[str, Any](clock=self.clock)
+        options: dict[str, Any] = {"address": self.rig, "clock": self.clock}
         with ExitStack() as stack:
             if self.rig == SIMULATED:
                 from modaltouch.rig import Simulator
@@ -225,8 +225,8 @@ class SessionParts:
                 touched = self.preflight.findings.with_true_fingers(Schedule.random_generator(*who, "fingers"))
                 follow = self.place.log if self.preflight.findings.measured else None
                 self.simulator = stack.enter_context(Simulator(touched, clock=self.clock, follow=follow))
-                address, options = self.simulator.address, self.simulator.driver_options
-            yield stack.enter_context(Generator(address, self.preflight.experiment.apparatus, log=log, **options))
+                options = self.simulator.driver_options
+            yield stack.enter_context(Generator(apparatus=self.preflight.experiment.apparatus, log=log, **options))
 
     @contextmanager
     def open_prober(self, rig: Rig) -> Iterator[Prober]:

@@ -21,16 +21,16 @@ from numpy.typing import NDArray
 from modaltouch.protocol import Apparatus
 from modaltouch.rig.simulator.afg import afg_twin
 from modaltouch.rig.simulator.common import Behaviour
-from modaltouch.rig.simulator.instrument import Faults, SimulatedInstrument
+from modaltouch.rig.simulator.instrument import DirectTransport, Faults, SimulatedInstrument
 from modaltouch.rig.simulator.timeline import Delays, Playback
 from modaltouch.rig.simulator.twin import TrueState, Twin
-from modaltouch.rig.simulator.vxi11 import Vxi11Server
 from modaltouch.system import SYSTEM_CLOCK, Clock, VirtualClock
 
 if TYPE_CHECKING:
     from modaltouch.rig.simulator.scope import SimulatedScope
     from modaltouch.rig.simulator.scpi import CommandTable
     from modaltouch.rig.simulator.session_files import FollowedSession, PlayedLog
+    from modaltouch.rig.simulator.vxi11 import Vxi11Server
     from modaltouch.stimulus import Finger
 
 
@@ -122,6 +122,8 @@ class Simulator(AbstractContextManager["Simulator"]):
     @cached_property
     def server(self) -> Vxi11Server:
         """VXI-11 server, started on first use; it can drop connections, reject new ones and listen again."""
+        from modaltouch.rig.simulator.vxi11 import Vxi11Server
+
         return Vxi11Server(self._instrument, self._port)
 
     @property
@@ -136,18 +138,14 @@ class Simulator(AbstractContextManager["Simulator"]):
 
     @property
     def driver_options(self) -> dict[str, Any]:
-        """Options of `Generator` for this twin: its clock, and in virtual time no watchdog process."""
+        """Arguments of `Generator` for this twin: in virtual time neither a server nor a watchdog process."""
         clock = self.afg.clock
         if not isinstance(clock, VirtualClock):
-            return {"clock": clock}
+            return {"address": self.address, "clock": clock}
         from modaltouch.rig.pacing import LocalClient
-        from modaltouch.rig.visa import VisaSession
 
-        # No other program knows this twin, but a previous user of the same port may still hold the lock of the address.
-        return {
-            "clock": clock,
-            "start_guard": lambda address, off: LocalClient(VisaSession(address, shares=True), clock),
-        }
+        client = LocalClient(DirectTransport(self._instrument), clock)
+        return {"address": "simulated", "clock": clock, "start_guard": lambda address, off: client}
 
     @property
     def outputs(self) -> tuple[bool, ...]:

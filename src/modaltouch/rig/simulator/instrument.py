@@ -177,6 +177,32 @@ class SimulatedInstrument:
         return _spoil_reply(_joined(replies), met)
 
 
+class DirectTransport:
+    """The transport of a driver in the same process: no network, and no wait for a reply that comes too late."""
+
+    def __init__(self, instrument: SimulatedInstrument) -> None:
+        self._instrument = instrument
+
+    def open(self) -> str:
+        """Do nothing, and return how other programs are locked out."""
+        return "no other program can reach it"
+
+    def exchange(self, message: bytes, *, timeout: float, reply: bool) -> bytes:
+        """Have a message executed and return the reply, if one is expected."""
+        received = self._instrument.execute(message)
+        if received.hang_up:
+            raise ConnectionResetError("the instrument closed the connection")
+        if reply and (not received.data or received.delay > timeout):
+            raise TimeoutError(f"no reply within {timeout:g} s")
+        return received.data if reply else b""
+
+    def close(self, *, broken: bool) -> None:
+        """Do nothing, since nothing is held."""
+
+    def release(self) -> None:
+        """Do nothing, since nothing is held."""
+
+
 def _joined(replies: list[bytes]) -> bytes:
     return b";".join(replies) + b"\n" if replies else b""
 
