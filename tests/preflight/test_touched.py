@@ -446,7 +446,7 @@ def test_what_measures_the_untouched_beam_refuses_a_design_for_fingers(designed:
     """A calibration made with it would be of another beam."""
     with pytest.raises(InputError, match=r"stimulus.fingers: given fingers, but this measures the untouched beam"):
         designed.of_untouched_beam()
-    assert designed.comparison() == []
+    assert designed.as_dict(compare=True)["comparison"] == []
 
 
 def limited(edit: Edit, limit: float, *changes: tuple[str, str]) -> Path:

@@ -9,17 +9,9 @@ from functools import cached_property
 from typing import Any, Self
 
 from modaltouch.preflight.design_inputs import DesignInputs
-from modaltouch.preflight.figures import (
-    DESIGN_FIGURES,
-    contrasts,
-    design_figures_of,
-    field_figures,
-    finger_places,
-    occasion_figures,
-    stimulus_figures,
-)
+from modaltouch.preflight.figures import field_figures, finger_places, stimulus_figures
 from modaltouch.protocol import Experiment, Findings, InputError, Problem, Trial
-from modaltouch.stimulus import Burst, Law, Stimulus
+from modaltouch.stimulus import Burst, Stimulus
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,9 +130,9 @@ class Preflight:
     @cached_property
     def designs(self) -> dict[str, Preflight]:
         """Preflight of each design, by stimulus and, for fingers, placement; the name is empty for a single one."""
-        return {" ".join(named.values()): each for named, each in self._named_designs()}
+        return {" ".join(named.values()): each for named, each in self.named_designs()}
 
-    def _named_designs(self) -> Iterator[tuple[dict[str, str], Preflight]]:
+    def named_designs(self) -> Iterator[tuple[dict[str, str], Preflight]]:
         """Yield the preflight of each design, with the names of its stimulus and placement if there are several."""
         for name, part in self.parts.items():
             for place, each in part.by_placement.items():
@@ -201,39 +193,14 @@ class Preflight:
         if self.problems:
             return []
         if self.variants or self.placed:
-            return [{**named, **row} for named, each in self._named_designs() for row in each.stimuli]
+            return [{**named, **row} for named, each in self.named_designs() for row in each.stimuli]
         inputs, stimulus = self.sound
         return [stimulus_figures(inputs, stimulus, level) for level in inputs.levels.values()]
 
     @property
     def fields(self) -> list[dict[str, Any]]:
         """Target and predicted field of each design at its highest level."""
-        return [{**named, **field_figures(*each.sound)} for named, each in self._named_designs()]
-
-    def comparison(self) -> list[dict[str, Any]]:
-        """Return the predicted figures of each level under the other drive law, on the same rig."""
-        if self.variants:
-            return [{"stimulus": name, **each} for name, part in self.parts.items() for each in part.comparison()]
-        if self.placed:
-            return []  # the other law applies to the untouched beam
-        inputs, stimulus = self.sound
-        other: Law = "paper" if stimulus.law == "exact" else "exact"
-        compared = stimulus.under_law(other)
-        return [stimulus_figures(inputs, compared, level) for level in inputs.levels.values()]
-
-    def touched(self, fingers: str | None = None) -> list[dict[str, dict[str, Any]]]:
-        """Return the figures of each level of each stimulus under fingers, by placement (see `preflight.exploration`).
-
-        The fingers are those of the protocol, or of a file, or shipped ones. Raises InputError with all faults.
-        """
-        from modaltouch.preflight.exploration import touched_figures
-
-        findings = self.require().findings if fingers is None else self.findings.under(fingers)
-        return [
-            row
-            for part in self.parts.values()
-            for row in touched_figures(findings, {name: each.sound for name, each in part.by_placement.items()})
-        ]
+        return [{**named, **field_figures(*each.sound)} for named, each in self.named_designs()]
 
     def untouched_warning(self) -> str | None:
         """Return a warning on the effect of typical fingers; None for a stimulus designed for fingers."""
@@ -258,107 +225,14 @@ class Preflight:
     def as_dict(self, *, compare: bool = False, fingers: str | None = None) -> dict[str, Any]:
         """Return all results as plain values, as printed by ``modaltouch check --json``.
 
-        `compare` includes the other drive law; `fingers` are as for `touched`, or ``none``.
+        `compare` includes the other drive law; `fingers` are those of a file, or shipped ones, or ``none``.
         """
-        reading = self.findings.protocol
-        values: dict[str, Any] = {
-            "protocol": reading.sound("protocol") if reading else None,
-            "title": reading.sound("title") if reading else None,
-            "file": str(reading.source.path) if reading else None,
-            "apparatus": self.findings.apparatus.sound("apparatus") if self.findings.apparatus else None,
-            "calibration": self._calibration(),
-            **dict.fromkeys(DESIGN_FIGURES),
-            "problems": [problem.as_dict() for problem in self.problems],
-            "warnings": [],
-            "defaults": self.findings.defaults(),
-            "stimuli": self._levels(fingers),
-            **{name: [] for name in ("contrasts", "unknown_gains", "assumed_gains", "offered_gains")},
-        }
-        if self.others:
-            values["occasions"] = [occasion_figures(each.findings) for each in (self, *self.others)]
-        if reading is not None and reading.value is not None:
-            values |= design_figures_of(reading.value)
-        if self.problems:
-            return values
-        from modaltouch.preflight import advice
+        from modaltouch.preflight.results import check_results
 
-        protocol, apparatus = self.experiment.protocol, self.sound[0].apparatus
-        values |= {
-            "warnings": [
-                *([f"the calibration misses its limits: {self.calibration_mark}"] if self.calibration_mark else []),
-                *self._stimulus_warnings(),
-                *advice.placement_warnings({name: part.sound[0] for name, part in self.designs.items()}),
-                *advice.contact_warnings(self.findings if fingers in (None, "none") else self.findings.under(fingers)),
-                *advice.design_warnings(protocol),
-                *advice.answer_warnings(protocol),
-                *advice.interval_warnings(protocol),
-                *advice.generator_warnings(self.experiment.apparatus),
-                *advice.sound_warnings(protocol, self.experiment.apparatus),
-                *advice.default_warnings(values["defaults"]),
-            ],
-            "contrasts": self._contrasts(),
-            "unknown_gains": [{"mode": label, "set": name} for label, name in apparatus.unknown_gains()],
-            "assumed_gains": [{"mode": label, "set": name} for label, name in apparatus.assumed_gains()],
-            "offered_gains": [
-                {"mode": label, "set": name, "gain_mm_s2_per_V": gain}
-                for label, name, gain in apparatus.offered_gains()
-            ],
-        }
-        if compare:
-            from modaltouch.preflight.exploration import continuous_figures
-
-            values |= {"comparison": self.comparison(), "continuous_fallback": continuous_figures(*self.sound)}
-        return values
-
-    def _levels(self, fingers: str | None) -> list[dict[str, Any]]:
-        """Return the figures of each level; with fingers, those of the first placement and under each placement."""
-        if self.problems:
-            return []
-        rows = [
-            {**({"stimulus": name} if self.variants else {}), **row}
-            for name, part in self.parts.items()
-            for row in next(iter(part.placed.values()), part).stimuli
-        ]
-        if fingers == "none" or (fingers is None and self.findings.fingers is None):
-            return rows
-        return [{**row, "touched": each} for row, each in zip(rows, self.touched(fingers), strict=True)]
-
-    def _stimulus_warnings(self) -> list[str]:
-        from modaltouch.preflight.advice import field_warnings, stimulus_warnings
-
-        warnings: list[tuple[str, list[str]]] = []
-        for name, part in self.parts.items():
-            inputs, stimulus = part.sound
-            own = [*field_warnings(inputs, stimulus, part.stimuli), *stimulus_warnings(inputs, stimulus, part.stimuli)]
-            warnings.append((name, own))
-        shared = [each for each in warnings[0][1] if all(each in own for _, own in warnings)]
-        return [*shared, *(f"stimulus {name}: {each}" for name, own in warnings for each in own if each not in shared)]
-
-    def _contrasts(self) -> list[dict[str, Any]]:
-        protocol = self.experiment.protocol
-        return [
-            {**named, **row}
-            for named, each in self._named_designs()
-            for row in contrasts(protocol, each.stimuli[-1]["zone_peak_mm_s"], named.get("placement", "").split(" ")[0])
-        ]
+        return check_results(self, compare=compare, fingers=fingers)
 
     @property
     def calibration_mark(self) -> str:
         """Limits that the calibration misses, and why; empty if it meets them or there is no calibration."""
         reading = self.findings.calibration
         return "" if reading is None or reading.value is None else reading.value.mark
-
-    def _calibration(self) -> dict[str, Any] | None:
-        """Return the calibration used and its remaining errors; None without a calibration."""
-        reading = self.findings.calibration
-        if reading is None or (value := reading.value) is None:
-            return None
-        return {
-            "file": str(reading.source.path),
-            "sha256": reading.source.sha256,
-            "made": value.made,
-            "generator": value.instruments.generator,
-            "reference_mm_s": max(each.reference_mm_s for each in value.by_stimulus.values()),
-            "worst_modal_error_mm_s": max(each.worst_error_mm_s for each in value.by_stimulus.values()),
-            "mark": value.mark,
-        }

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
 from modaltouch.preflight.design_inputs import DesignInputs
-from modaltouch.protocol import Findings, Protocol
+from modaltouch.protocol import Protocol
 from modaltouch.stimulus import Stimulus
 
 ANSWER_S, PLACEMENT_S, BREAK_S, INSTRUCTIONS_S = 1.5, 5.0, 30.0, 90.0
@@ -69,21 +68,6 @@ def field_figures(inputs: DesignInputs, stimulus: Stimulus) -> dict[str, Any]:
     }
 
 
-def contrasts(protocol: Protocol, zone_peak: dict[str, float], placement: str = "") -> Iterator[dict[str, Any]]:
-    """Yield the speeds at the zones of each pair, and the ratio of the faster to the slower."""
-    for left, right in protocol.conditions.pairs:
-        if placement and {left, right} != set(placement.split("-")):
-            continue
-        slower, faster = sorted((zone_peak[left], zone_peak[right]))
-        yield {
-            "zone_left": left,
-            "zone_right": right,
-            "left_mm_s": zone_peak[left],
-            "right_mm_s": zone_peak[right],
-            "contrast": finite(faster / slower) if slower else None,
-        }
-
-
 def zone_centres(inputs: DesignInputs) -> np.ndarray[Any, np.dtype[np.float64]]:
     """Return the centres of the zones from left to right, (n_zones,) array [m]."""
     return np.array([zone.centre_mm for zone in inputs.apparatus.ordered_zones.values()]) * 1e-3
@@ -137,37 +121,3 @@ def finite(value: float) -> float | None:
 def by_name(names: Any, values: Any) -> dict[str, float | None]:
     """Return numbers by name for JSON; None for those that are not finite."""
     return {name: finite(float(value)) for name, value in zip(names, values, strict=True)}
-
-
-DESIGN_FIGURES = ("sensation_levels", "n_trials", "n_catch_trials", "n_practice_trials", "estimated_duration_min")
-
-
-def design_figures_of(protocol: Protocol) -> dict[str, Any]:
-    """Return numbers of trials, session duration and threshold bounds; empty if no finger has a zone."""
-    if not protocol.conditions.contacts:
-        return {}
-    own, velocities = protocol.conditions.sensation_levels, protocol.conditions.peak_velocities_mm_s
-    return {
-        "sensation_levels": own
-        and {
-            "thresholds_from": own.thresholds_from,
-            "multiples": list(own.multiples),
-            "thresholds_mm_s": [round(each, 4) for each in own.thresholds(min(velocities), max(velocities))],
-        },
-        "n_trials": protocol.n_trials,
-        "n_catch_trials": protocol.schedule.catch_trials * len(protocol.conditions.finger_conditions),
-        "n_practice_trials": protocol.schedule.practice_trials,
-        "estimated_duration_min": estimated_duration(protocol),
-    }
-
-
-def occasion_figures(findings: Findings) -> dict[str, Any]:
-    """Return group, kind of session, levels, numbers of trials and duration; values are None for a faulty protocol."""
-    protocol = None if findings.protocol is None else findings.protocol.value
-    known = {} if protocol is None else design_figures_of(protocol)
-    return {
-        "group": findings.occasion.group,
-        "session_kind": findings.occasion.kind,
-        "peak_velocities_mm_s": None if protocol is None else list(protocol.conditions.peak_velocities_mm_s),
-        **{name: known.get(name) for name in ("n_trials", "n_practice_trials", "estimated_duration_min")},
-    }
