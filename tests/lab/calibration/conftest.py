@@ -16,9 +16,10 @@ from modaltouch.preflight.design_inputs import design_to_fit
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.apparatus_sections import TrueAmplifier
 from modaltouch.rig.scope import Acquisition, Recording
+from modaltouch.rig.simulator.motion import TrueState
 from modaltouch.rig.simulator.scope import SimulatedScope
 from modaltouch.rig.simulator.timeline import Delays, Playback, Timeline
-from modaltouch.rig.simulator.twin import TrueState, Twin
+from modaltouch.rig.simulator.twin import Twin
 from modaltouch.stimulus.burst import Burst
 
 PROTOCOL = Path(__file__).parents[3] / "protocols" / "differentiated_stimulation.yaml"

@@ -10,7 +10,7 @@ from modaltouch.lab.laboratory import open_laboratory
 from modaltouch.lab.validation.command import record_laws
 from modaltouch.lab.validation.evidence import Evidence, Observation, evaluate
 from modaltouch.preflight import Preflight, examine
-from modaltouch.rig.simulator.twin import TrueState
+from modaltouch.rig.simulator.motion import TrueState
 
 PROTOCOL = Path(__file__).parents[3] / "protocols" / "differentiated_stimulation.yaml"
 N_POINTS, N_RECORDS = 41, 4

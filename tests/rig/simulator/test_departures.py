@@ -10,9 +10,10 @@ import pytest
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.apparatus_sections import TwinSection
 from modaltouch.rig.scope import Acquisition
+from modaltouch.rig.simulator.motion import PLAYS, lagging
 from modaltouch.rig.simulator.scope import SimulatedScope
 from modaltouch.rig.simulator.timeline import Delays, Playback, Timeline
-from modaltouch.rig.simulator.twin import PLAYS, Twin, lagging
+from modaltouch.rig.simulator.twin import Twin
 
 
 def frequency(twin: Twin, *playbacks: Playback | None) -> float:

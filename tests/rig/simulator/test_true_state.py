@@ -11,9 +11,8 @@ import pytest
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.apparatus_sections import TrueAmplifier
 from modaltouch.rig.afg3022b import AFG3022B
-from modaltouch.rig.simulator.motion import DriveVoltage, Motion
+from modaltouch.rig.simulator.motion import DriveVoltage, Motion, state_at
 from modaltouch.rig.simulator.timeline import Playback
-from modaltouch.rig.simulator.true_beam import state_at
 from modaltouch.rig.simulator.twin import Twin
 from modaltouch.stimulus.burst import Timing
 from modaltouch.stimulus.stimulus import design_stimulus

@@ -23,10 +23,11 @@ from modaltouch.rig.simulator.afg import afg_twin
 from modaltouch.rig.simulator.common import Behaviour
 from modaltouch.rig.simulator.instrument import DirectTransport, Faults, SimulatedInstrument
 from modaltouch.rig.simulator.timeline import Delays, Playback
-from modaltouch.rig.simulator.twin import TrueState, Twin
+from modaltouch.rig.simulator.twin import Twin
 from modaltouch.system import SYSTEM_CLOCK, Clock, VirtualClock
 
 if TYPE_CHECKING:
+    from modaltouch.rig.simulator.motion import TrueState
     from modaltouch.rig.simulator.scope import SimulatedScope
     from modaltouch.rig.simulator.scpi import CommandTable
     from modaltouch.rig.simulator.session_files import FollowedSession, PlayedLog

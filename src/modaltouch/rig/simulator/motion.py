@@ -1,14 +1,15 @@
-"""Velocity and voltage of repeated bursts at arbitrary sampling instants of an instrument."""
+"""Velocity, state and voltage at arbitrary instants of repeated bursts, for measurements, and hysteresis."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Self
 
 import numpy as np
 
-from modaltouch.rig.simulator.true_beam import ComplexArray, FloatArray, Held, refined, start_state
+from modaltouch.rig.simulator.true_beam import LONGEST_SILENCE, ComplexArray, FloatArray, Held, refined
 from modaltouch.stimulus import Amplifier, BlockKernel, DiagonalSystem
 
 SAME_POLE = 1e-6
@@ -19,6 +20,31 @@ AT_ONCE = 32768
 
 SPARE = 64
 """Number of instants computed beyond the last one requested, for records with another jitter."""
+
+PLAYS = (0.2, 0.4, 0.6, 0.8)
+"""Half-widths of the play operators of an actuator, as fractions of the amplifier's limit [1]."""
+
+
+@dataclass(frozen=True, eq=False)
+class TrueState:
+    """The true state of the beam at an instant, a reference for measurements, known only for a twin.
+
+    Attributes
+    ----------
+    label : tuple of int
+        Labels of the modes of the table.
+    velocity : (n_modes,) array
+        Modal velocities of these modes [m/s].
+    displacement : (n_modes,) array
+        Modal displacements of these modes times natural angular frequency, w eta [m/s].
+    unlisted_velocity : (n_unlisted,) array
+        Modal velocities of the modes not in the table [m/s].
+    """
+
+    label: tuple[int, ...]
+    velocity: FloatArray
+    displacement: FloatArray
+    unlisted_velocity: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,3 +259,75 @@ def low_passed(
     sensor = Amplifier(gain=1.0, limit=1.0, bandwidth=pole / (2 * np.pi), delay=system.delay)
     behind = DiagonalSystem.behind(sensor, system.exponent, system.input_gain, output[None], output[None])
     return behind, behind.velocity[0]
+
+
+def start_state(system: DiagonalSystem, held: Held) -> ComplexArray:
+    """Return the state at the beginning of a burst that follows many others, (n_states,) array."""
+    if math.isinf(held.period):
+        return np.zeros(system.exponent.size, dtype=complex)
+    at_end = system.held_states(held.voltage, held.hold).sum(axis=0)
+    silence = held.period - held.duration
+    return np.asarray(at_end * np.exp(system.exponent * silence) / -np.expm1(system.exponent * held.period))
+
+
+def state_at(system: DiagonalSystem, held: Held, instant: float, *, first: bool) -> ComplexArray:
+    """Return the state at an instant since a trigger [s], on the generator's true clock, (n_states,) array.
+
+    The instant is at most a period; the `first` burst starts from rest, others after many bursts.
+    """
+    instant -= held.delay
+    if instant < 0:
+        if first or math.isinf(held.period):
+            return np.zeros(system.exponent.size, dtype=complex)
+        instant += held.period
+    played = min(instant, held.duration + system.delay)
+    state = system.state_at(held.voltage, held.timing, played)
+    state = state * np.exp(system.exponent * (instant - played))
+    since = instant - system.delay
+    if first or since < 0:
+        return np.asarray(state)
+    return np.asarray(state + np.exp(system.exponent * since) * start_state(system, held))
+
+
+def common_peak(system: DiagonalSystem, output: ComplexArray, parts: Sequence[Held]) -> float:
+    """Return the largest magnitude of an output for different bursts with a common period, to 3 parts in 1000."""
+    step = min(refined(system, part)[1] for part in parts) / 2
+    ends = max(part.delay + LONGEST_SILENCE * part.duration for part in parts)
+    span = 0.0, min(parts[0].period, ends)
+    times = np.arange(*span, step)
+    total = sum(StateHistory.of(system, part, span).motion(output).at(times) for part in parts)
+    return float(np.abs(total).max())
+
+
+def lagging(voltage: FloatArray, share: float, limit: float) -> FloatArray:
+    r"""Return the voltages for which an actuator without hysteresis would produce the same force.
+
+    A share of the force follows play operators of equal weight, :math:`y_k = \max(v_k - r, \min(v_k + r, y_{k-1}))`
+    (Prandtl and Ishlinskii; Visintin 1994, Differential Models of Hysteresis, sec. III.2). Their half-widths are evenly
+    spaced, so that hysteresis loops grow with the square of the voltage, as in Rayleigh's law for piezoelectric
+    ceramics (Damjanovic 1997, J. Appl. Phys. 82, 1788).
+
+    Parameters
+    ----------
+    voltage : (n_channels, n_samples) array
+        Voltages of repeated bursts, relative to rest [V].
+    share : float
+        Share of the force that lags [1].
+    limit : float
+        Limit of the amplifier [V].
+    """
+    result = (1 - share) * voltage
+    for row, volts in zip(result, voltage, strict=True):
+        turns = np.append(np.flatnonzero(np.diff(np.sign(np.diff(volts)))) + 1, volts.size - 1)
+        # Between two turning points the voltage is monotonic, so the value at the first determines the rest.
+        part = np.searchsorted(turns, np.arange(volts.size))
+        for width in np.array(PLAYS) * limit:
+            reached = 0.0
+            for _ in range(2):  # the second burst begins where the first and every later one ends
+                before = []
+                for volt in volts[turns].tolist():
+                    before.append(reached)
+                    reached = max(volt - width, min(volt + width, reached))
+            play = np.clip(np.array(before)[part], volts - width, volts + width)
+            row += share / len(PLAYS) * (play - reached)
+    return np.asarray(result)

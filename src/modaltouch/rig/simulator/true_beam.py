@@ -218,34 +218,6 @@ class Held:
         return time if time.min() >= 0 and time.max() < self.period else np.mod(time, self.period)
 
 
-def start_state(system: DiagonalSystem, held: Held) -> ComplexArray:
-    """Return the state at the beginning of a burst that follows many others, (n_states,) array."""
-    if math.isinf(held.period):
-        return np.zeros(system.exponent.size, dtype=complex)
-    at_end = system.held_states(held.voltage, held.hold).sum(axis=0)
-    silence = held.period - held.duration
-    return np.asarray(at_end * np.exp(system.exponent * silence) / -np.expm1(system.exponent * held.period))
-
-
-def state_at(system: DiagonalSystem, held: Held, instant: float, *, first: bool) -> ComplexArray:
-    """Return the state at an instant since a trigger [s], on the generator's true clock, (n_states,) array.
-
-    The instant is at most a period; the `first` burst starts from rest, others after many bursts.
-    """
-    instant -= held.delay
-    if instant < 0:
-        if first or math.isinf(held.period):
-            return np.zeros(system.exponent.size, dtype=complex)
-        instant += held.period
-    played = min(instant, held.duration + system.delay)
-    state = system.state_at(held.voltage, held.timing, played)
-    state = state * np.exp(system.exponent * (instant - played))
-    since = instant - system.delay
-    if first or since < 0:
-        return np.asarray(state)
-    return np.asarray(state + np.exp(system.exponent * since) * start_state(system, held))
-
-
 def peak(system: DiagonalSystem, output: ComplexArray, held: Held) -> FloatArray:
     """Return the largest magnitudes of the outputs ``Re(output @ state)``, (n_outputs,) array.
 

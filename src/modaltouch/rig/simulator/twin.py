@@ -13,56 +13,28 @@ import numpy as np
 from modaltouch.protocol import Apparatus
 from modaltouch.rig.simulator.timeline import Playback
 from modaltouch.rig.simulator.true_beam import (
-    LONGEST_SILENCE,
-    ComplexArray,
     FloatArray,
     Held,
     generator_gains,
     peak,
     refined,
-    state_at,
     true_amplifier,
     true_beam,
 )
 from modaltouch.stimulus import DiagonalSystem
 
 if TYPE_CHECKING:
-    from modaltouch.rig.simulator.motion import DriveVoltage, Motion, StateHistory
+    from modaltouch.rig.simulator.motion import DriveVoltage, Motion, StateHistory, TrueState
     from modaltouch.stimulus import Finger
 
 MOST_SAMPLES = 1 << 22
 """Largest number of samples computed per burst, over all its cycles."""
-
-PLAYS = (0.2, 0.4, 0.6, 0.8)
-"""Half-widths of the play operators of an actuator, as fractions of the amplifier's limit [1]."""
 
 SETTINGS_KEPT = 64
 """Number of cached settings with peaks, and of cached beams with fingers."""
 
 Setting = tuple[Playback | None, ...]
 """Output of each channel."""
-
-
-@dataclass(frozen=True, eq=False)
-class TrueState:
-    """The true state of the beam at an instant, a reference for measurements, known only for a twin.
-
-    Attributes
-    ----------
-    label : tuple of int
-        Labels of the modes of the table.
-    velocity : (n_modes,) array
-        Modal velocities of these modes [m/s].
-    displacement : (n_modes,) array
-        Modal displacements of these modes times natural angular frequency, w eta [m/s].
-    unlisted_velocity : (n_unlisted,) array
-        Modal velocities of the modes not in the table [m/s].
-    """
-
-    label: tuple[int, ...]
-    velocity: FloatArray
-    displacement: FloatArray
-    unlisted_velocity: FloatArray
 
 
 @dataclass
@@ -211,6 +183,8 @@ class Twin:
         first : bool
             Whether the burst starts from rest rather than after many bursts.
         """
+        from modaltouch.rig.simulator.motion import TrueState, state_at
+
         system = self.system(touched, self.stretch(playbacks))
         state = np.zeros(system.exponent.size, dtype=complex)
         for held in () if self.tripped else self.forces_of(playbacks):
@@ -236,6 +210,8 @@ class Twin:
         share, limit = self.apparatus.twin.hysteresis, self.amplifier.limit
         if not share:
             return self.held_of(playbacks)
+        from modaltouch.rig.simulator.motion import lagging
+
         return [replace(held, voltage=lagging(held.voltage, share, limit)) for held in self.held_of(playbacks)]
 
     def _held(self, together: Sequence[Playback | None]) -> Held:
@@ -283,7 +259,9 @@ class Twin:
             return np.asarray(np.abs(shapes.T @ pressed.velocities(*refined(system, parts[0]))).max(axis=1))
         output = shapes.T @ system.velocity
         if len(parts) > 1 and len({part.period for part in parts}) == 1:
-            return np.array([_common_peak(system, row, parts) for row in output])
+            from modaltouch.rig.simulator.motion import common_peak
+
+            return np.array([common_peak(system, row, parts) for row in output])
         # Bursts with different periods drift relative to each other, so that their peaks eventually coincide.
         return sum((peak(system, output, held) for held in parts), np.zeros(len(positions)))
 
@@ -302,53 +280,7 @@ def _clock(playback: Playback) -> tuple[float, ...]:
     return len(playback.record), playback.duration, playback.period, playback.n_cycles, playback.delay
 
 
-def _common_peak(system: DiagonalSystem, output: ComplexArray, parts: Sequence[Held]) -> float:
-    """Return the largest magnitude of an output for different bursts with a common period, to 3 parts in 1000."""
-    step = min(refined(system, part)[1] for part in parts) / 2
-    ends = max(part.delay + LONGEST_SILENCE * part.duration for part in parts)
-    span = 0.0, min(parts[0].period, ends)
-    times = np.arange(*span, step)
-    from modaltouch.rig.simulator.motion import StateHistory
-
-    total = sum(StateHistory.of(system, part, span).motion(output).at(times) for part in parts)
-    return float(np.abs(total).max())
-
-
 @functools.lru_cache(maxsize=8)
 def record_peak(record: bytes, zero: int) -> float:
     """Return the peak magnitude of a record, as a fraction of half its amplitude [1]; `zero` is its code for 0 V."""
     return float(np.abs(np.frombuffer(record, ">u2").astype(int) - zero).max() / zero)
-
-
-def lagging(voltage: FloatArray, share: float, limit: float) -> FloatArray:
-    r"""Return the voltages for which an actuator without hysteresis would produce the same force.
-
-    A share of the force follows play operators of equal weight, :math:`y_k = \max(v_k - r, \min(v_k + r, y_{k-1}))`
-    (Prandtl and Ishlinskii; Visintin 1994, Differential Models of Hysteresis, sec. III.2). Their half-widths are evenly
-    spaced, so that hysteresis loops grow with the square of the voltage, as in Rayleigh's law for piezoelectric
-    ceramics (Damjanovic 1997, J. Appl. Phys. 82, 1788).
-
-    Parameters
-    ----------
-    voltage : (n_channels, n_samples) array
-        Voltages of repeated bursts, relative to rest [V].
-    share : float
-        Share of the force that lags [1].
-    limit : float
-        Limit of the amplifier [V].
-    """
-    result = (1 - share) * voltage
-    for row, volts in zip(result, voltage, strict=True):
-        turns = np.append(np.flatnonzero(np.diff(np.sign(np.diff(volts)))) + 1, volts.size - 1)
-        # Between two turning points the voltage is monotonic, so the value at the first determines the rest.
-        part = np.searchsorted(turns, np.arange(volts.size))
-        for width in np.array(PLAYS) * limit:
-            reached = 0.0
-            for _ in range(2):  # the second burst begins where the first and every later one ends
-                before = []
-                for volt in volts[turns].tolist():
-                    before.append(reached)
-                    reached = max(volt - width, min(volt + width, reached))
-            play = np.clip(np.array(before)[part], volts - width, volts + width)
-            row += share / len(PLAYS) * (play - reached)
-    return np.asarray(result)
