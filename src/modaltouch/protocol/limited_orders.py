@@ -20,7 +20,9 @@ from itertools import accumulate, groupby, pairwise
 from math import comb
 from typing import Generic, TypeVar
 
-from modaltouch.protocol.schedule_section import NoOrderError
+from modaltouch.protocol.conditions import Cell
+from modaltouch.protocol.schedule_section import LIMITS, NoOrderError
+from modaltouch.protocol.sections import Protocol
 from modaltouch.protocol.streams import Cuts, Stream
 
 
@@ -323,6 +325,27 @@ class Limit(Generic[Item]):
         return sum(
             self.n_broken_between(order[max(0, n - self.reach) : n], order[n : n + 1]) for n in range(1, len(order))
         )
+
+
+def limits_of(protocol: Protocol) -> list[Limit[Cell]]:
+    """Return the limits of a protocol on its shuffled orders."""
+
+    def side(cell: Cell) -> int | None:
+        focus = protocol.stimulus_of(cell[2]).focus
+        return cell[0].index(focus) if focus in cell[0] else None
+
+    kinds: dict[str, Callable[[Cell], object]] = {
+        "max_same_pair_running": lambda cell: cell[0],
+        "max_same_level_running": lambda cell: cell[1],
+        "max_same_stimulus_running": lambda cell: cell[2],
+        "max_same_side_running": side,
+    }
+    given = {key: getattr(protocol.schedule, key) for key in LIMITS}
+    limits = [Limit(key, kind_of, given[key]) for key, kind_of in kinds.items() if given[key] is not None]
+    distance = given["min_same_cell_distance"]
+    if distance:
+        limits.append(Limit("min_same_cell_distance", lambda cell: cell, 1, distance))
+    return limits
 
 
 def draw_by_walk(

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from modaltouch.protocol.conditions import Cell, Placement
-from modaltouch.protocol.orders import are_certain, insert_catches, order_cells, period_of_rows
+from modaltouch.protocol.orders import are_certain, order_cells, period_of_rows
 from modaltouch.protocol.schedule_section import NoOrderError
 from modaltouch.protocol.sections import Protocol
 from modaltouch.protocol.source import InputError, Problem
@@ -231,6 +231,8 @@ class Schedule:
         for number, finger_condition in enumerate(finger_conditions, start=1):
             cells = order_cells(protocol, finger_condition, decided.number, chance(_ORDER + finger_condition), effort)
             if protocol.schedule.catch_trials:
+                from modaltouch.protocol.catch_trials import insert_catches
+
                 cells = insert_catches(protocol, cells, chance(_CATCHES + finger_condition))
             conditions = [_place(finger_condition, cell, placement) for cell in cells]
             first = sum(len(block.trials) for block in blocks) + 1

@@ -2,7 +2,7 @@
 
 import pytest
 
-from modaltouch.protocol.orders import place_catches
+from modaltouch.protocol.catch_trials import place_catches
 from modaltouch.protocol.schedule_section import NoOrderError
 from modaltouch.protocol.streams import Stream
 

@@ -14,8 +14,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from modaltouch.protocol import Findings, Protocol
+from modaltouch.protocol.catch_trials import place_catches
 from modaltouch.protocol.limited_orders import longest_run
-from modaltouch.protocol.orders import latin_square, order_cells, period_of_rows, place_catches
+from modaltouch.protocol.orders import latin_square, order_cells, period_of_rows
 from modaltouch.protocol.schedule import Schedule, Turn
 from modaltouch.protocol.streams import Cuts, Stream
 

@@ -13,8 +13,8 @@ from scipy.stats import chi2, chi2_contingency
 
 from modaltouch.preflight import examine
 from modaltouch.protocol import Findings, InputError, Protocol, Schedule, limited_orders
-from modaltouch.protocol.limited_orders import Limit, draw_by_walk, longest_run
-from modaltouch.protocol.orders import are_certain, limits_of
+from modaltouch.protocol.limited_orders import Limit, draw_by_walk, limits_of, longest_run
+from modaltouch.protocol.orders import are_certain
 from modaltouch.protocol.schedule_section import NoOrderError
 from modaltouch.protocol.streams import Stream
 from modaltouch.session import wire_run
