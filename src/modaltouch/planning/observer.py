@@ -31,33 +31,18 @@ N_NODES = 12
 
 @dataclass(frozen=True, eq=False)
 class DrawnParticipants:
-    """Participants drawn from a population, as arrays of one shape.
+    """Participants drawn from a population, as arrays of one shape."""
 
-    Attributes
-    ----------
-    typical : Participant
-        The typical participant, with the parameters common to all.
-    noise, criterion, side_bias, pace : array
-        As in `Participant`; `pace` multiplies the decision time [1].
-    sharpening : array
-        Factor on the typical value of one plus the suppression [1].
-    """
-
-    typical: Participant
+    typical: Participant  # the typical participant, with the parameters common to all
+    # noise, criterion, side_bias, pace: as in `Participant`; `pace` multiplies the decision time [1]
     noise: FloatArray
     criterion: FloatArray
     side_bias: FloatArray
     pace: FloatArray
-    sharpening: FloatArray
+    sharpening: FloatArray  # factor on the typical value of one plus the suppression [1]
 
     def contrast(self, finger_condition: str) -> FloatArray:
-        """Return one plus the suppression of each participant [1].
-
-        Parameters
-        ----------
-        finger_condition : str
-            ``one_hand`` or another.
-        """
+        """Return one plus the suppression of each participant in a finger condition [1]."""
         return np.maximum((1 + self.typical.suppression_in(finger_condition)) * self.sharpening, 1.0)
 
     def shares(

@@ -94,27 +94,13 @@ class Participant:
         return self.suppression if finger_condition == SAME_HAND else self.suppression_across_hands
 
     def noise_at(self, speed_left: float, speed_right: float) -> float:
-        """Return the standard deviation of the comparison at a level [1].
-
-        Parameters
-        ----------
-        speed_left, speed_right : float
-            Felt speeds [m/s].
-        """
+        """Return the standard deviation of the comparison of two felt speeds [m/s], as a log ratio [1]."""
         if self.near_miss == 0:
             return self.noise
         return float(self.noise * ((max(speed_left, speed_right) + self.floor) / REFERENCE) ** -self.near_miss)
 
     def difference(self, speed_left: float, speed_right: float, finger_condition: str) -> float:
-        """Return the noiseless difference between right and left finger, as a weighted log ratio [1].
-
-        Parameters
-        ----------
-        speed_left, speed_right : float
-            Felt speeds [m/s].
-        finger_condition : str
-            ``one_hand`` or another.
-        """
+        """Return the noiseless difference of two felt speeds [m/s], right against left, as a weighted log ratio [1]."""
         ratio = math.log((speed_right + self.floor) / (speed_left + self.floor))
         return (1 + self.suppression_in(finger_condition)) * ratio + self.side_bias
 

@@ -18,26 +18,12 @@ Entry = TypeVar("Entry")
 
 @dataclass(frozen=True, eq=False)
 class Reading(Generic[Model]):
-    """The valid parts of a file, and its problems.
-
-    Attributes
-    ----------
-    source : Source
-        The text.
-    model : type
-        Model of the file.
-    root : Node or None
-        Tree of the text; None if the text is not a YAML mapping.
-    value : Model or None
-        Content; None if there is any problem.
-    problems : tuple of Problem
-        Problems found.
-    """
+    """The valid parts of a file, and its problems."""
 
     source: Source
     model: type[Model]
-    root: Node | None
-    value: Model | None
+    root: Node | None  # tree of the text; None if the text is not a YAML mapping
+    value: Model | None  # content; None if there is any problem
     problems: tuple[Problem, ...] = field(default=())
 
     def sound(self, *path: Step) -> Any:

@@ -48,34 +48,22 @@ EQUAL_RATIO = 1.1
 
 @dataclass(frozen=True)
 class Condition:
-    """The factor levels of one cell of the design.
+    """The factor levels of one cell of the design."""
 
-    Attributes
-    ----------
-    finger_condition : str
-        ``one_hand`` (index and middle finger of one hand; the paper's test 1), ``two_hands`` (both index
-        fingers; test 2), or one that the protocol defines.
-    zone_left, zone_right : str
-        Zones under the outer fingers, left and right as seen by the participant; for a single finger, its zone and an
-        empty string.
-    velocity_mm_s : float
-        Peak velocity at the centre of the focus zone at the focusing instant [mm/s]; 0 in a catch trial.
-    placement : str
-        ``normal``; ``mirrored`` (the beam turned end to end, so that its last zone is on the left);
-        ``swapped`` (the other hand, or crossed hands if both are on the beam); ``mirrored_swapped``.
-    stimulus : str
-        Name of the stimulus; empty if the protocol has only one, and in a catch trial.
-    zone_between : str
-        Zone under the middle one of three fingers; empty for fewer fingers.
-    """
-
+    # ``one_hand`` (index and middle finger of one hand; the paper's test 1), ``two_hands`` (both index fingers; test
+    # 2), or one that the protocol defines
     finger_condition: str
+    # zone_left, zone_right: zones under the outer fingers, left and right as seen by the participant; for a single
+    # finger, its zone and an empty string
     zone_left: str
     zone_right: str
+    # peak velocity at the centre of the focus zone at the focusing instant [mm/s]; 0 in a catch trial
     velocity_mm_s: float
+    # ``normal``; ``mirrored`` (the beam turned end to end, so that its last zone is on the left); ``swapped`` (the
+    # other hand, or crossed hands if both are on the beam); ``mirrored_swapped``
     placement: str = "normal"
-    stimulus: str = ""
-    zone_between: str = ""
+    stimulus: str = ""  # name of the stimulus; empty if the protocol has only one, and in a catch trial
+    zone_between: str = ""  # zone under the middle one of three fingers; empty for fewer fingers
 
     @classmethod
     def on(
@@ -163,25 +151,15 @@ class Trial:
 
 @dataclass(frozen=True)
 class Answer:
-    """One possible answer.
+    """One possible answer."""
 
-    Attributes
-    ----------
-    name : str
-        Name in the protocol, the record and every table.
-    fingers : tuple of str or None
-        Fingers named, out of ``left``, ``between`` and ``right``; empty if the answer means that nothing was felt; None
-        if it does not refer to fingers.
-    is_below : bool
-        Whether its button is below the others.
-    interval : int, str or None
-        Interval named, from 1; ``same`` or ``different`` for an answer on whether all intervals were alike; None if the
-        answer does not refer to intervals.
-    """
-
-    name: str
+    name: str  # name in the protocol, the record and every table
+    # fingers named, out of ``left``, ``between`` and ``right``; empty if the answer means that nothing was felt; None
+    # if it does not refer to fingers
     fingers: Fingers | None = None
-    is_below: bool = False
+    is_below: bool = False  # whether its button is below the others
+    # interval named, from 1; ``same`` or ``different`` for an answer on whether all intervals were alike; None if the
+    # answer does not refer to intervals
     interval: int | Literal["same", "different"] | None = None
 
     @property

@@ -55,30 +55,15 @@ class UnreadableLineError(Exception):
 
 @dataclass(frozen=True)
 class Chain:
-    """The contents of a log.
+    """The contents of a log."""
 
-    Attributes
-    ----------
-    events : tuple of dict
-        Valid lines in order, without their checks.
-    checks : tuple of str
-        Check of each of these lines.
-    problems : tuple of str
-        All problems; empty for an intact file.
-    damage : tuple of str
-        Problems other than an incomplete last line; a log with any of these cannot be continued.
-    torn : bytes
-        Incomplete last line; empty if there is none.
-    ends_in_newline : bool
-        Whether the last line is terminated.
-    """
-
-    events: tuple[dict[str, Any], ...] = ()
-    checks: tuple[str, ...] = ()
-    problems: tuple[str, ...] = ()
+    events: tuple[dict[str, Any], ...] = ()  # valid lines in order, without their checks
+    checks: tuple[str, ...] = ()  # check of each of these lines
+    problems: tuple[str, ...] = ()  # all problems; empty for an intact file
+    # problems other than an incomplete last line; a log with any of these cannot be continued
     damage: tuple[str, ...] = ()
-    torn: bytes = b""
-    ends_in_newline: bool = True
+    torn: bytes = b""  # incomplete last line; empty if there is none
+    ends_in_newline: bool = True  # whether the last line is terminated
 
     @property
     def last_check(self) -> str:
@@ -87,26 +72,10 @@ class Chain:
 
 
 def encode_line(event: dict[str, Any], previous: str) -> tuple[bytes, str]:
-    """Encode an event as a line of the log, and return the line and its check.
+    """Return an event as a line of the log, in UTF-8 with a newline, and its check of 64 hexadecimal digits.
 
-    Parameters
-    ----------
-    event : dict
-        Plain values; NaN and infinity are not allowed.
-    previous : str
-        Check of the previous line.
-
-    Returns
-    -------
-    line : bytes
-        UTF-8, terminated by a newline.
-    check : str
-        Check of the line, 64 hexadecimal digits.
-
-    Raises
-    ------
-    ValueError
-        If the event is empty or contains a value that JSON cannot represent.
+    `previous` is the check of the previous line. Raises ValueError if the event is empty or contains a value that JSON
+    cannot represent, such as NaN.
     """
     if not event:
         raise ValueError("an event needs at least one member, given none")
@@ -116,24 +85,12 @@ def encode_line(event: dict[str, Any], previous: str) -> tuple[bytes, str]:
 
 
 def read_chain(path: Path) -> Chain:
-    """Read the valid lines of a log and its problems.
-
-    Raises
-    ------
-    RecordError
-        If the file cannot be read.
-    """
+    """Read the valid lines of a log and its problems; raises RecordError if the file cannot be read."""
     return parse_chain(read_log(path), str(path))
 
 
 def read_log(path: Path) -> bytes:
-    """Return the bytes of a log, whether valid or not.
-
-    Raises
-    ------
-    RecordError
-        If the file cannot be read.
-    """
+    """Return the bytes of a log, whether valid or not; raises RecordError if the file cannot be read."""
     try:
         return path.read_bytes()
     except OSError as error:
@@ -222,13 +179,7 @@ def _decode(line: bytes, previous: str) -> tuple[dict[str, Any] | None, str]:
 
 
 def read_object(line: bytes) -> dict[str, Any]:
-    """Parse the JSON object in a line.
-
-    Raises
-    ------
-    UnreadableLineError
-        If it is not JSON, not an object, too deeply nested, or contains a number with thousands of digits.
-    """
+    """Parse the JSON object in a line; raises UnreadableLineError if it is none, or too deep or long to read."""
     try:
         # json.loads would guess the encoding of bytes anew for every line, which is slow for a whole results tree.
         value = json.loads(line.decode("utf-8", "surrogatepass"))

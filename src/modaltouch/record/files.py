@@ -109,12 +109,7 @@ def sync_folder(folder: Path) -> None:
 def make_folder(folder: Path) -> None:
     """Create a folder and its missing parents, each accessible to its owner only.
 
-    `Path.mkdir` applies its mode to the last folder only.
-
-    Raises
-    ------
-    OSError
-        If a folder cannot be created.
+    `Path.mkdir` applies its mode to the last folder only. Raises OSError if a folder cannot be created.
     """
     if not folder.is_dir():
         make_folder(folder.parent)
@@ -140,10 +135,7 @@ def is_locked(path: Path) -> bool:
 def hold(folder: Path) -> Iterator[None]:
     """Lock a folder's shared files, such as the list of participants, against changes by other processes.
 
-    Raises
-    ------
-    RecordError
-        If the lock cannot be created, or is held by another process for longer than `LOCK_PATIENCE`.
+    Raises RecordError if the lock cannot be created, or is held by another process for longer than `LOCK_PATIENCE`.
     """
     with ExitStack() as stack:
         try:

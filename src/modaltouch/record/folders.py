@@ -303,12 +303,7 @@ def replace_json(path: Path, values: Mapping[str, Any]) -> None:
 def find_log(session: Path) -> Path:
     """Return the session log at a path: the log itself, its folder, or any folder with a single log.
 
-    Raises
-    ------
-    InputError
-        If there is no log.
-    RecordInputError
-        If there is more than one log, or the file is not a log.
+    Raises InputError if there is none, RecordInputError if there are several or the file is not a log.
     """
     if session.is_file() and session.suffix != ".jsonl":
         raise RecordInputError(f"{session}: is not a session log; give a session's folder or its {LOG_NAME}")
@@ -320,13 +315,7 @@ def find_log(session: Path) -> Path:
 
 
 def refuse_existing(path: Path) -> None:
-    """Refuse to overwrite a session.
-
-    Raises
-    ------
-    RecordExistsError
-        If the log exists; the message says how to continue.
-    """
+    """Raise RecordExistsError, with how to continue, if the log of a session exists."""
     if path.exists() and is_locked(path):
         raise RecordExistsError(
             f"{path}: another program is running this session now; give another participant id, or wait until it ends"

@@ -264,25 +264,14 @@ def _text(name: str, value: Any) -> str:
 
 @dataclass(frozen=True)
 class ViewFound:
-    """Result of checking a view against its log.
+    """Result of checking a view against its log."""
 
-    Attributes
-    ----------
-    line : str
-        Sentence on a view that agrees; empty otherwise.
-    problem : str
-        Problem of the view; empty if it agrees.
-    is_mendable : bool
-        Whether `resume` repairs the problem: a table or sidecar file is missing, or the view includes the line that is
-        incomplete in the log.
-    is_current : bool
-        Whether the view was made from the whole log.
-    """
-
-    line: str = ""
-    problem: str = ""
+    line: str = ""  # sentence on a view that agrees; empty otherwise
+    problem: str = ""  # problem of the view; empty if it agrees
+    # whether `resume` repairs the problem: a table or sidecar file is missing, or the view includes the line that is
+    # incomplete in the log
     is_mendable: bool = False
-    is_current: bool = False
+    is_current: bool = False  # whether the view was made from the whole log
 
 
 def check_view(session: Session) -> ViewFound:

@@ -22,14 +22,9 @@ N_SPOTS = 64
 
 @dataclass(frozen=True)
 class EditMemory:
-    """Records in memories shared by all channels, stored via an edit memory and read back in full.
+    """Records in numbered memories shared by all channels, stored via an edit memory and read back in full.
 
     If blocks cannot be read back, the number of points and a sample of them are compared.
-
-    Attributes
-    ----------
-    n_memories : int
-        Number of memories, numbered from 1.
     """
 
     n_memories: int

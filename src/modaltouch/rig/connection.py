@@ -24,53 +24,26 @@ def start_watchdog(address: str, off: str) -> BurstPlayer:
 
 @dataclass(frozen=True)
 class Patience:
-    """Timeouts and retries of the driver.
+    """Timeouts and retries of the driver."""
 
-    Attributes
-    ----------
-    reply : float
-        Longest wait for a reply [s].
-    trigger : float
-        Longest wait for the instrument to accept a trigger [s]; pyvisa-py waits one second longer.
-    copy : float
-        Longest wait for an upload or a copy into a memory [s].
-    tries : int
-        Number of attempts to reopen a lost connection.
-    pause : float
-        Pause before the second attempt, doubled for each further attempt [s].
-    quarantine : float
-        Time from reopening a connection to the next stimulus [s]: longer than any burst, relay switching or pending
-        trigger.
-    """
-
-    reply: float = 1.0
-    trigger: float = 0.1
-    copy: float = 15.0
-    tries: int = 4
-    pause: float = 0.25
+    reply: float = 1.0  # longest wait for a reply [s]
+    trigger: float = 0.1  # longest wait for the instrument to accept a trigger [s]; pyvisa-py waits one second longer
+    copy: float = 15.0  # longest wait for an upload or a copy into a memory [s]
+    tries: int = 4  # number of attempts to reopen a lost connection
+    pause: float = 0.25  # pause before the second attempt, doubled for each further attempt [s]
+    # time from reopening a connection to the next stimulus [s]: longer than any burst, relay switching or pending
+    # trigger
     quarantine: float = 0.25
 
 
 @dataclass(frozen=True)
 class OutputState:
-    """State of outputs and settings immediately before the outputs were switched off.
+    """State of outputs and settings immediately before the outputs were switched off."""
 
-    Attributes
-    ----------
-    outputs : tuple of bool
-        Whether each output was on.
-    differences : tuple of str
-        Settings that had changed.
-    errors : tuple of str
-        Contents of the error queue.
-    renewed : bool
-        Whether the connection had to be reopened and every setting applied again.
-    """
-
-    outputs: tuple[bool, ...]
-    differences: tuple[str, ...] = ()
+    outputs: tuple[bool, ...]  # whether each output was on
+    differences: tuple[str, ...] = ()  # settings that had changed
     errors: tuple[str, ...] = ()
-    renewed: bool = False
+    renewed: bool = False  # whether the connection had to be reopened and every setting applied again
 
     @property
     def faults(self) -> tuple[str, ...]:
@@ -82,20 +55,7 @@ class OutputState:
 class Connection:
     """The connection to one generator.
 
-    Parameters
-    ----------
-    address : str
-        VISA address.
-    apparatus : Apparatus
-        The apparatus, with the expected model and the limits.
-    guard : BurstPlayer
-        The watchdog, which holds the VISA session.
-    log : callable
-        Called with every exchange and event.
-    patience : Patience
-        Timeouts and retries.
-    clock : Clock
-        Clock of its waits.
+    `guard`, the watchdog, holds the VISA session; `log` receives every exchange and event.
     """
 
     def __init__(
@@ -125,11 +85,7 @@ class Connection:
         """Open the connection, check the instrument's model, and set it to a known state, outputs off.
 
         On any failure the watchdog is released: nothing was switched on, and another instrument is left as it is.
-
-        Raises
-        ------
-        RigError
-            If no such instrument responds, or it does not accept its settings.
+        Raises RigError if no such instrument responds, or it does not accept its settings.
         """
         with contextlib.ExitStack() as unless_open:
             unless_open.callback(self.guard.release, clean=True)
@@ -177,19 +133,9 @@ class Connection:
     def switch_off(self, doing: str, expected: Sequence[Setting], replay: Callable[[], None]) -> OutputState:
         """Switch the outputs off, over a new connection if necessary, and return their state before.
 
-        Parameters
-        ----------
-        doing : str
-            Current operation, for messages.
-        expected : sequence of Setting
-            Expected settings, compared with those read back.
-        replay : callable
-            Applies all settings again, over a new connection.
-
-        Raises
-        ------
-        RigError
-            If the instrument does not confirm that the outputs are off.
+        `doing` names the current operation in messages, `expected` are the settings compared with those read back, and
+        `replay` applies all settings again, over a new connection. Raises RigError if the instrument does not confirm
+        that the outputs are off.
         """
         try:
             outputs, errors = self.controls.outputs_off()
@@ -200,10 +146,7 @@ class Connection:
         return self.restore(doing, expected, replay)
 
     def restore(self, doing: str, expected: Sequence[Setting], replay: Callable[[], None]) -> OutputState:
-        """Reopen the connection, switch the outputs off, and apply every setting again.
-
-        Parameters and errors are those of `switch_off`.
-        """
+        """Reopen the connection, switch the outputs off, and apply every setting again; as `switch_off`."""
         last: Exception = LinkError("it was not tried")
         for attempt in range(self.patience.tries):
             if attempt:

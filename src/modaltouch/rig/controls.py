@@ -27,25 +27,10 @@ T = typing.TypeVar("T")
 class Controls:
     """Exchanges with one generator: applies settings with read-back and uploads records.
 
-    Failures and timeouts raise LinkError, replies that do not confirm a command Unconfirmed.
-
-    Parameters
-    ----------
-    transport : Transport
-        Transport to the instrument, not yet open.
-    instrument : Instrument
-        The instrument at the other end.
-    revive : callable
-        Reopens the connection to the same instrument after a failed exchange, outputs off.
-    log : callable
-        Called with ``link`` events and, for each exchange, an ``scpi`` event: sent, reply, seconds.
-    timeout, copy_timeout : float
-        Longest wait for a reply, and for an upload, a copy between memories or ``*OPC?`` [s].
-
-    Attributes
-    ----------
-    stored : dict of str
-        Hash of the record in each memory with known content, by name of the memory.
+    Failures and timeouts raise LinkError, replies that do not confirm a command Unconfirmed. Each exchange is logged as
+    an ``scpi`` event: sent, reply, seconds. After a failed one, `revive` reopens the connection, outputs off. `timeout`
+    and `copy_timeout` are the longest waits for a reply, and for an upload, a copy or ``*OPC?`` [s]. `stored` holds the
+    hash of the record in each memory with known content.
     """
 
     def __init__(
@@ -69,15 +54,7 @@ class Controls:
         self.stored: dict[str, str] = {}
 
     def open(self) -> None:
-        """Reopen the session.
-
-        Raises
-        ------
-        InUse
-            If another program has the instrument.
-        LinkError
-            If the instrument cannot be reached.
-        """
+        """Reopen the session; raises InUse if another program has the instrument, LinkError if none answers."""
         self.close()
         started = time.perf_counter()
         try:
@@ -239,17 +216,9 @@ class Controls:
         self._refuse_errors(command, [self.ask(f":{command};:SYST:ERR?")])
 
     def store(self, records: Sequence[tuple[int, NDArray[np.uint16]]]) -> list[str]:
-        """Store records that are not yet stored, verify each for its channel, and return the names of their memories.
+        """Store the codes for each channel, if not yet stored; verify them, and return the names of their memories.
 
-        Parameters
-        ----------
-        records : sequence of (int, (n_samples,) array of uint16)
-            Channel and codes of each record.
-
-        Raises
-        ------
-        Unconfirmed
-            If a record is too short or too long for the instrument, or cannot be verified after two uploads.
+        Raises Unconfirmed if a record is too short or too long, or cannot be verified after two uploads.
         """
         most = self._instrument.converter.max_points
         for _, codes in records:

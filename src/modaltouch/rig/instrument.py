@@ -160,37 +160,18 @@ class Commands:
 
 @dataclass(frozen=True)
 class Instrument:
-    """A two-channel generator.
+    """A two-channel generator."""
 
-    Attributes
-    ----------
-    models : tuple of str
-        Model names in the reply to ``*IDN?``; the specifications are those of the first.
-    converter : Converter
-        Codes, record length, clock and amplitude grid.
-    channels : tuple of int
-        Numbers of its outputs.
-    lowest_amplitude, quiet_amplitude : float
-        Smallest amplitude and standby amplitude, into an open circuit [V peak to peak].
-    highest_output : float
-        Largest output magnitude into an open circuit [V].
-    commands : Commands
-        Table of commands.
-    records : Records
-        Storage of waveform records.
-    questions : tuple of int
-        Numbers of the questions that `modaltouch rig check` answers for this instrument.
-    """
-
-    models: tuple[str, ...]
-    converter: Converter
-    channels: tuple[int, ...]
+    models: tuple[str, ...]  # model names in the reply to ``*IDN?``; the specifications are those of the first
+    converter: Converter  # codes, record length, clock and amplitude grid
+    channels: tuple[int, ...]  # numbers of its outputs
+    # lowest_amplitude, quiet_amplitude: smallest amplitude and standby amplitude, into an open circuit [V peak to peak]
     lowest_amplitude: float
     quiet_amplitude: float
-    highest_output: float
+    highest_output: float  # largest output magnitude into an open circuit [V]
     commands: Commands
-    records: Records
-    questions: tuple[int, ...]
+    records: Records  # storage of waveform records
+    questions: tuple[int, ...]  # numbers of the questions that `modaltouch rig check` answers for this instrument
 
     @property
     def off(self) -> str:
@@ -237,16 +218,11 @@ class Instrument:
         return () if entry is None else self.on_all(entry, period=1 / burst.repetition_rate)
 
     def continuous_codes(self, burst: Burst) -> NDArray[np.uint16]:
-        """Return one record of a whole period, burst and silence, to be repeated without burst mode.
+        """Return codes, (n_channels, max_points) array, of a whole period, to be repeated without burst mode.
 
         It is not exact, since the steps of the burst are shifted to the nearest point of the longest record: at 7 Hz
         and 131,072 points by up to 0.55 us. With the shipped stimulus of 200 mm/s, modal velocities are then off by up
         to 0.014 mm/s, compared with 1e-5 mm/s for the burst itself (computed by `modaltouch.preflight.exploration`).
-
-        Returns
-        -------
-        (n_channels, max_points) array of uint16
-            Codes.
         """
         n_channels, n_samples = burst.codes.shape
         n_points = self.converter.max_points
@@ -260,27 +236,13 @@ class Instrument:
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits of the outputs of a generator in an apparatus.
-
-    Attributes
-    ----------
-    instrument : Instrument
-        The generator.
-    level : float
-        Largest output magnitude into an open circuit [V].
-    beam : float
-        Highest voltage at the beam [V].
-    gain : float
-        Voltage at the beam per open-circuit voltage of the generator [V/V].
-    velocity : float
-        Highest peak velocity at the focus [m/s].
-    """
+    """Limits of the outputs of a generator in an apparatus."""
 
     instrument: Instrument
-    level: float
-    beam: float
-    gain: float
-    velocity: float
+    level: float  # largest output magnitude into an open circuit [V]
+    beam: float  # highest voltage at the beam [V]
+    gain: float  # voltage at the beam per open-circuit voltage of the generator [V/V]
+    velocity: float  # highest peak velocity at the focus [m/s]
 
     @property
     def quiet_amplitude(self) -> float:
@@ -299,24 +261,9 @@ class Limits:
         return tuple(setting for setting in quiet if setting.header not in levels)
 
     def amplitudes(self, burst: Burst, velocity: float) -> tuple[float, ...]:
-        """Return the amplitude of each channel at a level.
+        """Return the amplitude of each channel at a level [m/s], into an open circuit [V peak to peak].
 
-        Parameters
-        ----------
-        burst : Burst
-            The burst to be played.
-        velocity : float
-            Peak velocity at the focus [m/s].
-
-        Returns
-        -------
-        tuple of float
-            Amplitude of each channel, into an open circuit [V peak to peak].
-
-        Raises
-        ------
-        RigError
-            If the level exceeds a limit or cannot be played.
+        Raises RigError if the level exceeds a limit or cannot be played.
         """
         if not (math.isfinite(velocity) and 0 < velocity <= self.velocity):
             raise RigError(

@@ -56,30 +56,15 @@ MANY = 1_000_000
 
 @dataclass(frozen=True)
 class Bursts:
-    """Burst counts of one stimulus; None if unknown.
+    """Burst counts of one stimulus; None if unknown."""
 
-    Attributes
-    ----------
-    asked : int or None
-        Number of bursts due by the end of the stimulus.
-    played : int or None
-        Number of bursts with a trigger accepted by the instrument.
-    whole : int or None
-        Number of bursts played to the end.
-    dropped : int or None
-        Number of bursts dropped because they would have been too late.
-    first_s : float or None
-        Instant at which the first sample of the first burst left the generator, on the clock of the session log [s].
-    uncertainty_s : float or None
-        Uncertainty of `first_s`, in either direction [s].
-    """
-
-    asked: int | None = None
-    played: int | None = None
-    whole: int | None = None
-    dropped: int | None = None
+    asked: int | None = None  # number of bursts due by the end of the stimulus
+    played: int | None = None  # number of bursts with a trigger accepted by the instrument
+    whole: int | None = None  # number of bursts played to the end
+    dropped: int | None = None  # number of bursts dropped because they would have been too late
+    # instant at which the first sample of the first burst left the generator, on the clock of the session log [s]
     first_s: float | None = None
-    uncertainty_s: float | None = None
+    uncertainty_s: float | None = None  # uncertainty of `first_s`, in either direction [s]
 
     def as_dict(self) -> dict[str, Any]:
         """Return the counts as a JSON-serialisable dict for the log."""
@@ -216,10 +201,7 @@ class Transport(typing.Protocol):
     def open(self) -> str:
         """Reopen the transport; return a sentence on how other programs are locked out.
 
-        Raises
-        ------
-        InUse
-            If another program has the instrument.
+        Raises InUse if another program has the instrument.
         """
 
     def exchange(self, message: bytes, *, timeout: float, reply: bool) -> bytes:
@@ -232,10 +214,7 @@ class Transport(typing.Protocol):
 def block_bounds(reply: bytes) -> tuple[int, int]:
     """Return start and end of the content of a definite-length block (IEEE 488.2, 8.7.9).
 
-    Raises
-    ------
-    ValueError
-        If the reply does not begin with a block header.
+    Raises ValueError if the reply does not begin with a block header.
     """
     n_digits = reply[1:2]
     length = reply[2 : 2 + int(n_digits)] if n_digits.isdigit() else b""

@@ -34,30 +34,14 @@ Ending = Literal["", "count", "asked", "stalled", "failed"]
 
 @dataclass(frozen=True)
 class Order:
-    """Bursts to be played.
-
-    Attributes
-    ----------
-    command : str
-        Command that triggers one burst.
-    n_bursts : int
-        Maximum number of bursts.
-    first : float
-        Due instant of the first burst, on the machine's monotonic clock [s].
-    period : float
-        Time from one burst to the next [s].
-    duration : float
-        Duration of one burst [s].
-    timeout : float
-        Longest wait for the instrument to accept a trigger [s].
-    """
+    """Bursts to be played."""
 
     command: str
     n_bursts: int
-    first: float
-    period: float
-    duration: float
-    timeout: float
+    first: float  # due instant of the first burst, on the machine's monotonic clock [s]
+    period: float  # time from one burst to the next [s]
+    duration: float  # duration of one burst [s]
+    timeout: float  # longest wait for the instrument to accept a trigger [s]
 
     @property
     def tolerance(self) -> float:
@@ -67,30 +51,18 @@ class Order:
 
 @dataclass
 class Report:
-    """Outcome of an order.
+    """Outcome of an order."""
 
-    Attributes
-    ----------
-    due, played, dropped : int
-        Number of bursts due, of triggers accepted, and of bursts dropped because they would have been too late or the
-        client had sent no heartbeat.
-    first, last : (sent, accepted) of float or None
-        Instants at which the triggers of the first and the last burst were sent, and accepted by the instrument [s].
-    latest : float
-        Longest delay of a trigger sent [s].
-    ended : str
-        Reason for the end: ``count`` (all bursts were due), ``asked``, ``stalled`` (the client sent no heartbeat) or
-        ``failed``; empty until then.
-    reason : str
-        Description of the failure.
-    """
-
+    # due, played, dropped: number of bursts due, of triggers accepted, and of bursts dropped because they would have
+    # been too late or the client had sent no heartbeat
     due: int = 0
     played: int = 0
     dropped: int = 0
+    # first, last: instants at which the trigger of the first or the last burst was sent, and accepted [s]
     first: tuple[float, float] | None = None
     last: tuple[float, float] | None = None
-    latest: float = 0.0
+    latest: float = 0.0  # longest delay of a trigger sent [s]
+    # why it ended: ``count`` (all bursts were due), ``asked``, ``stalled`` (no heartbeat) or ``failed``; else empty
     ended: Ending = ""
     reason: str = ""
 
@@ -134,16 +106,8 @@ class BurstPlayer(Transport, typing.Protocol):
 class Pacer:
     """Trigger bursts one by one; late bursts are dropped and never caught up.
 
-    Parameters
-    ----------
-    order : Order
-        Bursts to be played.
-    trigger : callable
-        Sends the command and returns when the instrument has accepted it; any exception ends the order.
-    silence : callable
-        Returns the time since the client's last heartbeat [s].
-    clock : Clock
-        Clock of the pacer.
+    `trigger` sends the command and returns when the instrument has accepted it; any exception ends the order. `silence`
+    returns the time since the client's last heartbeat [s].
     """
 
     def __init__(self, order: Order, trigger: Callable[[], object], silence: Callable[[], float], clock: Clock) -> None:
@@ -251,13 +215,6 @@ class LocalClient:
     """Watchdog client in virtual time, which plays bursts without a separate process.
 
     It cannot outlive its process and is therefore only for a twin in the same process.
-
-    Parameters
-    ----------
-    transport : HeldTransport
-        Transport to the instrument.
-    clock : VirtualClock
-        Clock of the session.
     """
 
     def __init__(self, transport: HeldTransport, clock: VirtualClock) -> None:

@@ -29,18 +29,8 @@ RELAYS_SETTLE = 0.05
 class Player:
     """Player of the bursts stored in the instrument, one at a time.
 
-    Methods that send commands raise LinkError or Unconfirmed if the instrument does not confirm a step.
-
-    Parameters
-    ----------
-    controls : Controls
-        Controls of an open instrument.
-    limits : Limits
-        Limits of the outputs.
-    repetition : str
-        Usual repetition of the bursts.
-    clock : Clock
-        Clock of its waits.
+    Methods that send commands raise LinkError or Unconfirmed if the instrument does not confirm a step. `repetition` is
+    the usual one of the bursts.
     """
 
     def __init__(self, controls: Controls, limits: Limits, repetition: Repetition, clock: Clock) -> None:
@@ -86,13 +76,9 @@ class Player:
     def take(self, bursts: Sequence[Burst], repetition: Repetition | None = None) -> None:
         """Set the bursts to be played and select the first; `replay` uploads them.
 
-        Without `repetition`, they are repeated as usual.
-
-        Raises
-        ------
-        RigError
-            If a burst has other channels than the instrument, does not begin and end at rest, has more records than
-            there are memories, or is to be repeated by a timer that the instrument lacks.
+        Without `repetition`, they are repeated as usual. Raises RigError if a burst has other channels than the
+        instrument, does not begin and end at rest, has more records than there are memories, or is to be repeated by a
+        timer that the instrument lacks.
         """
         self._bursts, self._settings, self._levels = (), (), ()
         self.repetition = repetition or self._usual
@@ -174,13 +160,7 @@ class Player:
         return self._instrument.continuous_codes(burst) if self._continuous else burst.codes
 
     def amplitudes(self, velocity: float, which: int = 0) -> tuple[float, ...]:
-        """Return the amplitude of each channel for a burst at a level [m/s], into an open circuit [V peak to peak].
-
-        Raises
-        ------
-        RigError
-            If nothing is loaded, or the level exceeds a limit.
-        """
+        """Return the amplitude of each channel for a burst at a level [m/s], into an open circuit [V peak to peak]."""
         # Settings exist only after every record has been verified and every setting read back.
         if not self._bursts or not self._settings:
             raise RigError(
@@ -197,14 +177,7 @@ class Player:
         """Set both amplitudes with the trigger stopped, check all other settings, and return the values read back.
 
         With `silent` the steps are the same, so that neither relays nor timing reveal a catch trial, but no burst will
-        be triggered.
-
-        Raises
-        ------
-        RigError
-            If `silent` is requested for a repetition whose bursts play as soon as the outputs are on.
-        LinkError, Unconfirmed
-            If the instrument does not confirm a step.
+        be triggered; raises RigError for a repetition whose bursts play as soon as the outputs are on.
         """
         if silent and self.repetition in ("continuous", "wired"):
             raise RigError(

@@ -210,17 +210,7 @@ def _between(earliest: float, latest: float) -> dict[str, float]:
 class Markers:
     """Outlet of Lab Streaming Layer markers of stimulus, question and answer, time-stamped by the LSL clock.
 
-    Parameters
-    ----------
-    source : str
-        Identifier of the stream, such as ``demo/p01/1``.
-    clock : Clock
-        Clock of the session.
-
-    Raises
-    ------
-    ImportError, RuntimeError
-        If pylsl or its library is not installed.
+    `source` identifies the stream, such as ``demo/p01/1``. Raises ImportError or RuntimeError without pylsl.
     """
 
     def __init__(self, source: str, clock: Clock) -> None:

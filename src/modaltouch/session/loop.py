@@ -37,67 +37,35 @@ NOT_OVER = "the stimulus is not over yet"
 
 @dataclass(frozen=True)
 class SessionRun:
-    """Parts and parameters of the trial loop in one sitting.
-
-    Attributes
-    ----------
-    protocol : Protocol
-        The protocol.
-    trials : tuple of Trial
-        Remaining trials in order, practice first.
-    total : int
-        Number of scheduled trials, without practice.
-    levels : Levels or None
-        Sets the levels of adaptive runs; None if the protocol fixes them.
-    speeds : callable
-        Predicted peak speeds under the fingers in a trial, from left to right [m/s].
-    rig, window, log
-        The open instrument, answer window and session log.
-    save_view : callable
-        Updates the BIDS view from the log.
-    tick : callable
-        Called between steps, where the window does not wait; raises to end the session.
-    which : callable
-        Index of the loaded burst for a trial; the first by default.
-    played : callable
-        Level played for a trial and a nominal level [mm/s]; the nominal level by default.
-    probing : Probing or None
-        Measures the fingers at each placement; None if they are not measured.
-    experimenter : Experimenter
-        Receives the events, and requests repeats and the end of the session after a block.
-    masking : Masking
-        Noise that masks the sound of the beam.
-    clock : Clock
-        Clock of session, window, instrument and record.
-    """
+    """Parts and parameters of the trial loop in one sitting."""
 
     protocol: Protocol
-    trials: tuple[Trial, ...]
-    total: int
-    levels: Levels | None
+    trials: tuple[Trial, ...]  # remaining trials in order, practice first
+    total: int  # number of scheduled trials, without practice
+    levels: Levels | None  # sets the levels of adaptive runs; None if the protocol fixes them
+    # predicted peak speeds under the fingers in a trial, from left to right [m/s]
     speeds: Callable[[Trial], tuple[float, ...]]
+    # rig, window, log: the open instrument, answer window and session log
     rig: Rig
     window: AnswerWindow
     log: SessionLog
-    save_view: Callable[[], None]
-    tick: Callable[[], object]
-    which: Callable[[Trial], int] = lambda _: 0
+    save_view: Callable[[], None]  # updates the BIDS view from the log
+    tick: Callable[[], object]  # called between steps, where the window does not wait; raises to end the session
+    which: Callable[[Trial], int] = lambda _: 0  # index of the loaded burst for a trial; the first by default
+    # level played for a trial and a nominal level [mm/s]; the nominal level by default
     played: Callable[[Trial, float], float] = lambda _, level: level
-    probing: Probing | None = None
+    probing: Probing | None = None  # measures the fingers at each placement; None if they are not measured
+    # receives the events, and requests repeats and the end of the session after a block
     experimenter: Experimenter = field(default_factory=Experimenter)
-    masking: Masking = field(default_factory=Masking)
-    clock: Clock = SYSTEM_CLOCK
+    masking: Masking = field(default_factory=Masking)  # noise that masks the sound of the beam
+    clock: Clock = SYSTEM_CLOCK  # clock of session, window, instrument and record
 
 
 def conduct(sitting: SessionRun) -> None:
     """Run all remaining trials of a session.
 
-    Each answer is on disk before the next trial begins, and the outputs are off between stimuli.
-
-    Raises
-    ------
-    SessionStopped, Interrupted, RigError, RecordError, WindowError
-        If the session ended early; all answers are kept.
+    Each answer is on disk before the next trial begins, and the outputs are off between stimuli. Raises SessionStopped,
+    Interrupted, RigError, RecordError, WindowError if the session ended early; all answers are kept.
     """
     if sitting.trials:
         sitting.window.welcome(sitting.trials[0])
@@ -152,13 +120,7 @@ def repeat(sitting: SessionRun, previous: Trial | None) -> Trial | None:
 
 
 def practise(sitting: SessionRun) -> Trial | None:
-    """Run practice rounds until one is passed, and return the last practice trial.
-
-    Raises
-    ------
-    SessionStopped
-        If no round was passed and the protocol ends the session in this case.
-    """
+    """Run practice rounds until one is passed, and return the last trial, unless the protocol ends the session here."""
     schedule, previous = sitting.protocol.schedule, None
     _close_rounds(sitting)
     for trial in sitting.trials:
@@ -224,10 +186,7 @@ def _close_rounds(sitting: SessionRun) -> None:
 def run(sitting: SessionRun, trial: Trial, previous: Trial | None) -> Response:
     """Present a trial until its stimulus is confirmed, record all answers and return the last.
 
-    Raises
-    ------
-    RigError
-        If the outputs cannot be switched off, or no presentation was confirmed.
+    Raises RigError if the outputs cannot be switched off, or no presentation was confirmed.
     """
     sitting.tick()
     sitting.experimenter.tell(
@@ -273,17 +232,8 @@ def place(sitting: SessionRun, trial: Trial) -> None:
 def present(sitting: SessionRun, trial: Trial) -> tuple[Response | None, Firing]:
     """Present a trial, repeatedly if it is interrupted, and record the answer at once.
 
-    Returns
-    -------
-    response : Response or None
-        The response; None if the stimulus failed before.
-    firing : Firing
-        The stimulus as played, and whether it was confirmed at its end.
-
-    Raises
-    ------
-    RigError
-        If the outputs cannot be switched off.
+    Returns the response, or None if the stimulus failed before, and the stimulus as played. Raises RigError if the
+    outputs cannot be switched off.
     """
     while True:
         # Setting and read-back of the generator are part of the pause, to keep its duration as in the protocol.

@@ -169,12 +169,8 @@ def begin(setup: Setup) -> Session:
 def sit(setup: Setup, open_log: Callable[[SessionFolder, dict[str, Any]], SessionLog], first: str) -> Session:
     """Run a sitting and return the record of the session.
 
-    Parameters
-    ----------
-    open_log : callable
-        Opens the log in a folder, given the facts of its first line.
-    first : str
-        Event of that line, ``start`` or ``resume``.
+    `open_log` opens the log in a folder, given the facts of its first line, whose event is `first`: ``start`` or
+    ``resume``.
     """
     buffer = EventBuffer()
     seconds = estimated_duration(setup.preflight.experiment.protocol) * 60 / max(len(setup.schedule.trials), 1)

@@ -66,24 +66,13 @@ _ROUNDING = 16 * float(np.finfo(float).eps)
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """Voltages of a burst, and how accurately they meet the targets.
+    """Voltages of a burst, and how accurately they meet the targets."""
 
-    Attributes
-    ----------
-    voltage : (n_channels, n_samples) array
-        Voltages at the beam [V].
-    condition_number : float
-        Condition number of the scaled Gramian [1]; 1 for the law of the paper, which solves no equations.
-    residual : float
-        Largest deviation of a state from its target at the focusing instant, before rounding [m/s].
-    n_before : int
-        Number of samples played before the focusing instant; later voltages do not affect it.
-    """
-
-    voltage: FloatArray
+    voltage: FloatArray  # (n_channels, n_samples): voltages at the beam [V]
+    # condition number of the scaled Gramian [1]; 1 for the law of the paper, which solves no equations
     condition_number: float
-    residual: float
-    n_before: int
+    residual: float  # largest deviation of a state from its target at the focusing instant, before rounding [m/s]
+    n_before: int  # number of samples played before the focusing instant; later voltages do not affect it
 
     @property
     def before_focus(self) -> FloatArray:
@@ -126,10 +115,7 @@ def check_levels(levels: tuple[float, ...], reference: float) -> None:
 def check_drivable(model: ModalModel, target: FloatArray, timing: Timing) -> None:
     """Reject modes that cannot be driven to their targets [m/s] or that are too fast for the sampling rate.
 
-    Raises
-    ------
-    ValueError
-        If a mode with a target has no gain, or a mode lies at or above half the sampling rate.
+    Raises ValueError if a mode with a target has no gain, or a mode lies at or above half the sampling rate.
     """
     for k, velocity, gain, frequency in zip(
         model.label, target, model.modal_gain, model.natural_frequency, strict=True
@@ -148,32 +134,17 @@ def check_drivable(model: ModalModel, target: FloatArray, timing: Timing) -> Non
 
 @dataclass(frozen=True, eq=False)
 class Steering:
-    """Conditions on the voltages, for the driven modes only; modes without a gain stay at rest.
-
-    Attributes
-    ----------
-    model : ModalModel
-        The modelled modes.
-    system : DiagonalSystem
-        Their equations, with the amplifier.
-    timing : Timing
-        Clock of the samples.
-    release : str
-        ``braked`` (brought to rest at the end of the burst) or ``free`` (zero volts after the focusing instant).
-    velocity : (n_modes,) array
-        Target modal velocities at the focusing instant [m/s].
-    displacement : (n_modes,) array
-        Target modal displacements times angular frequency at that instant; 0 unless corrected by a calibration [m/s].
-    amplifier : Amplifier, optional
-        The amplifier of `system`, needed for fingers with ill-conditioned eigenvectors.
-    """
+    """Conditions on the voltages, for the driven modes only; modes without a gain stay at rest."""
 
     model: ModalModel
-    system: DiagonalSystem
+    system: DiagonalSystem  # their equations, with the amplifier
     timing: Timing
+    # ``braked`` (brought to rest at the end of the burst) or ``free`` (zero volts after the focusing instant)
     release: Release
-    velocity: FloatArray
+    velocity: FloatArray  # (n_modes,): target modal velocities at the focusing instant [m/s]
+    # (n_modes,): target modal displacements times angular frequency [m/s]; 0 unless corrected by a calibration
     displacement: FloatArray
+    # the amplifier of `system`, needed for fingers with ill-conditioned eigenvectors
     amplifier: Amplifier | None = None
 
     @cached_property
@@ -200,10 +171,7 @@ class Steering:
     def reach(self) -> ReachabilityGramian:
         """Effect of the samples before the focusing instant on the conditions.
 
-        Raises
-        ------
-        ValueError
-            If a mode cannot be driven, or there are fewer samples than conditions.
+        Raises ValueError if a mode cannot be driven, or there are fewer samples than conditions.
         """
         check_drivable(self.model, self.velocity, self.timing)
         n_before, remainder = self._until_focus
@@ -269,12 +237,8 @@ class Steering:
     def brake(self, voltage: FloatArray, start: int, state: ComplexArray) -> None:
         """Write the least-energy voltages, from sample `start` on, that bring every driven mode to rest by burst end.
 
-        `state` is the state when sample `start` reaches the beam, after the amplifier's delay.
-
-        Raises
-        ------
-        ValueError
-            If there are too few samples left for the conditions.
+        `state` is the state when sample `start` reaches the beam, after the amplifier's delay. Raises ValueError if
+        there are too few samples left for the conditions.
         """
         timing, driven = self.timing, self.driven
         n_left = timing.n_samples - start

@@ -47,23 +47,12 @@ class QuantisedStimulus:
     """The codes of a burst played on a beam, with the fingers of the design or others.
 
     Results proportional to the level are computed once.
-
-    Attributes
-    ----------
-    model : ModalModel
-        The beam, with its fingers if any.
-    amplifier : Amplifier
-        Its pole and delay are used.
-    timing : Timing
-        Clock of the samples.
-    codes : (n_channels, n_samples) array
-        Codes relative to mid-scale [1].
     """
 
-    model: ModalModel
-    amplifier: Amplifier
+    model: ModalModel  # the beam, with its fingers if any
+    amplifier: Amplifier  # its pole and delay are used
     timing: Timing
-    codes: FloatArray
+    codes: FloatArray  # (n_channels, n_samples): codes relative to mid-scale [1]
     # Mode shapes already computed, by position.
     _shapes: dict[bytes, FloatArray] = field(default_factory=dict, init=False)
     # States already computed, and peaks by position, for each ratio of the channels.
@@ -120,12 +109,7 @@ class QuantisedStimulus:
     def velocity_at_focus(self, positions: ArrayLike, unit: FloatArray) -> FloatArray:
         """Return the velocity at points of the beam at the focusing instant, (n_positions,) array [m/s].
 
-        Parameters
-        ----------
-        positions : (n_positions,) array_like
-            Points of the beam, origin at mid-beam [m].
-        unit : (n_channels,) array
-            Voltage of one code at the beam [V].
+        `positions` are from mid-beam [m]; `unit` is the voltage of one code at the beam, (n_channels,) array [V].
         """
         velocity, _ = self.system.read(self.states_at_focus(unit))
         if np.size(positions) > _FEW:

@@ -15,13 +15,7 @@ EXTREME = 1e30
 
 
 def require_positive(name: str, value: float, unit: str, remedy: str) -> None:
-    """Reject a quantity that is not a finite positive number.
-
-    Raises
-    ------
-    ValueError
-        If the value is not finite, not above zero, or not between 1 / `EXTREME` and `EXTREME`.
-    """
+    """Raise ValueError for a quantity that is not finite and between 1 / `EXTREME` and `EXTREME`."""
     unit = f" {unit}" if unit else ""
     if not (math.isfinite(value) and value > 0):
         raise ValueError(f"{name} is {value}{unit}; it must be a finite number above 0{unit}: {remedy}")
@@ -32,25 +26,13 @@ def require_positive(name: str, value: float, unit: str, remedy: str) -> None:
 
 
 def require_not_negative(name: str, value: float, unit: str, remedy: str) -> None:
-    """Reject a quantity that is not a finite number from 0.
-
-    Raises
-    ------
-    ValueError
-        If the value is not finite, or below zero.
-    """
+    """Raise ValueError for a quantity that is not finite, or below zero."""
     unit = f" {unit}" if unit else ""
     if not (math.isfinite(value) and value >= 0):
         raise ValueError(f"{name} is {value}{unit}; it must be 0{unit} or above: {remedy}")
 
 
 def require_finite(name: str, value: float, unit: str, remedy: str) -> None:
-    """Reject a quantity that is NaN or infinite.
-
-    Raises
-    ------
-    ValueError
-        If the value is not finite.
-    """
+    """Raise ValueError for a quantity that is NaN or infinite."""
     if not math.isfinite(value):
         raise ValueError(f"{name} is {value} {unit}; it must be a finite number: {remedy}")

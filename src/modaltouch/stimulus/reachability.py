@@ -99,25 +99,14 @@ def _turned(rate: ComplexArray, over_all: ComplexArray, n: int, shift: int) -> C
 
 @dataclass(frozen=True, eq=False)
 class ReachabilityGramian:
-    """Factored reachability matrix R of tapered samples, with its Gramian.
+    """Factored reachability matrix R of tapered samples, with its Gramian."""
 
-    Attributes
-    ----------
-    row : (n_conditions, n_channels, n_states) complex array
-        Condition j of a volt on channel c, m samples before the last, is the real part of
-        ``sum(row[j, c] * exp(exponent * hold * m))``.
-    exponent : (n_states,) complex array
-        Exponents of the states [1/s].
-    hold : float
-        Length of a sample [s].
-    taper : Taper
-        Weight of the samples.
-    """
-
+    # (n_conditions, n_channels, n_states) complex: condition j of a volt on channel c, m samples before the last, is
+    # the real part of ``sum(row[j, c] * exp(exponent * hold * m))``
     row: ComplexArray
-    exponent: ComplexArray
-    hold: float
-    taper: Taper
+    exponent: ComplexArray  # (n_states,) complex: exponents of the states [1/s]
+    hold: float  # length of a sample [s]
+    taper: Taper  # weight of the samples
 
     def gramian(self) -> FloatArray:
         """Return W = R D R^T, (n_conditions, n_conditions) array."""
@@ -134,30 +123,17 @@ class ReachabilityGramian:
 
 @dataclass(frozen=True, eq=False)
 class GramianSolver:
-    """Solver of W x = b, with W scaled to unit diagonal.
+    """Solver of W x = b, with W scaled to unit diagonal."""
 
-    Attributes
-    ----------
-    scale : (n,) array
-        Inverse square roots of the diagonal.
-    eigenvalue : (n,) array
-        Eigenvalues of the scaled Gramian, increasing.
-    eigenvector : (n, n) array
-        Eigenvectors of the scaled Gramian, in columns.
-    """
-
-    scale: FloatArray
-    eigenvalue: FloatArray
-    eigenvector: FloatArray
+    scale: FloatArray  # (n,): inverse square roots of the diagonal
+    eigenvalue: FloatArray  # (n,): eigenvalues of the scaled Gramian, increasing
+    eigenvector: FloatArray  # (n, n): eigenvectors of the scaled Gramian, in columns
 
     @classmethod
     def of(cls, gramian: FloatArray, label: Sequence[int]) -> GramianSolver:
         """Return the solver of a Gramian; messages name the modes `label` of the conditions, repeated cyclically.
 
-        Raises
-        ------
-        ValueError
-            If a condition does not respond to any voltage in double precision.
+        Raises ValueError if a condition does not respond to any voltage in double precision.
         """
         diagonal = np.diag(gramian)
         lost = np.flatnonzero(~((diagonal > 0) & np.isfinite(gramian).all(axis=1)))

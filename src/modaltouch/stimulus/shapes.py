@@ -137,13 +137,7 @@ def patch_gains(label: ArrayLike, patches: Sequence[tuple[float, float]], length
 
 
 def scaled_position(position: ArrayLike, length: float) -> FloatArray:
-    """Return positions as fractions of the length, -1/2 to 1/2 [1].
-
-    Raises
-    ------
-    ValueError
-        If a position is not a number or lies off the beam.
-    """
+    """Return positions as fractions of the length [1]; raises ValueError if one is not from -1/2 to 1/2."""
     y = np.atleast_1d(np.asarray(position, dtype=float)) / length
     outside = ~(np.abs(y) <= 0.5 * (1 + 1e-12))
     if outside.any():

@@ -170,15 +170,7 @@ def quadrature(edges: list[float], phase_rate: float) -> tuple[FloatArray, Float
 
 @dataclass(frozen=True, eq=False)
 class Projection:
-    """A target field projected on the modes of a model.
-
-    Attributes
-    ----------
-    model : ModalModel
-        The modelled modes.
-    target_field : TargetField
-        The target field.
-    """
+    """A target field projected on the modes of a model."""
 
     model: ModalModel
     target_field: TargetField
@@ -306,10 +298,7 @@ class Projection:
     def width(self, fraction: float) -> float:
         """Return the width of the field at a fraction of its value at the centre [m].
 
-        Raises
-        ------
-        ValueError
-            If the fraction is not above 0 and below 1.
+        Raises ValueError if the fraction is not above 0 and below 1.
         """
         if not 0 < fraction < 1:
             raise ValueError(f"a width is asked for at {fraction} of the centre; give a fraction above 0 and below 1")

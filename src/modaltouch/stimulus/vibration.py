@@ -44,17 +44,12 @@ _DENSE = 0.25
 
 @dataclass(frozen=True, eq=False)
 class BlockRecursion:
-    """Recursion of the states from block to block, x[j + 1] = ratio x[j] + pushed[j], in groups of SHORT blocks.
+    """Recursion of the states from block to block, x[j + 1] = ratio x[j] + pushed[j], in groups of SHORT blocks."""
 
-    Attributes
-    ----------
-    power : (n_states, LEVELS, SHORT + 1) complex array
-        Decays over 0 to SHORT blocks, groups of blocks, and so on [1].
-    triangle : (LEVELS, n_states, SHORT, SHORT) complex array
-        Contribution of each push of a group (rows) to the states before the later blocks of the group (columns).
-    """
-
+    # (n_states, LEVELS, SHORT + 1) complex: decays over 0 to SHORT blocks, groups of blocks, and so on [1]
     power: ComplexArray
+    # (LEVELS, n_states, SHORT, SHORT) complex: contribution of each push of a group (rows) to the states before the
+    # later blocks of the group (columns)
     triangle: ComplexArray
 
     @classmethod
@@ -100,21 +95,11 @@ class BlockRecursion:
 
 @dataclass(frozen=True, eq=False)
 class PeakBound:
-    """Upper bounds of the outputs in each block, from the initial states, the mean inputs and their deviations.
+    """Upper bounds of the outputs in each block, from the initial states, the mean inputs and their deviations."""
 
-    Attributes
-    ----------
-    size : (n_states, n_blocks) array
-        Magnitudes of the states at the starts of the blocks.
-    mean : (n_inputs, n_blocks) array
-        Magnitudes of the mean inputs.
-    swing : (n_inputs, n_blocks) array
-        Root of the sum of squared deviations of the inputs from their mean.
-    """
-
-    size: FloatArray
-    mean: FloatArray
-    swing: FloatArray
+    size: FloatArray  # (n_states, n_blocks): magnitudes of the states at the starts of the blocks
+    mean: FloatArray  # (n_inputs, n_blocks): magnitudes of the mean inputs
+    swing: FloatArray  # (n_inputs, n_blocks): root of the sum of squared deviations of the inputs from their mean
 
     @classmethod
     def of(cls, blocks: FloatArray, begin: ComplexArray) -> PeakBound:
@@ -435,15 +420,7 @@ class BlockStates:
 
 
 def history(system: DiagonalSystem, output: ComplexArray, voltage: FloatArray, timing: Timing) -> FloatArray:
-    """Return the outputs ``Re(output @ state)`` at the starts of the samples of a burst from rest.
-
-    Parameters
-    ----------
-    system, output, timing
-        As in `BlockKernel.of`; the clock of the samples.
-    voltage : (n_channels, n_samples) array
-        Held samples at the beam [V].
-    """
+    """Return outputs ``Re(output @ state)`` at the starts of samples held at the beam [V], from rest."""
     kernel = BlockKernel(system.exponent, system.clock_gain(timing), output, timing.hold)
     n_inputs, course = kernel.push.shape[1], np.empty((output.shape[0], voltage.shape[1]))
     kernel.write(lambda start, stop: clock_inputs(voltage, timing, start, stop, n_inputs), course)

@@ -129,13 +129,7 @@ class Answerer:
         return self._remembered.setdefault(trial, self.felt(trial))
 
     def _stream(self, *key: int) -> np.random.Generator:
-        """Return the random generator of an answer.
-
-        Raises
-        ------
-        ValueError
-            If the generator was not created from a seed sequence.
-        """
+        """Return the random generator of an answer, for which ours must have been seeded by a seed sequence."""
         seed = self.generator.bit_generator.seed_seq
         if not isinstance(seed, np.random.SeedSequence):
             raise ValueError(
@@ -148,24 +142,8 @@ class Answerer:
 class SimulatedParticipant(AnswerWindow):
     """Answer window of an observer model.
 
-    Parameters
-    ----------
-    answerer : Answerer
-        Source of the answers.
-    tick : callable
-        Called at every step; may raise or request a pause.
-    log : callable
-        Receives pauses for the record.
-    stimulus_until : str
-        ``answer``, or ``question`` if the stimulus stops before the question.
-    after_longest : str
-        ``ask``, or ``time_out`` if the trial ends with the longest stimulus.
-    time_out : float
-        Maximum reaction time [s].
-    clock : Clock
-        Clock of reaction times and pauses.
-    step : float, optional
-        Time between two ticks; 1 ms if not given, or 10 ms on a virtual clock [s].
+    It ticks every `step` seconds: every 1 ms if not given, or 10 ms on a virtual clock. `stimulus_until` and
+    `after_longest` are those of the protocol; `time_out` is the longest reaction time [s].
     """
 
     def __init__(

@@ -104,39 +104,21 @@ C = TypeVar("C", bound=OutputChannel)
 
 @dataclass
 class GeneratorState(ABC, Generic[C]):
-    """Base class of all simulated two-channel generators.
-
-    Attributes
-    ----------
-    behaviour : Behaviour
-        Behaviour of the real instrument that is not publicly known.
-    n_channels : int
-        Number of channels.
-    delays : Delays
-        Delays of the hardware.
-    seed : int
-        Seed of the timer's phase and of the latencies.
-    clock : Clock
-        Clock of the bursts.
-    link : int
-        Number of the link whose message is being executed; 0 for the front panel.
-    identity : str
-        Reply to ``*IDN?``.
-    setups : dict of int to dict
-        Settings stored under numbers, which outlast a power failure; number 0 holds those of the last one.
-    """
+    """Base class of all simulated two-channel generators."""
 
     SETTINGS: ClassVar[tuple[str, ...]]  # their names
 
+    # behaviour of the real instrument that is not publicly known
     behaviour: Behaviour = field(default_factory=Behaviour)
     n_channels: int = 2
     delays: Delays = Delays()
-    seed: int = 0
+    seed: int = 0  # seed of the timer's phase and of the latencies
     clock: Clock = SYSTEM_CLOCK
-    link: int = 0
-    identity: str = ""
+    link: int = 0  # number of the link whose message is being executed; 0 for the front panel
+    identity: str = ""  # reply to ``*IDN?``
     lock: threading.RLock = field(default_factory=threading.RLock, repr=False)
     channels: dict[int, C] = field(default_factory=dict, init=False)
+    # settings stored under numbers, which outlast a power failure; number 0 holds those of the last one
     setups: dict[int, dict[str, Any]] = field(default_factory=dict, init=False)
     locked_setups: set[int] = field(default_factory=set, init=False)
     recalls_last: bool = field(default=False, init=False)

@@ -15,21 +15,11 @@ from modaltouch.rig.simulator.scpi import CommandTable, ScpiError
 
 @dataclass(frozen=True)
 class Reply:
-    """The response of an instrument to a message.
+    """The response of an instrument to a message."""
 
-    Attributes
-    ----------
-    data : bytes
-        Response message; empty if the message contained no query.
-    delay : float
-        Time until it can be read [s]; infinite for a reply that never arrives.
-    hang_up : bool
-        Whether the connection is reset immediately.
-    """
-
-    data: bytes = b""
-    delay: float = 0.0
-    hang_up: bool = False
+    data: bytes = b""  # response message; empty if the message contained no query
+    delay: float = 0.0  # time until it can be read [s]; infinite for a reply that never arrives
+    hang_up: bool = False  # whether the connection is reset immediately
 
 
 Kind = Literal[
@@ -125,17 +115,7 @@ class Faults:
 
 
 class SimulatedInstrument:
-    """Executes program messages from any link, one at a time.
-
-    Parameters
-    ----------
-    afg : GeneratorState
-        State of the generator.
-    table : CommandTable
-        Commands of the generator.
-    faults : Faults
-        Faults to be injected.
-    """
+    """Executes program messages from any link, one at a time."""
 
     def __init__(self, afg: GeneratorState[Any], table: CommandTable, faults: Faults) -> None:
         self.afg = afg

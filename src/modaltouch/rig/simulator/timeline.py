@@ -82,53 +82,29 @@ class Delays:
 
 @dataclass(frozen=True)
 class Situation:
-    """All settings that affect bursts, with one value per channel.
+    """All settings that affect bursts, with one value per channel."""
 
-    Attributes
-    ----------
-    sent : tuple of Playback or None
-        Output of each channel while its relay is closed: a single burst, or a record repeated without a trigger.
-    length : tuple of float
-        Duration of the burst of each channel, or of a cycle if repeated without a trigger [s].
-    in_burst : tuple of bool
-        Whether each channel waits for triggers.
-    outputs : tuple of bool
-        Whether each output is commanded on.
-    tick : float or None
-        Time between triggers without commands [s]; None if there are none.
-    """
-
+    # output of each channel while its relay is closed: a single burst, or a record repeated without a trigger
     sent: tuple[Playback | None, ...] = ()
+    # duration of the burst of each channel, or of a cycle if repeated without a trigger [s]
     length: tuple[float, ...] = ()
-    in_burst: tuple[bool, ...] = ()
-    outputs: tuple[bool, ...] = ()
-    tick: float | None = None
+    in_burst: tuple[bool, ...] = ()  # whether each channel waits for triggers
+    outputs: tuple[bool, ...] = ()  # whether each output is commanded on
+    tick: float | None = None  # time between triggers without commands [s]; None if there are none
 
 
 @dataclass(frozen=True)
 class PlayedBurst:
-    """A burst, or the part of it that passed the relays.
+    """A burst, or the part of it that passed the relays."""
 
-    Attributes
-    ----------
-    start, end : float
-        First and last instant at which any part of it passed a relay [s].
-    whole : bool
-        Whether all of it passed at every output.
-    sent : tuple of Playback or None
-        Output of each channel; None if no part of it passed.
-    passed : tuple of (float, float) or None
-        Start and end of the part that passed at each output, relative to the first sample of the channel [s].
-    link : int or None
-        Number of the link that triggered it, 0 for the front panel; None without a command.
-    """
-
+    # start, end: first and last instant at which any part of it passed a relay [s]
     start: float
     end: float
-    whole: bool
-    sent: tuple[Playback | None, ...]
+    whole: bool  # whether all of it passed at every output
+    sent: tuple[Playback | None, ...]  # output of each channel; None if no part of it passed
+    # start and end of the part that passed at each output, relative to the first sample of the channel [s]
     passed: tuple[tuple[float, float] | None, ...]
-    link: int | None
+    link: int | None  # number of the link that triggered it, 0 for the front panel; None without a command
 
 
 @dataclass

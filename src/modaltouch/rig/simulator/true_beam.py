@@ -30,27 +30,14 @@ LONGEST_SILENCE = 10
 
 @dataclass(frozen=True, eq=False)
 class TrueBeam:
-    """All modes of a beam, those of the table first.
+    """All modes of a beam, those of the table first."""
 
-    Attributes
-    ----------
-    table : ModalModel
-        The modes of the table with their true values.
-    apparatus : Apparatus
-        The apparatus; its section ``twin`` lists the modes not in the table.
-    unlisted_gain : (n_unlisted, n_channels) array
-        Modal gains of the unlisted modes, accelerations per volt at the beam [m/s^2 per V].
-    width : float
-        Width of the beam, for its torsion modes [m].
-    mass : float
-        Moving mass of the beam [kg].
-    """
-
-    table: ModalModel
-    apparatus: Apparatus
+    table: ModalModel  # the modes of the table with their true values
+    apparatus: Apparatus  # the apparatus; its section ``twin`` lists the modes not in the table
+    # (n_unlisted, n_channels): modal gains of the unlisted modes, accelerations per volt at the beam [m/s^2 per V]
     unlisted_gain: FloatArray
-    width: float
-    mass: float
+    width: float  # width of the beam, for its torsion modes [m]
+    mass: float  # moving mass of the beam [kg]
 
     @property
     def n_channels(self) -> int:
@@ -77,12 +64,7 @@ class TrueBeam:
     def shapes(self, position: ArrayLike, offset: ArrayLike = 0.0) -> FloatArray:
         """Return the mode shapes at points of the beam, (n_modes, n_points) array [1].
 
-        Parameters
-        ----------
-        position : (n_points,) array_like
-            Coordinate along the beam, origin at its middle [m].
-        offset : float or (n_points,) array_like
-            Coordinate across the beam, origin on its mid-line [m].
+        `position` is along the beam from its middle, `offset` across it from its mid-line [m].
         """
         x = np.atleast_1d(np.asarray(position, dtype=float))
         across = np.broadcast_to(np.asarray(offset, dtype=float), x.shape)
@@ -168,29 +150,13 @@ def true_amplifier(apparatus: Apparatus) -> Amplifier:
 
 @dataclass(frozen=True, eq=False)
 class Held:
-    """The held samples of single or repeated bursts, as voltages before the amplifier's pole.
+    """The held samples of single or repeated bursts, as voltages before the amplifier's pole."""
 
-    Attributes
-    ----------
-    voltage : (n_channels, n_samples) array
-        Deviation from the voltage at rest [V].
-    rest : (n_channels,) array
-        Voltage at rest, between bursts [V].
-    duration : float
-        Duration of one burst [s].
-    period : float
-        Time from one burst to the next [s]; infinite for a single burst.
-    delay : float
-        Time from a trigger (at 0) to its burst [s].
-    converter : Converter
-        Converter of the generator.
-    """
-
-    voltage: FloatArray
-    rest: FloatArray
-    duration: float
-    period: float
-    delay: float = 0.0
+    voltage: FloatArray  # (n_channels, n_samples): deviation from the voltage at rest [V]
+    rest: FloatArray  # (n_channels,): voltage at rest, between bursts [V]
+    duration: float  # duration of one burst [s]
+    period: float  # time from one burst to the next [s]; infinite for a single burst
+    delay: float = 0.0  # time from a trigger (at 0) to its burst [s]
     converter: Converter = CONVERTER
 
     @property

@@ -44,22 +44,13 @@ OWN_KEYS = frozenset({*AT_ONCE, "n", "q", "space", "escape"})
 
 @dataclass(frozen=True)
 class Request:
-    """A request of the experimenter.
+    """A request of the experimenter."""
 
-    Attributes
-    ----------
-    command : str
-        ``pause`` (or continue), ``go_on`` (from a waiting screen), ``answer`` (for the participant), ``repeat`` (the
-        last answered trial), ``note``, ``end_after_block`` (or cancel that), ``stop`` or ``emergency_stop``.
-    text : str
-        The note, or the answering key.
-    at : float
-        Time when the answering key was read, by `clock.SYSTEM_CLOCK` [s].
-    """
-
+    # ``pause`` (or continue), ``go_on`` (from a waiting screen), ``answer`` (for the participant), ``repeat`` (the last
+    # answered trial), ``note``, ``end_after_block`` (or cancel that), ``stop`` or ``emergency_stop``
     command: Command
-    text: str = ""
-    at: float = 0.0
+    text: str = ""  # the note, or the answering key
+    at: float = 0.0  # time when the answering key was read, by `clock.SYSTEM_CLOCK` [s]
 
 
 class Console(AbstractContextManager["Console"]):
@@ -82,16 +73,8 @@ class Console(AbstractContextManager["Console"]):
 class Experimenter:
     """Link between session and console: forwards events to the console and requests to the session.
 
-    Parameters
-    ----------
-    console : Console, optional
-        Shows events and takes requests; none by default.
-    record : callable, optional
-        Writes requests to the record, as ``record(event, **facts)``.
-    status : Status, optional
-        State of the session; created by default if there is a console.
-    seconds_per_trial : float
-        Approximate duration of a trial, used if no status is given [s].
+    `record` writes requests to the record, as ``record(event, **facts)``. `seconds_per_trial` is the approximate
+    duration of a trial, for the console's state of the session [s].
     """
 
     def __init__(
@@ -133,12 +116,8 @@ class Experimenter:
         """Process requests up to the first that is an event for the window; called about every millisecond.
 
         Requests that came together, such as two digits of a number, are returned one at a time. Unless the window waits
-        for an event, only an emergency stop is processed, and the others are kept.
-
-        Raises
-        ------
-        SessionStopped
-            If a request ends the session.
+        for an event, only an emergency stop is processed, and the others are kept. Raises SessionStopped if a request
+        ends the session.
         """
         status = self._status
         if status is None:
