@@ -101,10 +101,7 @@ class Findings:
     def problem(self, path: Iterable[str | int], given: str, allowed: str, remedy: str = "") -> Problem:
         """Return a problem at a path of an opened protocol, as `Reading.problem`.
 
-        Raises
-        ------
-        ValueError
-            If the protocol was not opened.
+        Raises ValueError if the protocol was not opened.
         """
         if self.protocol is None:
             raise ValueError("there is no file to search for the fault: open the protocol first")

@@ -267,10 +267,8 @@ class Schedule:
     ) -> Schedule:
         """Draw a participant's schedule from a protocol file without problems; arguments and `effort` as in `draw`.
 
-        Raises
-        ------
-        InputError
-            If no order keeps a limit, or if such orders are too rare to find; with the position of the limit.
+        Raises InputError if no order keeps a limit, or if such orders are too rare to find; with the position of the
+        limit.
         """
         try:
             return cls.draw(findings.experiment().protocol, participant, seed, session, given=given, **how)

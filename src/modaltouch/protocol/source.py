@@ -216,10 +216,7 @@ class Source:
     def shipped_text(cls, kind: Kind, name: str) -> Source:
         """Read the text of a shipped file; the path is its name alone, independent of the installation.
 
-        Raises
-        ------
-        InputError
-            If there is no such file; lists the shipped names.
+        Raises InputError if there is no such file; lists the shipped names.
         """
         known = cls.shipped(kind)
         if name not in known:

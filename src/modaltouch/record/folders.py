@@ -67,10 +67,7 @@ class SessionFolder:
     def of(cls, log: Path, mode: str, protocol: str) -> Self:
         """Return the folder of a session from the path of its log.
 
-        Raises
-        ------
-        RecordError
-            If the log is not in the folder of its session.
+        Raises RecordError if the log is not in the folder of its session.
         """
         folder = log.resolve().parent
         session, participant = folder.parent.name, folder.parent.parent.name
@@ -96,10 +93,8 @@ class SessionFolder:
     def check_participant(participant: str) -> str:
         """Return the participant id if it is valid in a file name.
 
-        Raises
-        ------
-        RecordInputError
-            If it is empty, longer than 32 characters, or contains anything but ASCII letters and digits.
+        Raises RecordInputError if it is empty, longer than 32 characters, or contains anything but ASCII letters and
+        digits.
         """
         if not re.fullmatch(r"[A-Za-z0-9]{1,32}", participant):
             raise RecordInputError(
@@ -202,10 +197,7 @@ class SessionFolder:
     def describe_dataset(self, title: str) -> None:
         """Write the dataset's description, README and ignore file, unless there is a description.
 
-        Raises
-        ------
-        RecordError
-            If a file cannot be written.
+        Raises RecordError if a file cannot be written.
         """
         dataset = self.dataset
         try:

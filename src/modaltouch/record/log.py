@@ -92,10 +92,7 @@ class SessionLog(AbstractContextManager["SessionLog"]):
     def reopen(cls, path: Path, *, timed_by: Clock = SYSTEM_CLOCK) -> Self:
         """Open an interrupted log for appending; an incomplete last line is kept and declared by the next line.
 
-        Raises
-        ------
-        RecordError
-            If the log is damaged, in use by another process, or cannot be written.
+        Raises RecordError if the log is damaged, in use by another process, or cannot be written.
         """
         descriptor = _open_log(path)
         for leftover in path.parent.glob(".*.tmp"):  # left by a kill; the lock excludes other writers
@@ -112,10 +109,7 @@ class SessionLog(AbstractContextManager["SessionLog"]):
     def mend(cls, place: SessionFolder, *, timed_by: Clock = SYSTEM_CLOCK) -> Session:
         """Write the last line and BIDS view of a complete session if an interruption left them out.
 
-        Raises
-        ------
-        RecordError
-            If the log is damaged, in use by another process, or cannot be written.
+        Raises RecordError if the log is damaged, in use by another process, or cannot be written.
         """
         session = read_session(place.log)
         if check_view(session).is_current and not session.chain.problems:
@@ -140,10 +134,7 @@ class SessionLog(AbstractContextManager["SessionLog"]):
     def write_view(self, place: SessionFolder) -> None:
         """Update the session's BIDS table and its sidecar file.
 
-        Raises
-        ------
-        RecordError
-            If a file cannot be written; existing files remain valid.
+        Raises RecordError if a file cannot be written; existing files remain valid.
         """
         session = self.session
         self._table = session.trials, write_view(place, session, self.head, self._table)

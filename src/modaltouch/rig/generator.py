@@ -109,12 +109,8 @@ class Generator(contextlib.AbstractContextManager["Generator"]):
     def command_latency(self, n: int = 50) -> tuple[dict[str, Any], str]:
         """Measure and assess the latencies of the instrument, with `n` commands of each kind.
 
-        The values are those of `modaltouch.rig.checklist.measure_latency`. Nothing is played.
-
-        Raises
-        ------
-        RigError
-            If the connection to the instrument is lost.
+        The values are those of `modaltouch.rig.checklist.measure_latency`. Nothing is played. Raises RigError if the
+        connection to the instrument is lost.
         """
         from modaltouch.rig.checklist import measure_latency
 

@@ -280,12 +280,7 @@ class Masking(AbstractContextManager["Masking"]):
     def ensure(self, tick: Callable[[], object], *, on: bool = True) -> None:
         """Ensure before a trial that the noise is at its level, or silent; reopen a lost device.
 
-        Calls `tick` while waiting.
-
-        Raises
-        ------
-        MaskingError
-            If the device is lost and the protocol requires the noise.
+        Calls `tick` while waiting. Raises MaskingError if the device is lost and the protocol requires the noise.
         """
 
     @property
