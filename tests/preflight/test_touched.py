@@ -20,7 +20,7 @@ from typer.testing import CliRunner, Result
 
 from modaltouch.cli.commands import app
 from modaltouch.preflight import Preflight, examine
-from modaltouch.preflight.examination import _error, _zone_points
+from modaltouch.preflight.figures import errors_of_gains, zone_points
 from modaltouch.protocol import InputError
 
 Edit = Callable[..., Path]
@@ -491,9 +491,9 @@ def test_the_limit_holds_for_all_gains_within_their_intervals(edit: Edit) -> Non
     """Gains known to 5 %: no beam drawn within moves faster, in any zone, than the speed that counts."""
     file = limited(edit, 500, *with_intervals(0.05))
     preflight = examine(file).require()
-    stimulus, points = preflight.stimulus, _zone_points(preflight.inputs).ravel()
+    stimulus, points = preflight.stimulus, zone_points(preflight.inputs).ravel()
     played, unit = stimulus.touched(()), stimulus.volts_per_code(0.1)
-    speed, error = played.peak_velocity(points, unit), _error(preflight.inputs, stimulus, 100.0)
+    speed, error = played.peak_velocity(points, unit), errors_of_gains(preflight.inputs, stimulus, 100.0)
     assert 0.03 * speed.max() < error.max() < 0.12 * speed.max()
     rng = np.random.default_rng(3)
     for _ in range(20):

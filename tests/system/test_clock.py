@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from modaltouch.system.clock import assess_clock, measure_clock
+from modaltouch.system.timing import assess_clock, measure_clock
 
 GOOD = {"name": "clock_gettime(CLOCK_MONOTONIC)", "is_monotonic": True, "drift_ppm": 3.0, "step_ms": 1e-4}
 GOOD |= {"wait_median_ms": 1.06, "wait_p95_ms": 1.1, "wait_max_ms": 2.0}

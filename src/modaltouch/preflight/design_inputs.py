@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -191,22 +191,3 @@ def design_to_fit(inputs: DesignInputs, *, release: Release | None = None) -> St
     if within and max(stimulus.burst.full_scale_for(stimulus.target_field.velocity)) > inputs.highest_amplitude:
         return design(inputs, release=release, on_grid=False)
     return stimulus
-
-
-def equalised(inputs: DesignInputs, stimulus: Stimulus, first: tuple[DesignInputs, Stimulus]) -> DesignInputs:
-    """Return a placement's design inputs with levels scaled to the band velocity of the first placement.
-
-    Velocity is equalised since perceived intensity follows it (Grigorii et al. 2021, under load, 20 to 400 Hz); the
-    tactile channels span 0.4 to above 500 Hz (Bolanowski et al. 1988, J. Acoust. Soc. Am. 84, 1680).
-    """
-    share = round(_band_velocity(*first) / _band_velocity(inputs, stimulus), 4)
-    return replace(inputs, levels={key: level * share for key, level in inputs.levels.items()}, share=share)
-
-
-def _band_velocity(inputs: DesignInputs, stimulus: Stimulus) -> float:
-    """Return the RMS velocity at the focus within the band, relative to the level [1]."""
-    level, (low, high) = inputs.reference * 1e-3, inputs.section.equalise_band_Hz or (0.0, np.inf)
-    velocity = stimulus.velocity_history([inputs.centre_mm * 1e-3], level, whole_period=True)[0]
-    frequency = np.fft.rfftfreq(velocity.size, 1 / stimulus.timing.sampling_rate)
-    size = np.abs(np.fft.rfft(velocity)) / velocity.size
-    return float(np.sqrt(2 * (size[(frequency >= low) & (frequency <= high)] ** 2).sum())) / level

@@ -4,26 +4,22 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
-from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from modaltouch.preflight.checked import Preflight
-from modaltouch.preflight.design_inputs import DesignInputs, design_to_fit, equalised, find_design_inputs
-from modaltouch.protocol import Apparatus, Findings, Problem, Schedule
+from modaltouch.preflight.design_inputs import DesignInputs, design_to_fit, find_design_inputs
+from modaltouch.preflight.figures import errors_of_gains, speeds_when_lifted, zone_points
+from modaltouch.protocol import Findings, Problem, Schedule
 from modaltouch.rig import instrument_of
-from modaltouch.stimulus import Burst, Stimulus
+from modaltouch.stimulus import Stimulus
 
 if TYPE_CHECKING:
     from modaltouch.window import WindowOptions
-
-_POINTS_PER_ZONE = 5
-"""Points per zone at which speed is computed, a quarter of the shortest wavelength of Table I apart."""
 
 _Key = tuple[str | int, ...]
 
@@ -144,68 +140,23 @@ def _moves_fast(inputs: DesignInputs, stimulus: Stimulus) -> bool:
     highest = max((level for level in inputs.levels.values() if level <= limit), default=0.0)
     if highest == 0:
         return False
-    least = limit * 1e-3 - float(_error(inputs, stimulus, highest).max())
-    if stimulus.passes(_zone_points(inputs).ravel(), highest * 1e-3, least):
+    least = limit * 1e-3 - float(errors_of_gains(inputs, stimulus, highest).max())
+    if stimulus.passes(zone_points(inputs).ravel(), highest * 1e-3, least):
         return True
-    return any((speeds > least).any() for speeds in _speeds_when_lifted(inputs, stimulus, highest, least).values())
-
-
-def _speeds_when_lifted(
-    inputs: DesignInputs, stimulus: Stimulus, level: float, floor: float
-) -> dict[str, NDArray[np.float64]]:
-    """Return the peak speeds at the zones' points if fingers are lifted, at least `floor`, by description [m/s]."""
-    speeds: dict[str, NDArray[np.float64]] = {}
-    if not inputs.fingers:
-        return speeds
-    points, unit, n = _zone_points(inputs).ravel(), stimulus.volts_per_code(level * 1e-3), len(inputs.fingers)
-    touched = stimulus.touched(inputs.fingers)
-    for left in (left for n_left in range(n) for left in combinations(inputs.fingers, n_left)):
-        text = (
-            f" once {('a finger is', 'two fingers are')[n - len(left) - 1] if left else 'all fingers are'} taken away"
-        )
-        found = touched.peak_when_lifted(stimulus.touched(left), points, unit, floor)
-        speeds[text] = np.maximum(speeds.get(text, 0.0), found)
-    return speeds
-
-
-def _error(inputs: DesignInputs, stimulus: Stimulus, level: float) -> NDArray[np.float64]:
-    """Return an upper bound of the speeds that errors of identified gains add at the points of the zones [m/s].
-
-    Every gain is off by the farther end of its interval, all in the worst combination, on the beam without fingers.
-    """
-    bare, sets = stimulus.touched(()), inputs.apparatus.actuator_sets
-    modes, error = {mode.label: mode for mode in inputs.apparatus.modes}, np.zeros_like(bare.model.modal_gain)
-    for row, mode in enumerate(modes[label] for label in bare.model.label):
-        for name, ends in (mode.intervals_95.gain_mm_s2_per_V if mode.intervals_95 else {}).items():
-            gain = mode.gain_mm_s2_per_V.get(name, 0.0)
-            error[row, sets[name].channel - 1] = max(abs(end - gain) for end in ends) * 1e-3
-    points = _zone_points(inputs).ravel()
-    if not error.any():
-        return np.zeros(points.size)
-    unit = stimulus.volts_per_code(level * 1e-3)
-    alone = [replace(bare.model, modal_gain=error * (np.arange(unit.size) == output)) for output in range(unit.size)]
-    peaks = sum(replace(bare, model=model).modal_peaks(unit) for model in alone)
-    return np.asarray(peaks @ np.abs(bare.model.shapes(points)))
-
-
-def _zone_points(inputs: DesignInputs) -> NDArray[np.float64]:
-    """Return the points at which the speed of each zone is computed, (n_zones, n_points) array [m]."""
-    edges = [zone.edges for zone in inputs.apparatus.ordered_zones.values()]
-    half = inputs.apparatus.beam.length_mm / 2
-    return np.clip([np.linspace(*edge, _POINTS_PER_ZONE) for edge in edges], -half, half) * 1e-3
+    return any((speeds > least).any() for speeds in speeds_when_lifted(inputs, stimulus, highest, least).values())
 
 
 def _check_safety(
     inputs: DesignInputs, stimulus: Stimulus, findings: Findings, path: _Key, level: float
 ) -> Iterator[Problem]:
-    limit, zones, points = inputs.velocity_limit, inputs.apparatus.ordered_zones, _zone_points(inputs)
+    limit, zones, points = inputs.velocity_limit, inputs.apparatus.ordered_zones, zone_points(inputs)
     if level > limit:
         return  # reported by the check of the protocol file
-    error = _error(inputs, stimulus, level)
+    error = errors_of_gains(inputs, stimulus, level)
     # For a level at the limit, rounding of the codes may exceed it at the focus.
     most = limit * (1 + 1e-3)
     speeds = {"": stimulus.peak_velocity(points.ravel(), level * 1e-3)}
-    speeds |= _speeds_when_lifted(inputs, stimulus, level, most * 1e-3 - float(error.max()))
+    speeds |= speeds_when_lifted(inputs, stimulus, level, most * 1e-3 - float(error.max()))
     worst = max(speeds, key=lambda each: float((speeds[each] + error).max()))
     highest = speeds[worst] + error
     speed = float(highest.max()) * 1e3
@@ -219,19 +170,6 @@ def _check_safety(
             f"at most {limit:g} mm/s anywhere in a zone ({_rounded(level * limit / speed)} mm/s)",
             "lower the level; the limit is set in the section safety of the apparatus",
         )
-
-
-def attainable_level(inputs: DesignInputs, stimulus: Stimulus) -> float:
-    """Return the highest level that amplifier, generator and safety allow, also if fingers are lifted [mm/s]."""
-    amplifier = inputs.apparatus.amplifier.limit_V / float(stimulus.peak_drive(inputs.reference * 1e-3).max())
-    generator = inputs.highest_amplitude / max(stimulus.burst.full_scale_for(inputs.reference * 1e-3))
-    level, most = inputs.reference * min(amplifier, generator), inputs.velocity_limit * 1e-3
-    error = _error(inputs, stimulus, level)
-    speeds = _speeds_when_lifted(inputs, stimulus, level, most - float(error.max()))
-    speeds[""] = stimulus.peak_velocity(_zone_points(inputs).ravel(), level * 1e-3)
-    level *= min(most / max(float((each + error).max()) for each in speeds.values()), 1.0)
-    # Round down to a thousandth, the recorded precision.
-    return math.floor(level * 1e3) / 1e3
 
 
 def _rounded(value: float, *, up: bool = False) -> str:
@@ -281,33 +219,15 @@ def examine_findings(findings: Findings) -> Preflight:
         return replace(first, problems=tuple(sorted(problems)), others=tuple(others))
     reading = findings.protocol
     if reading is not None and reading.value is not None and reading.value.stimuli and not findings.problems:
-        return _examine_several(findings)
+        from modaltouch.preflight.designs import examine_several
+
+        return examine_several(findings, examine_findings, {*Schedule.check(findings), *_check_masking_level(findings)})
     inputs = find_design_inputs(findings)
     if findings.fingers is not None and inputs is not None and not findings.problems:
-        return _examine_placements(findings, inputs)
+        from modaltouch.preflight.designs import examine_placements
+
+        return examine_placements(findings, inputs, _examine_one)
     return _examine_one(findings, inputs)
-
-
-def _examine_placements(findings: Findings, inputs: DesignInputs) -> Preflight:
-    """Check a stimulus that has a design for each finger placement."""
-    placed: dict[str, Preflight] = {}
-    for name, fingers in ({} if findings.placements is None else findings.placements.all()).items():
-        own = replace(inputs, fingers=fingers)
-        # Placements whose fingers load the modes alike share a design.
-        same = next((each for each in placed.values() if each.inputs and each.inputs.loads == own.loads), None)
-        if same is not None and same.inputs is not None:
-            placed[name] = replace(same, inputs=replace(same.inputs, fingers=fingers))
-            continue
-        placed[name], first = _examine_one(findings, own), next(iter(placed.values()), None)
-        if own.section.equalise_band_Hz and first and not {*placed[name].problems, *first.problems}:
-            placed[name] = _examine_one(findings, equalised(*placed[name].sound, first.sound))
-    first = next(iter(placed.values()))
-    problems = {
-        replace(problem, given=f"{problem.given} under fingers at {name}")
-        for name, part in placed.items()
-        for problem in part.problems
-    }
-    return Preflight(findings, tuple(sorted(problems)), first.inputs, first.designed, placed=placed)
 
 
 def _examine_one(findings: Findings, inputs: DesignInputs | None) -> Preflight:
@@ -373,40 +293,6 @@ def _check_generator_itself(inputs: DesignInputs, findings: Findings) -> Iterato
             f"timer, which the channels of a {instrument.models[0]} do not share",
             "single",
             "write single",
-        )
-
-
-def _examine_several(findings: Findings) -> Preflight:
-    """Check a protocol with several stimuli, each on its own and all together."""
-    variants = {name: examine_findings(alone) for name, alone in findings.each_stimulus()}
-    shared = {*Schedule.check(findings), *_check_masking_level(findings)}
-    problems = {
-        problem
-        for name, part in variants.items()
-        for problem in findings.at_stimulus(name, set(part.problems) - shared)
-    }
-    first = next(iter(variants.values()))
-    together = Preflight(findings, (), first.inputs, first.designed, variants)
-    if not problems | shared and first.inputs is not None:
-        by_placement: dict[str, list[Burst]] = {}
-        for part in variants.values():
-            for place, each in part.by_placement.items():
-                by_placement.setdefault(place, []).append(each.stimulus.burst)
-        for bursts in by_placement.values():
-            problems.update(_check_memories(findings, first.inputs.apparatus, bursts))
-    return replace(together, problems=tuple(sorted(problems | shared)))
-
-
-def _check_memories(findings: Findings, apparatus: Apparatus, bursts: Sequence[Burst]) -> Iterator[Problem]:
-    """Yield a problem if a placement needs more records than the generator has memories."""
-    n_memories = instrument_of(apparatus).records.n_memories
-    n_records = len({record.tobytes() for burst in bursts for record in burst.codes})
-    if n_records > n_memories:
-        yield findings.problem(
-            ("stimuli",),
-            f"{len(bursts)} stimuli with {n_records} different records",
-            f"at most {n_memories}, one for each memory of the generator: two stimuli on two outputs",
-            "use fewer (those that differ only in rate, bursts or masking share theirs), or several protocols",
         )
 
 

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from itertools import combinations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from modaltouch.preflight.design_inputs import DesignInputs
 from modaltouch.protocol import Protocol
@@ -13,6 +16,9 @@ from modaltouch.stimulus import Stimulus
 
 ANSWER_S, PLACEMENT_S, BREAK_S, INSTRUCTIONS_S = 1.5, 5.0, 30.0, 90.0
 """Assumed durations of an answer, a finger placement, a break and the instructions [s]."""
+
+_POINTS_PER_ZONE = 5
+"""Points per zone at which speed is computed, a quarter of the shortest wavelength of Table I apart."""
 
 FIELD_POINTS = 201
 """Points from end to end of the beam at which a field is recorded."""
@@ -68,17 +74,62 @@ def field_figures(inputs: DesignInputs, stimulus: Stimulus) -> dict[str, Any]:
     }
 
 
-def zone_centres(inputs: DesignInputs) -> np.ndarray[Any, np.dtype[np.float64]]:
+def zone_centres(inputs: DesignInputs) -> NDArray[np.float64]:
     """Return the centres of the zones from left to right, (n_zones,) array [m]."""
     return np.array([zone.centre_mm for zone in inputs.apparatus.ordered_zones.values()]) * 1e-3
 
 
-def finger_places(inputs: DesignInputs) -> np.ndarray[Any, np.dtype[np.float64]]:
+def finger_places(inputs: DesignInputs) -> NDArray[np.float64]:
     """Return the finger position in each zone, or the zone's centre, from left to right, (n_zones,) array [m]."""
     places = zone_centres(inputs)
     for finger in inputs.fingers:
         places[np.abs(places - finger.position).argmin()] = finger.position
     return places
+
+
+def zone_points(inputs: DesignInputs) -> NDArray[np.float64]:
+    """Return the points at which the speed of each zone is computed, (n_zones, n_points) array [m]."""
+    edges = [zone.edges for zone in inputs.apparatus.ordered_zones.values()]
+    half = inputs.apparatus.beam.length_mm / 2
+    return np.clip([np.linspace(*edge, _POINTS_PER_ZONE) for edge in edges], -half, half) * 1e-3
+
+
+def speeds_when_lifted(
+    inputs: DesignInputs, stimulus: Stimulus, level: float, floor: float
+) -> dict[str, NDArray[np.float64]]:
+    """Return the peak speeds at the zones' points if fingers are lifted, at least `floor`, by description [m/s]."""
+    speeds: dict[str, NDArray[np.float64]] = {}
+    if not inputs.fingers:
+        return speeds
+    points, unit, n = zone_points(inputs).ravel(), stimulus.volts_per_code(level * 1e-3), len(inputs.fingers)
+    touched = stimulus.touched(inputs.fingers)
+    for left in (left for n_left in range(n) for left in combinations(inputs.fingers, n_left)):
+        text = (
+            f" once {('a finger is', 'two fingers are')[n - len(left) - 1] if left else 'all fingers are'} taken away"
+        )
+        found = touched.peak_when_lifted(stimulus.touched(left), points, unit, floor)
+        speeds[text] = np.maximum(speeds.get(text, 0.0), found)
+    return speeds
+
+
+def errors_of_gains(inputs: DesignInputs, stimulus: Stimulus, level: float) -> NDArray[np.float64]:
+    """Return an upper bound of the speeds that errors of identified gains add at the points of the zones [m/s].
+
+    Every gain is off by the farther end of its interval, all in the worst combination, on the beam without fingers.
+    """
+    bare, sets = stimulus.touched(()), inputs.apparatus.actuator_sets
+    modes, error = {mode.label: mode for mode in inputs.apparatus.modes}, np.zeros_like(bare.model.modal_gain)
+    for row, mode in enumerate(modes[label] for label in bare.model.label):
+        for name, ends in (mode.intervals_95.gain_mm_s2_per_V if mode.intervals_95 else {}).items():
+            gain = mode.gain_mm_s2_per_V.get(name, 0.0)
+            error[row, sets[name].channel - 1] = max(abs(end - gain) for end in ends) * 1e-3
+    points = zone_points(inputs).ravel()
+    if not error.any():
+        return np.zeros(points.size)
+    unit = stimulus.volts_per_code(level * 1e-3)
+    alone = [replace(bare.model, modal_gain=error * (np.arange(unit.size) == output)) for output in range(unit.size)]
+    peaks = sum(replace(bare, model=model).modal_peaks(unit) for model in alone)
+    return np.asarray(peaks @ np.abs(bare.model.shapes(points)))
 
 
 def estimated_duration(protocol: Protocol) -> float:

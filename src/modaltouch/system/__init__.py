@@ -36,16 +36,18 @@ def lazily(package: str, places: Mapping[str, str]) -> Callable[[str], Any]:
 
 
 if TYPE_CHECKING:
-    from modaltouch.system.clock import SYSTEM_CLOCK, Clock, VirtualClock, measure_clock
+    from modaltouch.system.clock import SYSTEM_CLOCK, Clock, VirtualClock
     from modaltouch.system.operating_system import Interrupted, Interruption, lock, sync_file
     from modaltouch.system.provenance import commit, version, versions
+    from modaltouch.system.timing import measure_clock
 else:
     __getattr__ = lazily(
         __name__,
         {
-            "clock": "Clock SYSTEM_CLOCK VirtualClock measure_clock",
+            "clock": "Clock SYSTEM_CLOCK VirtualClock",
             "operating_system": "Interrupted Interruption lock sync_file",
             "provenance": "commit version versions",
+            "timing": "measure_clock",
         },
     )
 

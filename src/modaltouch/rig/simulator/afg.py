@@ -234,7 +234,7 @@ def afg_twin(model: str, behaviour: Behaviour | None, **hardware: Any) -> tuple[
     commands = common.noticed(afg, ChainMap(*(group(afg) for group in groups)), forced)
 
     def further() -> dict[str, Command]:
-        from modaltouch.rig.simulator.setups import further_commands
+        from modaltouch.rig.simulator.further_commands import further_commands
 
         return further_commands(afg, "{:.4E}", tektronix=True)
 

@@ -215,7 +215,7 @@ def keysight_twin(model: str, behaviour: Behaviour | None, **hardware: Any) -> t
     commands = common.noticed(state, groups, ("*TRG", "TRIGger#[:IMMediate]"))
 
     def further() -> dict[str, Command]:
-        from modaltouch.rig.simulator.setups import further_commands
+        from modaltouch.rig.simulator.further_commands import further_commands
 
         return further_commands(state, NUMBER, tektronix=False)
 
