@@ -10,7 +10,7 @@ import pytest
 from modaltouch.analysis.intervals import wilson
 from modaltouch.analysis.statistics import STATISTICS
 from modaltouch.planning.design import Design
-from modaltouch.planning.experiments import BATCH, BATCH_CELLS, Job, Study, divide, run_job, simulate
+from modaltouch.planning.experiments import BATCH, BATCH_CELLS, Job, Study, answer_shares, divide, run_job, simulate
 from modaltouch.planning.observer import Observer
 from modaltouch.planning.participant import Participant
 from modaltouch.protocol import AnswerList
@@ -28,7 +28,7 @@ def test_simulated_answers_have_the_observers_shares(design: Design) -> None:
     """Expected: the mean over a large crowd of the closed-form chances, within 4 standard errors."""
     answers = simulate(design, VARIED, Job(50, 2, 0, 200), np.random.default_rng(1))
     crowd = VARIED.draw_participants(np.random.default_rng(2), (40_000,))
-    left, right = crowd.shares(design.speeds.reshape(-1, 2), design.cells)
+    left, right = answer_shares(crowd, design.speeds.reshape(-1, 2), design.cells)
     for place, share in ((0, left), (2, right)):
         means = answers.counts[..., place].mean(axis=(0, 1)).ravel() / 2
         assert means == pytest.approx(share.mean(axis=0), abs=4 * 0.5 / np.sqrt(10_000))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from modaltouch.planning.design import designs_for
-from modaltouch.planning.experiments import Job, simulate
+from modaltouch.planning.experiments import Job, answer_shares, simulate
 from modaltouch.planning.fitting import RecordedAnswers, _grid, fit_answers, fit_observer
 from modaltouch.planning.observer import Observer
 from modaltouch.planning.participant import Participant
@@ -72,7 +72,7 @@ def test_one_observer_is_fitted_to_the_answers_to_all_stimuli(tmp_path: Path) ->
             for row in own.itertuples():
                 trial = Condition(row.finger_condition, row.zone_left, row.zone_right, row.velocity_mm_s)
                 speeds = stimulus.speeds(Trial(0, 0, trial))
-                left, right = (share[..., 0] for share in crowd.shares([speeds], [row.finger_condition]))
+                left, right = (share[..., 0] for share in answer_shares(crowd, [speeds], [row.finger_condition]))
                 logs += np.log({"left": left, "right": right, "both": 1 - left - right}[row.response])
         expected += float(np.log(np.exp(logs).mean()))
     assert fitted.fit.log_likelihood == pytest.approx(expected, rel=1e-3)
@@ -90,7 +90,7 @@ def test_two_stimuli_give_back_their_observer() -> None:
         crowd, parts = TRUTH.draw_participants(rng, (30,)), []
         for design in designs.values():
             speeds = design.speeds.reshape(-1, 2)
-            left, right = crowd.shares(speeds, design.cells)
+            left, right = answer_shares(crowd, speeds, design.cells)
             counts = rng.multinomial(4, np.stack([left, 1 - left - right, right], axis=-1))
             parts.append(RecordedAnswers(counts, speeds, design.cells, np.ones(30)))
         fit = fit_observer(RecordedAnswers.joined(parts), Observer())

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from modaltouch.analysis import ALPHA, STATISTICS, AnswerCounts
 from modaltouch.planning.design import Design
-from modaltouch.planning.observer import Observer
-from modaltouch.planning.participant import Participant
+from modaltouch.planning.observer import DrawnParticipants, Observer
+from modaltouch.planning.participant import REFERENCE, Participant
+
+_LEAST_NOISE = 1e-12
+
+N_NODES = 12
+"""Quadrature nodes for the internal noise of each finger."""
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -157,8 +163,12 @@ def simulate(design: Design, observer: Observer, job: Job, rng: np.random.Genera
     """
     crowd = observer.draw_participants(rng, (job.n_experiments, job.n_participants))
     left, both, right, *nothing = design.places
-    share_left, share_right, *share_nothing = crowd.shares(
-        design.speeds.reshape(-1, 2), design.cells, design.facing(job.n_participants), offers_nothing=bool(nothing)
+    share_left, share_right, *share_nothing = answer_shares(
+        crowd,
+        design.speeds.reshape(-1, 2),
+        design.cells,
+        design.facing(job.n_participants),
+        offers_nothing=bool(nothing),
     )
     # Keep answers on the first axis in memory, since the tests access one answer at a time.
     counts = np.zeros((len(design.places), *share_left.shape), dtype=np.int64)
@@ -187,3 +197,75 @@ def count_significant(answers: AnswerCounts, family: str, alpha: float = ALPHA) 
         int(corrected.all(axis=1).sum()),
         found.interval.half_width.sum(axis=0),
     )
+
+
+def answer_shares(
+    crowd: DrawnParticipants,
+    speeds: ArrayLike,
+    finger_conditions: Sequence[str],
+    facing: ArrayLike = 1.0,
+    *,
+    offers_nothing: bool = False,
+) -> FloatArray:
+    """Return the probabilities of the answers left, right and nothing felt in each cell; the remainder is both.
+
+    They are in closed form, averaged over the internal noise of both fingers, if any, by Gauss-Hermite quadrature.
+
+    Parameters
+    ----------
+    speeds : (n_cells, 2) array
+        Speeds felt by the left and the right finger in each cell [m/s].
+    finger_conditions : sequence of str
+        Finger condition of each cell.
+    facing : array
+        1, or -1 for participants for whom the beam is turned end to end: left and right are those of the beam, so
+        the side bias changes sign.
+    offers_nothing : bool
+        Whether nothing felt is among the answers.
+
+    Returns
+    -------
+    (2 or 3, ..., n_cells) array
+        Probabilities of left, right and, if offered, nothing felt [1]; the axes between are those of the
+        participants.
+    """
+    speeds, sigma = np.asarray(speeds, dtype=float), crowd.typical.internal_noise
+    if not sigma:
+        return _shares_felt(crowd, speeds, finger_conditions, facing, offers_nothing=offers_nothing)
+    nodes, weights = np.polynomial.hermite_e.hermegauss(N_NODES)
+    weights = weights / weights.sum()
+    shares = np.zeros(())
+    for i, j in product(range(N_NODES), repeat=2):
+        felt = np.maximum(speeds + sigma * nodes[[i, j]], 0.0)
+        own = _shares_felt(crowd, felt, finger_conditions, facing, offers_nothing=offers_nothing)
+        shares = shares + weights[i] * weights[j] * own
+    return shares
+
+
+def _shares_felt(
+    crowd: DrawnParticipants,
+    speeds: FloatArray,
+    finger_conditions: Sequence[str],
+    facing: ArrayLike,
+    *,
+    offers_nothing: bool,
+) -> FloatArray:
+    from scipy.special import ndtr
+
+    felt = speeds + crowd.typical.floor
+    ratio = np.log(felt[:, 1] / felt[:, 0])
+    kinds = list(dict.fromkeys(finger_conditions))
+    contrast = np.stack([crowd.contrast(kind) for kind in kinds], axis=-1)
+    place = [kinds.index(kind) for kind in finger_conditions]
+    expected = contrast[..., place] * ratio + (crowd.side_bias * np.asarray(facing, dtype=float))[..., None]
+    scale = np.maximum(crowd.noise, _LEAST_NOISE)[..., None]
+    if crowd.typical.near_miss:
+        scale = scale * (felt.max(axis=1) / REFERENCE) ** -crowd.typical.near_miss
+    limit = crowd.criterion[..., None]
+    named = np.stack([ndtr((-limit - expected) / scale), ndtr((expected - limit) / scale)])
+    if offers_nothing:
+        # The detection threshold varies from trial to trial with the noise of the comparison.
+        nothing = ndtr(-np.log(np.maximum(speeds.max(axis=1), _LEAST_NOISE) / crowd.typical.floor) / scale)
+        named = np.stack([*(named * (1 - nothing)), nothing])
+    guessed = crowd.typical.lapse_rate / (4 if offers_nothing else 3)
+    return np.asarray((1 - crowd.typical.lapse_rate) * named + guessed)

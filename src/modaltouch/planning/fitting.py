@@ -37,6 +37,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from modaltouch.analysis import AnswerCounts, Responses, TableFormat, read_responses
 from modaltouch.planning.design import felt_speeds, of_analysed_kind, refuse_unlike
+from modaltouch.planning.experiments import answer_shares
 from modaltouch.planning.observer import Observer
 from modaltouch.preflight import Preflight
 from modaltouch.protocol import InputError
@@ -95,8 +96,8 @@ def log_likelihood(observer: Observer, recorded: RecordedAnswers) -> float:
     crowd = observer.participants_at(_grid())
     total = 0.0
     for side in np.unique(recorded.facing):
-        left, right, *nothing = crowd.shares(
-            recorded.speeds, recorded.finger_conditions, side, offers_nothing=recorded.offers_nothing
+        left, right, *nothing = answer_shares(
+            crowd, recorded.speeds, recorded.finger_conditions, side, offers_nothing=recorded.offers_nothing
         )
         felt = 1 - nothing[0] if nothing else 1.0
         shares = (np.stack([left, felt - left - right, right]) / felt).transpose(1, 2, 0).reshape(N_NODES, -1)

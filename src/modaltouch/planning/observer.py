@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
-from itertools import product
 from pathlib import Path
 from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from modaltouch.planning.participant import REFERENCE, SAME_HAND, Participant
+from modaltouch.planning.participant import SAME_HAND, Participant
 from modaltouch.protocol import ObserverFile, Protocol
 
 FloatArray = NDArray[np.float64]
@@ -21,12 +19,6 @@ FloatArray = NDArray[np.float64]
 FrontEnd = Literal["peak_at_focus", "peak", "rms", "below_1_khz", "envelope"]
 """``peak_at_focus``: speed at the focusing instant; ``peak``: peak speed; ``rms``: RMS over one repetition;
 ``below_1_khz``: peak speed below 1 kHz; ``envelope``: peak of the rectified velocity, low-pass filtered at 1 kHz."""
-
-
-_LEAST_NOISE = 1e-12
-
-N_NODES = 12
-"""Quadrature nodes for the internal noise of each finger."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,71 +36,6 @@ class DrawnParticipants:
     def contrast(self, finger_condition: str) -> FloatArray:
         """Return one plus the suppression of each participant in a finger condition [1]."""
         return np.maximum((1 + self.typical.suppression_in(finger_condition)) * self.sharpening, 1.0)
-
-    def shares(
-        self,
-        speeds: ArrayLike,
-        finger_conditions: Sequence[str],
-        facing: ArrayLike = 1.0,
-        *,
-        offers_nothing: bool = False,
-    ) -> FloatArray:
-        """Return the probabilities of the answers left, right and nothing felt in each cell; the remainder is both.
-
-        They are in closed form, averaged over the internal noise of both fingers, if any, by Gauss-Hermite quadrature.
-
-        Parameters
-        ----------
-        speeds : (n_cells, 2) array
-            Speeds felt by the left and the right finger in each cell [m/s].
-        finger_conditions : sequence of str
-            Finger condition of each cell.
-        facing : array
-            1, or -1 for participants for whom the beam is turned end to end: left and right are those of the beam, so
-            the side bias changes sign.
-        offers_nothing : bool
-            Whether nothing felt is among the answers.
-
-        Returns
-        -------
-        (2 or 3, ..., n_cells) array
-            Probabilities of left, right and, if offered, nothing felt [1]; the axes between are those of the
-            participants.
-        """
-        speeds, sigma = np.asarray(speeds, dtype=float), self.typical.internal_noise
-        if not sigma:
-            return self._shares_felt(speeds, finger_conditions, facing, offers_nothing=offers_nothing)
-        nodes, weights = np.polynomial.hermite_e.hermegauss(N_NODES)
-        weights = weights / weights.sum()
-        shares = np.zeros(())
-        for i, j in product(range(N_NODES), repeat=2):
-            felt = np.maximum(speeds + sigma * nodes[[i, j]], 0.0)
-            own = self._shares_felt(felt, finger_conditions, facing, offers_nothing=offers_nothing)
-            shares = shares + weights[i] * weights[j] * own
-        return shares
-
-    def _shares_felt(
-        self, speeds: FloatArray, finger_conditions: Sequence[str], facing: ArrayLike, *, offers_nothing: bool
-    ) -> FloatArray:
-        from scipy.special import ndtr
-
-        felt = speeds + self.typical.floor
-        ratio = np.log(felt[:, 1] / felt[:, 0])
-        kinds = list(dict.fromkeys(finger_conditions))
-        contrast = np.stack([self.contrast(kind) for kind in kinds], axis=-1)
-        place = [kinds.index(kind) for kind in finger_conditions]
-        expected = contrast[..., place] * ratio + (self.side_bias * np.asarray(facing, dtype=float))[..., None]
-        scale = np.maximum(self.noise, _LEAST_NOISE)[..., None]
-        if self.typical.near_miss:
-            scale = scale * (felt.max(axis=1) / REFERENCE) ** -self.typical.near_miss
-        limit = self.criterion[..., None]
-        named = np.stack([ndtr((-limit - expected) / scale), ndtr((expected - limit) / scale)])
-        if offers_nothing:
-            # The detection threshold varies from trial to trial with the noise of the comparison.
-            nothing = ndtr(-np.log(np.maximum(speeds.max(axis=1), _LEAST_NOISE) / self.typical.floor) / scale)
-            named = np.stack([*(named * (1 - nothing)), nothing])
-        guessed = self.typical.lapse_rate / (4 if offers_nothing else 3)
-        return np.asarray((1 - self.typical.lapse_rate) * named + guessed)
 
 
 @dataclass(frozen=True)

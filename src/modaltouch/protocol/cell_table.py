@@ -1,8 +1,9 @@
-"""Listed cells of a protocol, in its tree or in a separate table, and checks of them."""
+"""Tables that a protocol names, of cells and of the points of a field, and its listed cells, with their checks."""
 
 from __future__ import annotations
 
 import csv
+import math
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import product
@@ -10,7 +11,7 @@ from typing import Any
 
 from modaltouch.protocol.reading import Reading
 from modaltouch.protocol.source import Problem, Source, suggest
-from modaltouch.protocol.stimulus_sections import StimulusVariant
+from modaltouch.protocol.stimulus_sections import POINT_COLUMNS, Points, StimulusVariant, unordered
 from modaltouch.protocol.tree import Node, resolve
 
 DERIVED = ("zone_pairs", "peak_velocities_mm_s", "finger_conditions", "zones")
@@ -218,3 +219,47 @@ def check_excluded(reading: Reading[Any]) -> Iterator[Problem]:
                 "finger conditions with cells",
                 "leave it out, or give it cells",
             )
+
+
+def read_points(source: Source) -> tuple[Points, list[Problem]]:
+    """Read the points in a file, positions [mm] and relative velocities; return points and problems."""
+    path, remedy = str(source.path), "write one line per point, such as `-20,0.5`"
+    rows = list(csv.reader(source.text.splitlines()))
+    header = [cell.strip() for cell in rows[0]] if rows else []
+    if not set(POINT_COLUMNS) <= set(header):
+        return (), [
+            Problem(
+                path,
+                1,
+                1,
+                "",
+                f"the columns {', '.join(header) or 'of an empty file'}",
+                ", ".join(POINT_COLUMNS),
+                "name them in the first line",
+            )
+        ]
+    places = [header.index(name) for name in POINT_COLUMNS]
+    points, problems, lines = [], [], []
+    for line, row in enumerate(rows[1:], 2):
+        if not row:
+            continue
+        cells = [_number(row[place]) if place < len(row) else math.nan for place in places]
+        if not all(map(math.isfinite, cells)):
+            problems.append(Problem(path, line, 1, "", repr(",".join(row)), "two finite numbers", remedy))
+            continue
+        points.append((cells[0], cells[1]))
+        lines.append(line)
+    if len(points) < 2 and not problems:
+        problems.append(Problem(path, 1, 1, "", f"{len(points)} points", "at least 2", remedy))
+    problems += [
+        Problem(path, lines[index], 1, "", given, "increasing positions", "sort the lines")
+        for index, given in unordered(points)
+    ]
+    return tuple(points), problems
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan

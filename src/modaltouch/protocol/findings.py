@@ -14,7 +14,7 @@ from modaltouch.protocol.reading import Reading, read, read_tree
 from modaltouch.protocol.schedule_section import LIMITS, Occasion, at_occasion, check_alike, check_groups, occasions_of
 from modaltouch.protocol.sections import Protocol
 from modaltouch.protocol.source import InputError, Problem, Source, Sources
-from modaltouch.protocol.stimulus_sections import MEASURED, NO_FINGERS, StimulusSection, presented_levels, read_points
+from modaltouch.protocol.stimulus_sections import MEASURED, NO_FINGERS, StimulusSection, presented_levels
 from modaltouch.protocol.texts import Texts, check_words
 from modaltouch.protocol.tree import parse_tree
 from modaltouch.protocol.trial import Condition
@@ -123,7 +123,11 @@ class Findings:
 
     def points(self) -> tuple[tuple[float, float], ...] | None:
         """Return the points of the target field, positions [mm] and relative velocities; None if invalid."""
-        points, faults = ((), []) if self.field is None else read_points(self.field)
+        if self.field is None:
+            return ()
+        from modaltouch.protocol.cell_table import read_points
+
+        points, faults = read_points(self.field)
         return None if faults else points
 
     def under(self, name: str) -> Findings:
@@ -286,6 +290,8 @@ class Findings:
 
             found.update(calibration.problems, check_calibration(calibration, protocol, apparatus))
         if (field := files["field"]) is not None:
+            from modaltouch.protocol.cell_table import read_points
+
             found.update(read_points(field)[1])
         return cls(
             protocol, apparatus, texts, tuple(sorted(found)), calibration, field, fingers, files["table"], occasion

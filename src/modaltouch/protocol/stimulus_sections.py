@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import math
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -24,7 +22,7 @@ from modaltouch.protocol.section import (
     Word,
     described,
 )
-from modaltouch.protocol.source import Problem, Source
+from modaltouch.protocol.source import Problem
 from modaltouch.protocol.trial import Condition
 
 if TYPE_CHECKING:
@@ -240,9 +238,6 @@ def presented_levels(reading: Reading[Any]) -> dict[tuple[Step, ...], float]:
 
 Points = tuple[tuple[float, float], ...]
 
-COLUMNS = ("position_mm", "velocity")
-"""Header of a file of points."""
-
 
 def is_elsewhere(reading: Reading[Any], key: str) -> bool:
     """Test whether a group, a kind of session or one of several stimuli overrides a key of the section stimulus."""
@@ -256,6 +251,10 @@ def is_elsewhere(reading: Reading[Any], key: str) -> bool:
 _FIELD = ("stimulus", "field")
 
 
+POINT_COLUMNS = ("position_mm", "velocity")
+"""Header of a file of points."""
+
+
 def check_target_field(reading: Reading[Any]) -> Iterator[Problem]:
     """Yield a problem for each inconsistency between the valid keys of the target field."""
     shape = reading.sound(*_FIELD, "shape")
@@ -267,7 +266,7 @@ def check_target_field(reading: Reading[Any]) -> Iterator[Problem]:
             (*_FIELD, "shape"),
             "a sampled field with " + ("points and a file" if named else "neither points nor a file"),
             "one of points, file",
-            f"write `points: [[-20, 0], [0, 1], [20, 0]]`, or `file:` with the columns {', '.join(COLUMNS)}",
+            f"write `points: [[-20, 0], [0, 1], [20, 0]]`, or `file:` with the columns {', '.join(POINT_COLUMNS)}",
         )
     if shape is not None and shape != "sampled":
         for key in named:
@@ -287,58 +286,15 @@ def check_target_field(reading: Reading[Any]) -> Iterator[Problem]:
         yield reading.problem(
             ("stimulus", "further_foci", index), f"{zone}, which is already a focus", "each zone once", "remove it"
         )
-    for index, problem in _unordered(reading.sound(*_FIELD, "points") or ()):
+    for index, problem in unordered(reading.sound(*_FIELD, "points") or ()):
         yield reading.problem((*_FIELD, "points", index), problem, "increasing positions", "sort the points")
 
 
-def read_points(source: Source) -> tuple[Points, list[Problem]]:
-    """Read the points in a file, positions [mm] and relative velocities; return points and problems."""
-    path, remedy = str(source.path), "write one line per point, such as `-20,0.5`"
-    rows = list(csv.reader(source.text.splitlines()))
-    header = [cell.strip() for cell in rows[0]] if rows else []
-    if not set(COLUMNS) <= set(header):
-        return (), [
-            Problem(
-                path,
-                1,
-                1,
-                "",
-                f"the columns {', '.join(header) or 'of an empty file'}",
-                ", ".join(COLUMNS),
-                "name them in the first line",
-            )
-        ]
-    places = [header.index(name) for name in COLUMNS]
-    points, problems, lines = [], [], []
-    for line, row in enumerate(rows[1:], 2):
-        if not row:
-            continue
-        cells = [_number(row[place]) if place < len(row) else math.nan for place in places]
-        if not all(map(math.isfinite, cells)):
-            problems.append(Problem(path, line, 1, "", repr(",".join(row)), "two finite numbers", remedy))
-            continue
-        points.append((cells[0], cells[1]))
-        lines.append(line)
-    if len(points) < 2 and not problems:
-        problems.append(Problem(path, 1, 1, "", f"{len(points)} points", "at least 2", remedy))
-    problems += [
-        Problem(path, lines[index], 1, "", given, "increasing positions", "sort the lines")
-        for index, given in _unordered(points)
-    ]
-    return tuple(points), problems
-
-
-def _unordered(points: Points | list[tuple[float, float]]) -> Iterator[tuple[int, str]]:
+def unordered(points: Points | list[tuple[float, float]]) -> Iterator[tuple[int, str]]:
+    """Yield the index of each point that does not lie right of the one before, and both positions in words."""
     for index in range(1, len(points)):
         if points[index][0] <= points[index - 1][0]:
             yield index, f"{points[index][0]:g} mm after {points[index - 1][0]:g} mm"
-
-
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return math.nan
 
 
 Decibels = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-120, le=140)]

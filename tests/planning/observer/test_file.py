@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from modaltouch.planning.experiments import answer_shares
 from modaltouch.planning.observer import Observer
 from modaltouch.planning.participant import Participant
 from modaltouch.preflight import examine
@@ -22,7 +23,7 @@ def test_the_paper_observer_shows_the_papers_pattern() -> None:
     crowd = Observer.read("paper").draw_participants(np.random.default_rng(1), (20_000,))
     speeds = [[PEAKS[left], PEAKS[right]] for left, right in ("AC", "BD", "CE")]
     for condition in ("one_hand", "two_hands"):
-        left, right = (share.mean(axis=0) for share in crowd.shares(speeds, [condition] * 3))
+        left, right = (share.mean(axis=0) for share in answer_shares(crowd, speeds, [condition] * 3))
         assert 0.93 < right[0] < 0.99
         assert 0.93 < left[2] < 0.99
         assert 0.6 < 1 - left[1] - right[1] < 0.95
@@ -44,7 +45,7 @@ def test_only_the_fingertip_has_internal_noise() -> None:
     crowds = [
         Observer.read(name).draw_participants(np.random.default_rng(1), (5_000,)) for name in ("paper", "fingertip")
     ]
-    named = [crowd.shares([[0.4 * PEAKS["A"], 0.4 * PEAKS["C"]]], ["one_hand"])[1].mean() for crowd in crowds]
+    named = [answer_shares(crowd, [[0.4 * PEAKS["A"], 0.4 * PEAKS["C"]]], ["one_hand"])[1].mean() for crowd in crowds]
     assert named[0] > 0.94
     assert named[1] > 0.85
 
@@ -58,8 +59,8 @@ def test_where_thresholds_matter_the_fingertip_is_simulated(shipped: Path) -> No
 
 def test_guessing_is_a_third_of_each_answer() -> None:
     """Expected: 1/3, whatever is felt."""
-    left, right = (
-        Observer.read("guessing").draw_participants(np.random.default_rng(1), (3,)).shares([[0, 1]], ["one_hand"])
+    left, right = answer_shares(
+        Observer.read("guessing").draw_participants(np.random.default_rng(1), (3,)), [[0, 1]], ["one_hand"]
     )
     assert left == pytest.approx(np.full((3, 1), 1 / 3))
     assert right == pytest.approx(left)

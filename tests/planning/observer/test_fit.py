@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from modaltouch.planning.experiments import answer_shares
 from modaltouch.planning.fitting import Fit, RecordedAnswers, fit_observer, log_likelihood
 from modaltouch.planning.observer import Observer
 from modaltouch.planning.participant import Participant
@@ -28,7 +29,7 @@ def recorded(observer: Observer, n_participants: int, n_repetitions: int, seed: 
     """Return the answers of simulated participants, every second one at the turned beam."""
     rng = np.random.default_rng(seed)
     facing = np.where(np.arange(n_participants) % 2, -1.0, 1.0)
-    left, right = observer.draw_participants(rng, (n_participants,)).shares(SPEEDS, CONDITIONS, facing)
+    left, right = answer_shares(observer.draw_participants(rng, (n_participants,)), SPEEDS, CONDITIONS, facing)
     shares = np.stack([left, 1 - left - right, right], axis=-1)
     return RecordedAnswers(rng.multinomial(n_repetitions, shares), SPEEDS, CONDITIONS, facing)
 
@@ -117,7 +118,9 @@ def test_answers_that_nothing_was_felt_leave_the_lapses_of_the_others() -> None:
     lapses, expected = still.typical.lapse_rate, 0.0
     attentive = Observer(replace(still.typical, lapse_rate=0.0), 0, 0, 0, 0, 0)
     for person, facing in enumerate(data.facing):
-        left, right = attentive.draw_participants(np.random.default_rng(0), ()).shares(SPEEDS, CONDITIONS, facing)
+        left, right = answer_shares(
+            attentive.draw_participants(np.random.default_rng(0), ()), SPEEDS, CONDITIONS, facing
+        )
         shares = (1 - lapses) * np.stack([left, 1 - left - right, right], axis=-1) + lapses / 4
         expected += float((data.counts[person] * np.log(shares / shares.sum(axis=-1, keepdims=True))).sum())
     assert log_likelihood(still, data) == pytest.approx(expected, rel=1e-9)
@@ -129,6 +132,6 @@ def test_the_likelihood_of_a_population_without_spread_is_multinomial() -> None:
     data = recorded(TRUTH, 2, 3, seed=5)
     expected = 0.0
     for person, facing in enumerate(data.facing):
-        left, right = still.draw_participants(np.random.default_rng(0), ()).shares(SPEEDS, CONDITIONS, facing)
+        left, right = answer_shares(still.draw_participants(np.random.default_rng(0), ()), SPEEDS, CONDITIONS, facing)
         expected += float((data.counts[person] * np.log(np.stack([left, 1 - left - right, right], axis=-1))).sum())
     assert log_likelihood(still, data) == pytest.approx(expected, rel=1e-12)

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from modaltouch.planning.experiments import answer_shares
 from modaltouch.planning.observer import Observer
 from modaltouch.planning.participant import REFERENCE, Participant
 from modaltouch.protocol import AnswerList
@@ -23,7 +24,7 @@ def test_shares_are_those_of_single_answers() -> None:
     observer = replace(Observer(), typical=replace(Participant(), lapse_rate=0.06, near_miss=0.4, side_bias=0.1))
     person = observer.draw(np.random.default_rng(4))
     crowd = observer.draw_participants(np.random.default_rng(4), ())
-    left, right = crowd.shares(SPEEDS, ("one_hand", "two_hands", "one_hand"))
+    left, right = answer_shares(crowd, SPEEDS, ("one_hand", "two_hands", "one_hand"))
     rng, n = np.random.default_rng(9), 6000
     for cell, condition in enumerate(("one_hand", "two_hands", "one_hand")):
         given = [person.answer(*SPEEDS[cell], condition, rng)[0] for _ in range(n)]
@@ -37,7 +38,7 @@ def test_shares_with_internal_noise_are_those_of_single_answers() -> None:
     observer = replace(Observer(), typical=replace(Participant(), internal_noise=0.004, detection_speed=0.0105))
     person = observer.draw(np.random.default_rng(4))
     speeds = np.array([[0.006, 0.01], [0.02, 0.012], [0.1, 0.15]])
-    left, right = observer.draw_participants(np.random.default_rng(4), ()).shares(speeds, ("one_hand",) * 3)
+    left, right = answer_shares(observer.draw_participants(np.random.default_rng(4), ()), speeds, ("one_hand",) * 3)
     rng, n = np.random.default_rng(9), 6000
     for cell in range(3):
         given = [person.answer(*speeds[cell], "one_hand", rng)[0] for _ in range(n)]
@@ -57,7 +58,7 @@ def test_shares_with_nothing_felt_among_the_answers_are_those_of_single_answers(
     person = observer.draw(np.random.default_rng(4))
     speeds = np.array([[0.004, 0.006], [0.008, 0.011], [0.1, 0.3]])
     crowd = observer.draw_participants(np.random.default_rng(4), ())
-    shares = crowd.shares(speeds, ("one_hand",) * 3, offers_nothing=True)
+    shares = answer_shares(crowd, speeds, ("one_hand",) * 3, offers_nothing=True)
     assert shares[2, 2] == pytest.approx(0.05, abs=1e-6)
     rng, n = np.random.default_rng(9), 6000
     for cell, own in enumerate(shares.T):
@@ -83,7 +84,7 @@ def test_one_drawn_participant_is_the_crowd_of_one() -> None:
 def test_shares_are_chances(speeds: list[float], lapse_rate: float, side_bias: float) -> None:
     """Expected: left, right and both are never negative and add up to one, whatever is felt."""
     observer = replace(Observer(), typical=replace(Participant(), lapse_rate=lapse_rate, side_bias=side_bias))
-    left, right = observer.draw_participants(np.random.default_rng(1), (7,)).shares([speeds], ("two_hands",))
+    left, right = answer_shares(observer.draw_participants(np.random.default_rng(1), (7,)), [speeds], ("two_hands",))
     assert left.shape == (7, 1)
     assert ((left >= 0) & (right >= 0) & (left + right <= 1 + 1e-12)).all()
 
@@ -92,8 +93,8 @@ def test_a_turned_beam_turns_the_side_bias_alone() -> None:
     """Expected: turned, the bias counts for the other end of the beam; a guess stays a third of each."""
     observer = Observer(replace(Participant(), side_bias=0.3, lapse_rate=0.0), 0, 0, 0, 0, 0)
     crowd = observer.draw_participants(np.random.default_rng(1), (1,))
-    left, right = crowd.shares([[0.1, 0.1]], ("one_hand",))
-    turned_left, turned_right = crowd.shares([[0.1, 0.1]], ("one_hand",), -1.0)
+    left, right = answer_shares(crowd, [[0.1, 0.1]], ("one_hand",))
+    turned_left, turned_right = answer_shares(crowd, [[0.1, 0.1]], ("one_hand",), -1.0)
     assert right[0, 0] > 3 * left[0, 0]
     assert (turned_left[0, 0], turned_right[0, 0]) == pytest.approx((right[0, 0], left[0, 0]))
 

@@ -11,6 +11,7 @@ import pytest
 
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig.simulator import Simulator
+from modaltouch.rig.simulator.scope import drive_voltage, motions_of
 from modaltouch.rig.simulator.timeline import Playback
 from modaltouch.rig.simulator.twin import MOST_SAMPLES, Twin
 from modaltouch.system.clock import VirtualClock
@@ -20,7 +21,7 @@ Play = Callable[..., Playback]
 
 def course(twin: Twin, sent: list[Playback | None], time: np.ndarray) -> np.ndarray:
     """Return the velocity of the beam's middle over time [m/s]."""
-    motions = twin.motions(sent, 0.011, offset=0.0, bandwidth=None, touched=(), span=(time[0], time[-1]))
+    motions = motions_of(twin, sent, 0.011, offset=0.0, bandwidth=None, touched=(), span=(time[0], time[-1]))
     return np.sum([motion.at(time) for motion in motions], axis=0)
 
 
@@ -76,7 +77,7 @@ def test_delay_moves_the_burst_and_changes_nothing_else(twin: Twin, playback: Pl
         got, expected = twin.true_state([later, None], instant), twin.true_state([now, None], instant - 0.01)
         np.testing.assert_allclose(got.velocity, expected.velocity, rtol=1e-9)
     assert not twin.true_state([later, None], 0.005, first=True).velocity.any()
-    drives = twin.drive([later, None], 0), twin.drive([now, None], 0)
+    drives = drive_voltage(twin, [later, None], 0), drive_voltage(twin, [now, None], 0)
     assert drives[0] is not None
     assert drives[1] is not None
     np.testing.assert_allclose(drives[0].at(instants), drives[1].at(instants - 0.01))

@@ -16,7 +16,7 @@ from modaltouch.rig.generator import Generator
 from modaltouch.rig.interface import RigError
 from modaltouch.rig.scope import Acquisition, Recording
 from modaltouch.rig.simulator import Simulator
-from modaltouch.rig.simulator.scope import _moved, normal_quantiles
+from modaltouch.rig.simulator.scope import _moved, motions_of, normal_quantiles
 from modaltouch.rig.simulator.timeline import Playback
 from modaltouch.stimulus.burst import Burst
 
@@ -271,8 +271,8 @@ def test_many_records_of_a_small_jitter_are_those_of_the_instants(apparatus: App
     with simulator:
         drive = sine(105e3, cycles=100, n=5000)
         time, shifts = np.arange(200) * 0.4e-6, np.linspace(-1e-8, 1e-8, 5)
-        motions = simulator.twin.motions(
-            [None, drive], 0.05, offset=0.0, bandwidth=None, touched=(), span=(-1e-8, 8e-5)
+        motions = motions_of(
+            simulator.twin, [None, drive], 0.05, offset=0.0, bandwidth=None, touched=(), span=(-1e-8, 8e-5)
         )
         together = _moved(motions, time, shifts)
     for moved, shift in zip(together, shifts, strict=True):

@@ -12,6 +12,7 @@ from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.apparatus_sections import TrueAmplifier
 from modaltouch.rig.afg3022b import AFG3022B
 from modaltouch.rig.simulator.motion import DriveVoltage, Motion, state_at
+from modaltouch.rig.simulator.scope import drive_voltage, motions_of
 from modaltouch.rig.simulator.timeline import Playback
 from modaltouch.rig.simulator.twin import Twin
 from modaltouch.stimulus.burst import Timing
@@ -84,7 +85,7 @@ def test_motion_between_samples_is_the_exact_state(
     """Cubics against the exact states at 60 random instants of burst and decay: within 1e-5 of the peak."""
     known = with_twin(apparatus, amplifier=TrueAmplifier(bandwidth_kHz=bandwidth and bandwidth * 1e-3))
     twin = Twin(known, 1)
-    (motion,) = twin.motions(shipped_burst, 0.0, offset=0.0, bandwidth=None, touched=(), span=(0.0, 1.0))
+    (motion,) = motions_of(twin, shipped_burst, 0.0, offset=0.0, bandwidth=None, touched=(), span=(0.0, 1.0))
     instants = np.sort(rng.uniform(0.023, 0.06, 60))
     system, (held,) = twin.system(), twin.held_of(shipped_burst)
     row = twin.beam.shapes(0.0)[:, 0] @ system.velocity
@@ -103,7 +104,7 @@ def test_low_pass_of_the_vibrometer_is_first_order(with_twin: Callable[..., Appa
     time = np.arange(2000) * (1 / hertz / 200)
     tones = []
     for corner in (None, hertz):
-        (motion,) = twin.motions([sine, None], 0.0, offset=0.0, bandwidth=corner, touched=(), span=(0.0, 1.0))
+        (motion,) = motions_of(twin, [sine, None], 0.0, offset=0.0, bandwidth=corner, touched=(), span=(0.0, 1.0))
         tones.append(np.mean(motion.at(time) * np.exp(-2j * np.pi * hertz * time)))
     assert tones[1] / tones[0] == pytest.approx(1 / (1 + 1j), rel=1e-4)
 
@@ -116,8 +117,8 @@ def test_equal_poles_of_amplifier_and_vibrometer_are_no_failure(
     time = np.linspace(0.01, 0.04, 500)
     courses: list[Motion] = []
     for corner in (250e3, 250.25e3):
-        courses += twin.motions(
-            [playback(n=20_000), None], 0.0, offset=0.0, bandwidth=corner, touched=(), span=(0.0, 0.05)
+        courses += motions_of(
+            twin, [playback(n=20_000), None], 0.0, offset=0.0, bandwidth=corner, touched=(), span=(0.0, 0.05)
         )
     same, beside = (course.at(time) for course in courses)
     np.testing.assert_allclose(same, beside, atol=1e-3 * np.abs(beside).max())
@@ -130,10 +131,10 @@ def test_drive_is_held_or_follows_with_the_pole(
     step = replace(playback(), record=(16382).to_bytes(2, "big") * 100, idle_code=8191)
     time = np.array([0.0, 1e-6, 5e-6, 0.02, 0.051, 0.1])
     volts = 2.0 * 25
-    held = Twin(with_twin(apparatus), 1).drive([step, None], 0)
+    held = drive_voltage(Twin(with_twin(apparatus), 1), [step, None], 0)
     assert isinstance(held, DriveVoltage)
     np.testing.assert_allclose(held.at(time), volts * np.array([1, 1, 1, 1, 0, 0]), rtol=1e-12)
-    slow = Twin(with_twin(apparatus, amplifier=TrueAmplifier(bandwidth_kHz=50.0)), 1).drive([step, None], 0)
+    slow = drive_voltage(Twin(with_twin(apparatus, amplifier=TrueAmplifier(bandwidth_kHz=50.0)), 1), [step, None], 0)
     assert slow is not None
     pole = 2 * np.pi * 50e3
     expected = volts * (1 - np.exp(-pole * time))

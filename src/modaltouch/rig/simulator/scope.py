@@ -11,7 +11,7 @@ import numpy as np
 
 from modaltouch.rig.interface import RigError
 from modaltouch.rig.scope import Acquisition, Recording, Scope
-from modaltouch.rig.simulator.motion import AT_ONCE, Motion
+from modaltouch.rig.simulator.motion import AT_ONCE, DriveVoltage, Motion, StateHistory, low_passed
 from modaltouch.rig.simulator.timeline import Playback, Timeline
 from modaltouch.rig.simulator.true_beam import FloatArray
 from modaltouch.rig.simulator.twin import Twin
@@ -144,7 +144,8 @@ class SimulatedScope(Scope):
         jitter = true.scope.trigger_jitter_ns * 1e-9 * self._rng.standard_normal(n_records)
         late = true.vibrometer.delay_us * 1e-6
         reach = late + float(np.abs(jitter).max())
-        motions = self._twin.motions(
+        motions = motions_of(
+            self._twin,
             playbacks,
             position,
             offset=across + true.vibrometer.offset_mm * 1e-3,
@@ -152,7 +153,7 @@ class SimulatedScope(Scope):
             touched=self._touched(),
             span=(float(elapsed[0] - reach), float(elapsed[-1] + reach)),
         )
-        drives = [self._twin.drive(playbacks, number - 1) for number in asked.drives]
+        drives = [drive_voltage(self._twin, playbacks, number - 1) for number in asked.drives]
         velocity = _moved(motions, elapsed - late, jitter)
         voltage = np.zeros((n_records, len(drives), asked.n_samples))
         over = [self._see_velocity(record) for record in velocity]
@@ -277,3 +278,46 @@ def _moved(motions: Sequence[Motion], time: FloatArray, shifts: FloatArray) -> F
         np.multiply(slope, shift, out=row)
         row += middle
     return moved
+
+
+def motions_of(
+    twin: Twin,
+    playbacks: Sequence[Playback | None],
+    position: float,
+    *,
+    offset: float,
+    bandwidth: float | None,
+    touched: Sequence[Finger],
+    span: tuple[float, float],
+) -> list[Motion]:
+    """Return the low-passed velocity of a point, one part for each group of channels with equal timing [m/s].
+
+    Parameters
+    ----------
+    playbacks, touched
+        Output of each channel, and the fingers on the beam.
+    position, offset : float
+        Position along and across the beam, relative to its middle [m].
+    bandwidth : float or None
+        Corner frequency of the low-pass [Hz]; None for no low-pass.
+    span : (float, float)
+        First and last instant that will be requested, from the first sample of a burst at the beam [s].
+    """
+    if twin.tripped:
+        return []
+    stretch = twin.stretch(playbacks)
+    system = twin.system(touched, stretch)
+    output = twin.beam.shapes(position, offset)[:, 0] @ system.velocity
+    system, output = low_passed(system, output, bandwidth)
+    key = tuple(playbacks), tuple(touched), bandwidth, stretch
+    # The states describe the whole beam, so they can be reused for the next point of a scan.
+    if twin.histories is None or twin.histories[0] != key or not all(h.covers(span) for h in twin.histories[1]):
+        twin.histories = key, [StateHistory.of(system, held, span) for held in twin.forces_of(playbacks)]
+    return [history.motion(output) for history in twin.histories[1]]
+
+
+def drive_voltage(twin: Twin, playbacks: Sequence[Playback | None], channel: int) -> DriveVoltage | None:
+    """Return the voltage at the beam of a channel, counted from 0; None for an idle channel."""
+    alone = [playback if row == channel else None for row, playback in enumerate(playbacks)]
+    held = twin.held_of(alone)
+    return None if twin.tripped or not held else DriveVoltage.of(held[0], channel, twin.amplifier.bandwidth)

@@ -24,7 +24,7 @@ from modaltouch.rig.simulator.true_beam import (
 from modaltouch.stimulus import DiagonalSystem
 
 if TYPE_CHECKING:
-    from modaltouch.rig.simulator.motion import DriveVoltage, Motion, StateHistory, TrueState
+    from modaltouch.rig.simulator.motion import StateHistory, TrueState
     from modaltouch.stimulus import Finger
 
 MOST_SAMPLES = 1 << 22
@@ -57,7 +57,8 @@ class Twin:
     seed: int
     tripped: bool = False
     n_measured: int = field(default=0, init=False)
-    _histories: tuple[object, list[StateHistory]] | None = field(default=None, init=False, repr=False)
+    histories: tuple[object, list[StateHistory]] | None = field(default=None, init=False, repr=False)
+    """States of the beam for the latest measurement, with what they depend on."""
 
     def __post_init__(self) -> None:
         self.beam = true_beam(self.apparatus, self.seed)
@@ -117,51 +118,6 @@ class Twin:
         on_beam = self.fingers(*positions) if touched is None else touched
         fingers = tuple(sorted((finger for finger in on_beam if finger.loads_beam), key=lambda finger: finger.position))
         return scale * self.peaks(_once(setting), tuple(positions), fingers, stretch)
-
-    def motions(
-        self,
-        playbacks: Sequence[Playback | None],
-        position: float,
-        *,
-        offset: float,
-        bandwidth: float | None,
-        touched: Sequence[Finger],
-        span: tuple[float, float],
-    ) -> list[Motion]:
-        """Return the low-passed velocity of a point, one part for each group of channels with equal timing [m/s].
-
-        Parameters
-        ----------
-        playbacks, touched
-            Output of each channel, and the fingers on the beam.
-        position, offset : float
-            Position along and across the beam, relative to its middle [m].
-        bandwidth : float or None
-            Corner frequency of the low-pass [Hz]; None for no low-pass.
-        span : (float, float)
-            First and last instant that will be requested, from the first sample of a burst at the beam [s].
-        """
-        if self.tripped:
-            return []
-        stretch = self.stretch(playbacks)
-        system = self.system(touched, stretch)
-        output = self.beam.shapes(position, offset)[:, 0] @ system.velocity
-        from modaltouch.rig.simulator.motion import StateHistory, low_passed
-
-        system, output = low_passed(system, output, bandwidth)
-        key = tuple(playbacks), tuple(touched), bandwidth, stretch
-        # The states describe the whole beam, so they can be reused for the next point of a scan.
-        if self._histories is None or self._histories[0] != key or not all(h.covers(span) for h in self._histories[1]):
-            self._histories = key, [StateHistory.of(system, held, span) for held in self.forces_of(playbacks)]
-        return [history.motion(output) for history in self._histories[1]]
-
-    def drive(self, playbacks: Sequence[Playback | None], channel: int) -> DriveVoltage | None:
-        """Return the voltage at the beam of a channel, counted from 0; None for an idle channel."""
-        alone = [playback if row == channel else None for row, playback in enumerate(playbacks)]
-        held = self.held_of(alone)
-        from modaltouch.rig.simulator.motion import DriveVoltage
-
-        return None if self.tripped or not held else DriveVoltage.of(held[0], channel, self.amplifier.bandwidth)
 
     def true_state(
         self,
