@@ -8,7 +8,7 @@ import pytest
 
 from modaltouch.rig.simulator.afg import afg_twin
 from modaltouch.rig.simulator.common import Behaviour
-from modaltouch.rig.simulator.instrument import Faults, SimulatedInstrument
+from modaltouch.rig.simulator.instrument import SimulatedInstrument
 from modaltouch.system.clock import VirtualClock
 
 NO_ERROR = '0,"No error"'
@@ -20,7 +20,7 @@ class Bench:
     def __init__(self, behaviour: Behaviour | None = None) -> None:
         self.clock = VirtualClock(100.0)
         self.afg, table = afg_twin("AFG3022B", behaviour, clock=self.clock)
-        self.instrument = SimulatedInstrument(self.afg, table, Faults())
+        self.instrument = SimulatedInstrument(self.afg, table)
 
     def ask(self, message: str | bytes) -> str:
         """Return the replies to a message."""

@@ -18,7 +18,7 @@ import pyvisa
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig.simulator import Simulator
 from modaltouch.rig.simulator.afg import afg_twin
-from modaltouch.rig.simulator.instrument import Faults, SimulatedInstrument
+from modaltouch.rig.simulator.instrument import SimulatedInstrument
 from modaltouch.rig.simulator.scpi import TEXTS
 
 NUMERIC = {
@@ -47,7 +47,7 @@ KEYWORD = {
 
 def fresh() -> SimulatedInstrument:
     """Return a generator with nothing behind it."""
-    return SimulatedInstrument(*afg_twin("AFG3022B", None), Faults())
+    return SimulatedInstrument(*afg_twin("AFG3022B", None))
 
 
 def broken(rng: random.Random) -> tuple[str, int]:

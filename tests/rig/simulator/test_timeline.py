@@ -10,7 +10,7 @@ from scipy.stats import kstest
 
 from modaltouch.rig.simulator.afg import afg_twin
 from modaltouch.rig.simulator.common import Behaviour
-from modaltouch.rig.simulator.instrument import Faults, SimulatedInstrument
+from modaltouch.rig.simulator.instrument import SimulatedInstrument
 from modaltouch.rig.simulator.timeline import FINEST, Delays, PlayedBurst
 from modaltouch.system.clock import VirtualClock
 
@@ -28,7 +28,7 @@ class Stage:
         self.afg, table = afg_twin("AFG3022B", behaviour, delays=delays, seed=seed, clock=self.clock)
         self.played: list[PlayedBurst] = []
         self.afg.timeline.on_burst = self.played.append
-        self.instrument = SimulatedInstrument(self.afg, table, Faults())
+        self.instrument = SimulatedInstrument(self.afg, table)
         self.tell("DATA:DEF EMEM,1000;:DATA:DATA:LINE EMEM,1,0,1000,9990;:DATA:COPY USER1", "TRIG:SOUR EXT")
         for n in (1, 2):
             self.tell(f"SOUR{n}:{SETTINGS.format(n=n)}")

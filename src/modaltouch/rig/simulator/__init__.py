@@ -21,12 +21,13 @@ from numpy.typing import NDArray
 from modaltouch.protocol import Apparatus
 from modaltouch.rig.simulator.afg import afg_twin
 from modaltouch.rig.simulator.common import Behaviour
-from modaltouch.rig.simulator.instrument import DirectTransport, Faults, SimulatedInstrument
+from modaltouch.rig.simulator.instrument import DirectTransport, SimulatedInstrument
 from modaltouch.rig.simulator.timeline import Delays, Playback
 from modaltouch.rig.simulator.twin import Twin
 from modaltouch.system import SYSTEM_CLOCK, Clock, VirtualClock
 
 if TYPE_CHECKING:
+    from modaltouch.rig.simulator.faults import Faults
     from modaltouch.rig.simulator.motion import TrueState
     from modaltouch.rig.simulator.scope import SimulatedScope
     from modaltouch.rig.simulator.scpi import CommandTable
@@ -81,8 +82,6 @@ class Simulator(AbstractContextManager["Simulator"]):
         State of the generator, of the model named in the apparatus; an AFG3022B for unknown models.
     twin : Twin
         True beam and amplifier, whose protection disables its output while ``tripped``.
-    faults : Faults
-        Injected faults, which can be changed at any time.
     """
 
     def __init__(
@@ -104,7 +103,6 @@ class Simulator(AbstractContextManager["Simulator"]):
         model, hardware = apparatus.generator.model, {"delays": delays, "seed": seed, "clock": clock}
         self.afg: Any
         self.afg, table = twin_of(model)(model, behaviour, **hardware)
-        self.faults = Faults()
         self.twin = Twin(apparatus, seed)
         self._touched: dict[str, Finger] = {}
         self._played: PlayedLog | None = None
@@ -116,7 +114,7 @@ class Simulator(AbstractContextManager["Simulator"]):
             if played is not None:
                 self._played = PlayedLog(played, self.twin, self.afg.settle, lambda: self.touched)
                 self.afg.timeline.on_burst = self._played.take
-        self._instrument = SimulatedInstrument(self.afg, table, self.faults)
+        self._instrument = SimulatedInstrument(self.afg, table)
         self._port = port
         self._sends = sends
 
@@ -126,6 +124,13 @@ class Simulator(AbstractContextManager["Simulator"]):
         from modaltouch.rig.simulator.vxi11 import Vxi11Server
 
         return Vxi11Server(self._instrument, self._port)
+
+    @cached_property
+    def faults(self) -> Faults:
+        """Faults, which can be injected at any time."""
+        from modaltouch.rig.simulator.faults import Faults
+
+        return Faults(self._instrument)
 
     @property
     def address(self) -> str:
