@@ -113,18 +113,9 @@ class Participant:
         answers: AnswerList | None = None,
         *speed_between: float,
     ) -> tuple[str, float]:
-        """Simulate an answer and its reaction time from the first burst [s].
+        """Simulate an answer and its reaction time from the first burst [s]; each takes the same number of draws.
 
-        Parameters
-        ----------
-        speed_left, speed_right, finger_condition
-            As for `difference`.
-        rng : numpy.random.Generator
-            Source of random numbers; each answer takes the same number of draws.
-        answers : AnswerList, optional
-            Offered answers; those of the paper if not given.
-        *speed_between : float
-            Speed felt by a finger between these two, if any [m/s].
+        The offered `answers` are those of the paper if not given; a third finger may lie between the two.
         """
         answers = AnswerList.of({}) if answers is None else answers
         nothing = answers.naming()
@@ -157,19 +148,8 @@ class Participant:
         """Simulate a rating as a share of the scale, and its reaction time from the first burst [s].
 
         With s the speed of the faster finger relative to `REFERENCE`, times log-normal noise, the share is s / (1 + s).
-        A scale without an upper end maps it back to s (a power law of exponent 1, close to that of vibration at 60 Hz
-        [1]_).
-
-        Parameters
-        ----------
-        speeds : sequence of float
-            Felt speeds [m/s].
-        rng : numpy.random.Generator
-            Source of random numbers.
-
-        References
-        ----------
-        .. [1] S. S. Stevens, "Tactile vibration: dynamics of sensory intensity", J. Exp. Psychol. 57, 210 (1959): 0.95.
+        A scale without an upper end maps it back to s: a power law of exponent 1, close to the 0.95 of vibration at
+        60 Hz (S. S. Stevens, J. Exp. Psychol. 57, 210 (1959)).
         """
         draw, pace = rng.standard_normal(), rng.standard_normal()
         strength = (max(speeds) + self.floor) / REFERENCE * math.exp(self.noise_at(max(speeds), 0.0) * draw)
@@ -185,15 +165,6 @@ class Participant:
         comparison, so that the difference of two intervals has the noise of a difference of two fingers. Of two
         intervals, the one with the strongest percept of any finger is named; of three, the one farthest from the
         others. Intervals are judged the same if no two of them differ by more than the criterion for any finger.
-
-        Parameters
-        ----------
-        speeds : sequence of tuple
-            Speeds felt by the fingers in each interval, in order [m/s].
-        rng : numpy.random.Generator
-            Source of random numbers.
-        answers : AnswerList
-            Offered answers; some name intervals, or ``same`` and ``different``.
         """
         lapse, guess, pace = rng.random(), rng.random(), rng.standard_normal()
         given = np.asarray(speeds, dtype=float)

@@ -85,17 +85,11 @@ def draw_order(counts: Sequence[int], limit: int | None, stream: Stream, key: st
 
 
 def latin_square(n_cells: int) -> list[list[int]]:
-    """Return the rows of a balanced Latin square: Williams' design.
+    """Return the rows of a balanced Latin square: Williams' design (Aust. J. Sci. Res. A 2, 149 (1949)).
 
     Each cell occurs equally often at each position and follows each other cell equally often. This takes `n_cells` rows
     for an even number of cells and twice as many for an odd number.
 
-    References
-    ----------
-    E. J. Williams, Australian Journal of Scientific Research A 2, 149 (1949).
-
-    Examples
-    --------
     >>> latin_square(4)
     [[0, 1, 3, 2], [1, 2, 0, 3], [2, 3, 1, 0], [3, 0, 2, 1]]
     """

@@ -137,15 +137,7 @@ _ABSENT: dict[str, Any] = {"default": None, "exclude_if": lambda given: given is
 
 
 class NoOrderError(ValueError):
-    """Raised if no order keeps a limit, or if such orders are too rare to find.
-
-    Parameters
-    ----------
-    key : str
-        Key of the limit in the section schedule.
-    given, allowed, remedy : str
-        As in `Problem`.
-    """
+    """Raised if no order keeps the limit under a `key`, or if such orders are too rare to find."""
 
     def __init__(self, key: str, given: str, allowed: str, remedy: str) -> None:
         super().__init__(f"schedule.{key}: given {given}; {allowed or remedy}")

@@ -147,17 +147,8 @@ def write_view(
 ) -> str:
     """Write the session's table and sidecar file from the log, and return the table.
 
-    Parameters
-    ----------
-    head : dict
-        Length of the log (`SessionLog.head`), stated in the sidecar file to detect the loss of its last lines.
-    before : tuple of (tuple of dict, str), optional
-        As for `table_text`.
-
-    Raises
-    ------
-    RecordError
-        If a file cannot be written; existing files remain valid.
+    `head` is the length of the log (`SessionLog.head`), stated in the sidecar file to detect the loss of its last
+    lines; `before` is as for `table_text`. Raises RecordError if a file cannot be written; existing files remain valid.
     """
     about = {
         "TaskDescription": session.start.get("design", {}).get("title", ""),
@@ -184,11 +175,8 @@ def write_view(
 def table_text(session: Session, before: tuple[tuple[Any, ...], str] = ((), "")) -> str:
     """Return the BIDS table of a session, one row per answer that counts.
 
-    Parameters
-    ----------
-    before : tuple of (tuple of dict, str), optional
-        Answers of an earlier table of this session, and that table. If these answers are unchanged, rows are only
-        appended, so that the time per answer does not grow.
+    If the answers of an earlier table, `before`, are unchanged, rows are only appended, so that the time per answer
+    does not grow.
     """
     columns, (done, text) = _columns(session), before
     if not text or session.trials[: len(done)] != done:

@@ -103,14 +103,8 @@ class Records(typing.Protocol):
         """Store records, verify each for its channel, and return the value of ``{memory}`` for each.
 
         A record already stored, as known from this session or read back, is not sent again. `controls` is the
-        `modaltouch.rig.controls.Controls` of the open instrument.
-
-        Raises
-        ------
-        LinkError
-            If the connection breaks.
-        Unconfirmed
-            If a record cannot be verified after two uploads.
+        `modaltouch.rig.controls.Controls` of the open instrument. Raises LinkError if the connection breaks,
+        Unconfirmed if a record cannot be verified after two uploads.
         """
 
 

@@ -25,13 +25,7 @@ class LinkError(Exception):
 
 
 class Unconfirmed(Exception):  # noqa: N818
-    """The instrument replied, but its reply does not confirm the command.
-
-    Attributes
-    ----------
-    read_back : tuple of str
-        Values read back for the settings, if any.
-    """
+    """The instrument replied, but its reply does not confirm the command; `read_back` holds the values it returned."""
 
     def __init__(self, reason: str, read_back: tuple[str, ...] = ()) -> None:
         super().__init__(reason)

@@ -95,16 +95,9 @@ def describe_answer(
 ) -> dict[str, Any]:
     """Return the facts of a trial event: planned, commanded and confirmed stimulus, and response.
 
-    Parameters
-    ----------
-    speeds : callable
-        Predicted peak speeds under the fingers in a trial, from left to right [m/s].
-    firings : sequence of Firing
-        The stimulus of each interval as confirmed; that of `trial.interval` has the trial's condition.
-    masked : bool or None
-        Whether noise masked the sound of the beam; None if the protocol has no noise.
-    events : sequence of dict
-        Events of this trial in the record so far.
+    `speeds` returns the predicted peak speeds under the fingers, from left to right [m/s]. Of the `firings`, one for
+    each interval, that of `trial.interval` has the trial's condition. `masked` is None if the protocol has no noise,
+    and `events` are those of this trial in the record so far.
     """
     values, last = trial.as_dict(), firings[-1]
     answered = last.onset + response.counted_from + response.reaction_time

@@ -167,14 +167,7 @@ class QuantisedStimulus:
     ) -> FloatArray:
         """Return the highest speed at points if fingers are lifted at the worst instant, (n_positions,) array [m/s].
 
-        Parameters
-        ----------
-        left : QuantisedStimulus
-            The same burst on the beam with the remaining fingers.
-        positions, unit
-            As in `velocity_at_focus`.
-        floor : float
-            Smallest value returned; lower peaks are not resolved [m/s].
+        `left` is the same burst on the beam with the remaining fingers. Peaks below `floor` are not resolved [m/s].
         """
         from modaltouch.stimulus.lifted import FINE, peaks_when_lifted
 
@@ -186,21 +179,9 @@ class QuantisedStimulus:
         return peaks_when_lifted(systems, voltage, self.timing.hold / times, shapes, known, floor)
 
     def highest_contrast(self, focus: float, points: FloatArray, level: float) -> tuple[QuantisedStimulus, float]:
-        """Return the beam under the drive of highest contrast, and the upper bound (see `contrast_drive`).
+        """Return the beam under the drive of highest contrast, its codes in volts, and `contrast_drive`'s bound [1].
 
-        Parameters
-        ----------
-        focus, points : float and (n_points,) array
-            Point that reaches the level at the focusing instant, and the other points, origin at mid-beam [m].
-        level : float
-            Velocity of the focus [m/s].
-
-        Returns
-        -------
-        played : QuantisedStimulus
-            The beam under that drive; its codes are volts at the beam.
-        bound : float
-            Upper bound, over all drives of the family, of the level over the highest speed of the other points [1].
+        At the focusing instant `focus` reaches the level [m/s]; `points` are to be slow, (n_points,) array [m].
         """
         from modaltouch.stimulus.other_drives import HOLD, contrast_drive
 
@@ -233,22 +214,9 @@ def settle(
 ) -> FloatArray:
     """Change codes by at most one so that almost no rounding error remains at the focusing instant; return them [1].
 
-    The array is changed in place, and only if that reduces the error.
-
-    Parameters
-    ----------
-    codes : (n_channels, n_samples) array
-        Rounded codes, relative to mid-scale [1].
-    volts_per_code : (n_channels,) array
-        Voltage of one code at the beam [V]; 0 for a silent channel.
-    system : DiagonalSystem
-        The beam behind its amplifier.
-    timing : Timing
-        Clock of the samples.
-    error : (2 n_modes,) array
-        Target minus value reached: modal velocities, then displacements times angular frequency [m/s].
-    largest : float
-        Largest modal target [m/s].
+    The array is changed in place, and only if that reduces the error: target minus value reached, modal velocities,
+    then displacements times angular frequency, (2 n_modes,) array [m/s]. `volts_per_code` is at the beam, (n_channels,)
+    array [V], 0 for a silent channel; `largest` is the largest modal target [m/s].
     """
     best: _Walk | None = None
     changes, smallest = np.zeros(0), float(np.abs(error).max())

@@ -108,21 +108,8 @@ def patch_gains(label: ArrayLike, patches: Sequence[tuple[float, float]], length
 
     A patch bends the beam by opposite moments at its two ends and drives a mode in proportion to the difference of the
     mode's slopes there. Theory gives the ratios between modes; their common factor must be measured on one of them. A
-    moment pair does not drive the rigid modes; in practice the tape under the beam does, which is not modelled.
-
-    Parameters
-    ----------
-    label : (n_modes,) array_like of int
-        Mode labels of the paper, from 1.
-    patches : sequence of (float, float)
-        Left and right end of each patch, origin at mid-beam [m].
-    length : float
-        Length of the beam [m].
-
-    Raises
-    ------
-    ValueError
-        If a patch extends beyond the beam or has no length.
+    moment pair does not drive the rigid modes; in practice the tape under the beam does, which is not modelled. The
+    ends of each patch are from mid-beam [m]; raises ValueError if one extends beyond the beam or has no length.
     """
     if not patches:
         raise ValueError("no patch is given; give at least one as (left end, right end)")

@@ -77,18 +77,8 @@ def synthesise(amplitude: ComplexArray, exponent: ComplexArray, hold: float, out
 
     Sample n of channel c is the real part of
     ``sum(amplitude[c] * exp(exponent * hold * (n_samples - 1 - n)))``. Exponentials are skipped where they are
-    negligible, and so are silent channels.
-
-    Parameters
-    ----------
-    amplitude : (n_channels, n) complex array
-        Amplitudes at the last sample [V].
-    exponent : (n,) complex array
-        Exponents, real parts at most 0 [1/s].
-    hold : float
-        Length of a sample [s].
-    out : (n_channels, n_samples) array
-        Receives the samples [V]; each row contiguous.
+    negligible, and so are silent channels. `amplitude` is a (n_channels, n) array [V], `exponent` an (n,) array of real
+    parts at most 0 [1/s], `hold` the length of a sample [s]; each row of `out` is contiguous.
     """
     threshold = [_DEAD * max(each, default=0.0) for each in np.abs(amplitude).tolist()]
     stop = out.shape[1]

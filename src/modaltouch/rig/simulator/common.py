@@ -33,32 +33,17 @@ from modaltouch.system import SYSTEM_CLOCK, Clock
 
 @dataclass(frozen=True)
 class Behaviour:
-    """Behaviour of the real instrument that is not publicly known, or differs between units.
+    """Behaviour of the real instrument that is not publicly known, or differs between units."""
 
-    Attributes
-    ----------
-    idle_level : str
-        Level of the output between bursts: the ``first`` or ``last`` point, or the ``offset``.
-    timer_digits : int
-        Significant digits of the trigger timer.
-    copy_time : float
-        Time to store a record in a USER memory [s].
-    limit_violation : str
-        Whether an amplitude beyond VOLTage:LIMit is rejected (``error``) or reduced (``clip``).
-    max_sessions : int
-        Maximum number of simultaneous links.
-    queue_depth : int
-        Capacity of the error queue.
-    retrigger : str
-        Whether a trigger during a burst is ``ignored`` without an error or ``restarts`` the burst.
-    """
-
+    # level of the output between bursts: the ``first`` or ``last`` point, or the ``offset``
     idle_level: Literal["first", "last", "offset"] = "first"
-    timer_digits: int = 9
-    copy_time: float = 0.0
+    timer_digits: int = 9  # significant digits of the trigger timer
+    copy_time: float = 0.0  # time to store a record in a USER memory [s]
+    # whether an amplitude beyond VOLTage:LIMit is rejected (``error``) or reduced (``clip``)
     limit_violation: Literal["error", "clip"] = "error"
-    max_sessions: int = 16
-    queue_depth: int = 32
+    max_sessions: int = 16  # maximum number of simultaneous links
+    queue_depth: int = 32  # capacity of the error queue
+    # whether a trigger during a burst is ``ignored`` without an error or ``restarts`` the burst
     retrigger: Retrigger = "ignored"
 
 

@@ -151,21 +151,10 @@ _MULTIPLIERS = {"G": 1e9, "MA": 1e6, "K": 1e3, "": 1.0, "M": 1e-3, "U": 1e-6, "N
 def read_number(
     argument: Argument, *, units: Mapping[str, float], minimum: float, maximum: float, default: float | None = None
 ) -> float:
-    """Convert a numeric argument to the unit with factor 1 in `units`.
+    """Convert an argument such as ``15E-1``, ``1500 mVPP`` or ``MIN`` to the unit with factor 1 in `units`.
 
-    Parameters
-    ----------
-    argument : str or bytes
-        As sent: ``1.5``, ``15E-1``, ``1500 mVPP``, ``MIN``, ``MAXimum``, ``DEFault``.
-    units : mapping of str to float
-        Upper-case unit -> factor; ``M`` is milli, except before HZ and OHM, where it is mega.
-    minimum, maximum, default : float
-        Allowed range, ends included, and the value of ``DEF``.
-
-    Raises
-    ------
-    ScpiError
-        -104 if not a number, -124 for too many digits, -131 for another unit, -222 for a value out of range.
+    ``M`` is milli, except before HZ and OHM, where it is mega; `default` is the value of ``DEF``. Raises ScpiError:
+    -104 if it is not a number, -124 for too many digits, -131 for another unit, -222 for a value out of range.
     """
     argument = _plain(argument)
     if len(argument) > LONGEST_TEXT:
@@ -332,16 +321,9 @@ class CommandTable:
         return None
 
     def run(self, message: bytes, *, fail: Callable[[ScpiError], None]) -> list[bytes]:
-        """Execute a message and return the replies of its queries.
+        """Execute a complete program message and return the replies of its queries.
 
-        A command error ends the message; after an execution error the next unit is executed.
-
-        Parameters
-        ----------
-        message : bytes
-            One complete program message.
-        fail : callable
-            Called with each error, for the queue and the status registers.
+        A command error ends the message; after an execution error the next unit is executed. `fail` gets each error.
         """
         replies: list[bytes] = []
         path, size = "", 0

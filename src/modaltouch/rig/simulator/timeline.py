@@ -28,56 +28,28 @@ Retrigger = Literal["ignored", "restarts"]
 
 @dataclass(frozen=True)
 class Playback:
-    """The output of one channel.
+    """The output of one channel."""
 
-    Attributes
-    ----------
-    record : bytes
-        Codes of one cycle, two bytes each, big-endian.
-    amplitude, offset : float
-        Amplitude of the full range of codes [V peak to peak] and offset [V], into an open circuit.
-    duration : float
-        Length of one cycle [s].
-    period : float
-        Time from one trigger to the next [s]; infinite for a single trigger, one cycle if repeated without triggers.
-    idle_code : int
-        Code at which the output rests between bursts.
-    n_cycles : int
-        Cycles per burst.
-    delay : float
-        Time from a trigger to its burst [s].
-    converter : Converter
-        Converter of the codes to voltages.
-    """
-
-    record: bytes
+    record: bytes  # codes of one cycle, two bytes each, big-endian
+    # amplitude, offset: amplitude of the full range of codes [V peak to peak] and offset [V], into an open circuit
     amplitude: float
     offset: float
-    duration: float
+    duration: float  # length of one cycle [s]
+    # time from one trigger to the next [s]; infinite for a single trigger, one cycle if repeated without triggers
     period: float
-    idle_code: int
-    n_cycles: int = 1
-    delay: float = 0.0
-    converter: Converter = CONVERTER
+    idle_code: int  # code at which the output rests between bursts
+    n_cycles: int = 1  # cycles per burst
+    delay: float = 0.0  # time from a trigger to its burst [s]
+    converter: Converter = CONVERTER  # converter of the codes to voltages
 
 
 @dataclass(frozen=True)
 class Delays:
-    """Delays of the hardware, and pulses at its trigger input.
+    """Delays of the hardware, and pulses at its trigger input."""
 
-    Attributes
-    ----------
-    latency : (float, float)
-        Bounds of the time from a trigger command to the first sample [s].
-    relay : float
-        Time from a command to the switching of an output relay, on or off [s].
-    pulses : float or None
-        Rate of the pulses at the trigger input [Hz]; None if nothing is connected.
-    """
-
-    latency: tuple[float, float] = (1e-4, 3e-4)
-    relay: float = 4e-3
-    pulses: float | None = None
+    latency: tuple[float, float] = (1e-4, 3e-4)  # bounds of the time from a trigger command to the first sample [s]
+    relay: float = 4e-3  # time from a command to the switching of an output relay, on or off [s]
+    pulses: float | None = None  # rate of the pulses at the trigger input [Hz]; None if nothing is connected
 
 
 @dataclass(frozen=True)
@@ -124,25 +96,11 @@ class _Run:
 class Timeline:
     """Outputs of a generator over time, with settings constant between calls.
 
-    Parameters
-    ----------
-    delays : Delays
-        Delays of the hardware.
-    retrigger : str
-        Effect of a trigger during a burst.
-    seed : int
-        Seed of the phase of timer and pulses, and of the latencies.
-
-    Attributes
-    ----------
-    on_burst : callable or None
-        Called with each burst when it ends.
-    triggers : tuple of float
-        Onsets of the latest two triggered bursts since outputs or internal triggers were last changed [s].
-    caught : tuple of Playback or None
-        Output of each channel in the first burst that began after this was set to None.
-    commanded : float or None
-        Instant of the latest trigger command, whether or not a burst began [s].
+    `retrigger` is the effect of a trigger during a burst, `seed` that of the phase of timer and pulses, and of the
+    latencies. `on_burst` is called with each burst when it ends; `triggers` are the onsets of the latest two triggered
+    bursts since outputs or internal triggers were last changed [s]; `caught` is the output of each channel in the first
+    burst that began after this was set to None; `commanded` is the instant of the latest trigger command, whether or
+    not a burst began [s].
     """
 
     def __init__(self, delays: Delays, retrigger: Retrigger = "ignored", seed: int = 0) -> None:

@@ -39,24 +39,12 @@ Setting = tuple[Playback | None, ...]
 
 @dataclass
 class Twin:
-    """Amplifier and true beam behind a generator; results are computed on demand.
+    """Amplifier and true beam behind a generator; results are computed on demand."""
 
-    Attributes
-    ----------
-    apparatus : Apparatus
-        Amplifier, load, and the identified beam.
-    seed : int
-        Seed of the differences between true and identified beam.
-    tripped : bool
-        Whether the amplifier's protection has disabled its output.
-    n_measured : int
-        Number of measurements so far; the beam drifts with each.
-    """
-
-    apparatus: Apparatus
-    seed: int
-    tripped: bool = False
-    n_measured: int = field(default=0, init=False)
+    apparatus: Apparatus  # amplifier, load, and the identified beam
+    seed: int  # seed of the differences between true and identified beam
+    tripped: bool = False  # whether the amplifier's protection has disabled its output
+    n_measured: int = field(default=0, init=False)  # number of measurements so far; the beam drifts with each
     histories: tuple[object, list[StateHistory]] | None = field(default=None, init=False, repr=False)
     """States of the beam for the latest measurement, with what they depend on."""
 
@@ -129,15 +117,8 @@ class Twin:
     ) -> TrueState:
         """Return the true state of the beam at an instant, not available from any instrument of the twin.
 
-        Parameters
-        ----------
-        playbacks, touched
-            As in `motions`.
-        instant : float
-            Time since a trigger [s]; the first sample leaves the generator at 0, or after its trigger delay, and moves
-            the beam after the amplifier's delay.
-        first : bool
-            Whether the burst starts from rest rather than after many bursts.
+        The `instant` is the time since a trigger [s]: the first sample leaves the generator at 0, or after its trigger
+        delay, and moves the beam after the amplifier's delay. The `first` burst starts from rest, others after many.
         """
         from modaltouch.rig.simulator.motion import TrueState, state_at
 
