@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 from modaltouch.analysis.counts import count_answers
 from modaltouch.analysis.pipeline import read_responses
 from modaltouch.analysis.statistics import find
-from modaltouch.cli.commands import app
+from modaltouch.cli import app
 from modaltouch.planning.observer import Observer
 from modaltouch.preflight import examine
 from modaltouch.protocol import InputError

@@ -9,8 +9,7 @@ from typing import Any
 from typer.main import get_command
 
 from generator.pages import definition, page, table, toctree, write
-from modaltouch.cli import app
-from modaltouch.cli.commands import MODULES
+from modaltouch.cli import MODULES, app
 
 STATUSES = (
     ("DONE", "Done."),

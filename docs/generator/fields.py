@@ -18,7 +18,7 @@ from ruamel.yaml import YAML
 from generator.keys import keys
 from generator.pages import definition, page, table, toctree, write
 from generator.runs import run_all
-from modaltouch.cli.commands import MODULES
+from modaltouch.cli import MODULES
 
 ROOT = Path(__file__).parents[2]
 MEANINGS = ROOT / "docs" / "fields.yaml"

@@ -116,7 +116,7 @@ def test_the_sessions_of_another_user_are_not_for_this_one(monkeypatch, tmp_path
     """Folders of sessions are their owner's alone: even to ask for a file in them is refused by the system."""
     from typer.testing import CliRunner
 
-    from modaltouch.cli.commands import app
+    from modaltouch.cli import app
 
     look = os.stat
 
@@ -271,7 +271,7 @@ def test_the_program_takes_one_thread_of_blas_unless_told_otherwise(given: dict[
 
 def test_values_are_read_as_typer_reads_them():
     """Words, paths and lists of them without its library of types; what it does not give is left to it."""
-    from modaltouch.cli.commands import app, get_command
+    from modaltouch.cli import app, get_command
 
     group = get_command(app)
     with group.make_context("modaltouch", ["doctor"]) as context:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from modaltouch.cli.commands import app
+from modaltouch.cli import app
 from modaltouch.lab.laboratory import Laboratory
 from modaltouch.rig import Recording
 from modaltouch.system.operating_system import Interrupted, Interruption

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from modaltouch.cli.commands import app
+from modaltouch.cli import app
 from modaltouch.cli.new import write_study
 from modaltouch.protocol.source import InputError, Source
 

@@ -11,8 +11,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner, Result
 
-from modaltouch.cli import planning
-from modaltouch.cli.commands import app
+from modaltouch.cli import app, planning
 from modaltouch.planning import power as planning_power
 from modaltouch.planning.experiments import Job, Study, run_job
 

@@ -14,7 +14,7 @@ from typer.testing import CliRunner, Result
 from modaltouch.analysis import analyse
 from modaltouch.analysis.crossed import Analysis
 from modaltouch.analysis.preregistration import read_preregistration
-from modaltouch.cli.commands import app
+from modaltouch.cli import app
 from modaltouch.protocol import InputError
 from modaltouch.session import simulate_session
 

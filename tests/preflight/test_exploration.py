@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner, Result
 
-from modaltouch.cli.commands import app
+from modaltouch.cli import app
 
 PROTOCOL = Path(__file__).parents[2] / "protocols" / "differentiated_stimulation.yaml"
 

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from modaltouch.analysis.pipeline import analyse, read_responses
 from modaltouch.analysis.runs import ThresholdAnalysis, over_participants
-from modaltouch.cli.commands import app
+from modaltouch.cli import app
 from modaltouch.planning.design import designs_for
 from modaltouch.planning.experiments import Study
 from modaltouch.planning.observer import Observer

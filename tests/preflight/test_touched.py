@@ -18,7 +18,7 @@ from scipy.linalg import expm
 from scipy.optimize import brentq
 from typer.testing import CliRunner, Result
 
-from modaltouch.cli.commands import app
+from modaltouch.cli import app
 from modaltouch.preflight import Preflight, examine
 from modaltouch.preflight.figures import errors_of_gains, zone_points
 from modaltouch.protocol import InputError

@@ -7,7 +7,7 @@ import random
 import pytest
 from typer.testing import CliRunner
 
-from modaltouch.cli.commands import app
+from modaltouch.cli import app
 from modaltouch.record.audit import audit_session
 from modaltouch.record.chain import GENESIS, RecordError, encode_line
 from modaltouch.record.log import SessionLog

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from modaltouch.cli.commands import app
+from modaltouch.cli import app
 from modaltouch.planning.observer import Observer
 from modaltouch.preflight import Preflight, examine
 from modaltouch.protocol.schedule import Schedule

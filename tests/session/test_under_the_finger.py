@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
-from modaltouch.cli.commands import app
+from modaltouch.cli import app
 from modaltouch.preflight import Preflight, examine
 from modaltouch.protocol import Findings, Trial
 from modaltouch.record.audit import audit_session

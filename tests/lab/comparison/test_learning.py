@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from modaltouch.cli import BAD_INPUT
-from modaltouch.cli.commands import app
+from modaltouch.cli import BAD_INPUT, app
 from modaltouch.lab import comparison as command
 from modaltouch.lab.contest import for_rivals, identified_model, learn, without_mismatch
 from modaltouch.lab.focusing_methods import TrainingData, design_all

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from modaltouch.cli.commands import app
+from modaltouch.cli import app
 from modaltouch.lab.identification.modal_parameters import Estimate, Identification
 from modaltouch.lab.identification.report import identified_apparatus, write_identification
 from modaltouch.lab.identification.verdict import check_modes

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from modaltouch.cli.commands import app
+from modaltouch.cli import app
 from modaltouch.lab.validation.command import write_validation
 from modaltouch.lab.validation.key_figures import findings, key_figures
 from modaltouch.record.chain import RecordError
