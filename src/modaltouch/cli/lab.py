@@ -208,13 +208,6 @@ def compare(
     out: Annotated[
         Path | None, typer.Option(help="Folder for page, figures and tables.", show_default="comparison/<protocol>")
     ] = None,
-    scan: Annotated[
-        Path | None,
-        typer.Option(
-            help="Folder that keeps the recordings, so that an interrupted comparison continues there.",
-            show_default="recordings are not kept",
-        ),
-    ] = None,
     points: Annotated[int, typer.Option(min=3, max=1001, help="Control points along the beam.")] = 41,
     averages: Annotated[int, typer.Option(min=2, max=1000, help="Records at each point.")] = 2,
     beams: Annotated[
@@ -238,7 +231,6 @@ def compare(
         lab.compare,
         protocol,
         out=out,
-        scan=scan,
         points=points,
         averages=averages,
         beams=beams,

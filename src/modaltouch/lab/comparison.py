@@ -17,7 +17,6 @@ from modaltouch.lab.output import DARK, MIDDLE, rounded, title_of
 from modaltouch.preflight import examine
 from modaltouch.protocol import InputError
 from modaltouch.report import (
-    FAINT,
     INK,
     ReportFigure,
     format_number,
@@ -75,18 +74,16 @@ class Criterion:
 def criteria(rows: Sequence[Row]) -> list[Criterion]:
     """Return the criteria of the comparison, with a contrast for each pair of the protocol."""
     contrasts = []
-    for begin, where in (("contrast_", ""), ("finger_contrast_", " under fingers 10 mm wide")):
-        for key in (key for key in rows[0] if key.startswith(begin)):
-            pair = zones_of(rows[0], key.removeprefix(begin))
-            # A high contrast is best if either zone is the focus; other pairs are not ranked.
-            best = "high" if rows[0]["focus"] in pair else "none"
-            contrasts.append(Criterion(key, f"contrast of ({', '.join(pair)}){where}", "", best, 2))
+    for key in (key for key in rows[0] if key.startswith("contrast_")):
+        pair = zones_of(rows[0], key)
+        # A high contrast is best if either zone is the focus; other pairs are not ranked.
+        best = "high" if rows[0]["focus"] in pair else "none"
+        contrasts.append(Criterion(key, f"contrast of ({', '.join(pair)})", "", best, 2))
     return [
         Criterion("at_focus_mm_s", "velocity at the focus, at the focusing instant", "mm/s", "level"),
         Criterion("rms_error_mm_s", "distance from the target field, rms", "mm/s", "low", 2),
         Criterion("max_error_mm_s", "distance from the target field, largest", "mm/s", "low", 2),
         Criterion("rms_from_selected_mm_s", "distance from the field of the selected modes, rms", "mm/s", "low", 2),
-        Criterion("outside_mm_s", "highest speed at that instant where the target is rest", "mm/s", "low"),
         Criterion("width_50_mm", "spot width at 50 %", "mm", "none"),
         Criterion("width_80_mm", "spot width at 80 %", "mm", "none"),
         Criterion("highest_at_focus_mm_s", "highest speed at the focus, throughout", "mm/s", "level"),
@@ -105,9 +102,10 @@ def criteria(rows: Sequence[Row]) -> list[Criterion]:
     ]
 
 
-def zones_of(row: Row, pair: str) -> list[str]:
-    """Return the two zones of a contrast from their joined names, each of which may contain the joint itself."""
-    return next([a, b] for a in row["zone_peak_mm_s"] for b in row["zone_peak_mm_s"] if f"{a}_{b}" == pair)
+def zones_of(row: Row, key: str) -> list[str]:
+    """Return the two zones of a contrast from its key, whose names may contain the joint itself."""
+    zones = row["zone_peak_mm_s"]
+    return next([a, b] for a in zones for b in zones if f"contrast_{a}_{b}" == key)
 
 
 def rows_of(contest: Contest) -> list[Row]:
@@ -136,14 +134,12 @@ def rows_of(contest: Contest) -> list[Row]:
 
 def _changed(verdict: DriveAssessment, changed: Sequence[DriveAssessment]) -> Row:
     if not changed:
-        keys = ("at_focus_low_mm_s", "at_focus_high_mm_s", "at_focus_spread_mm_s", "rms_error_mm_s", "drift_mm_s")
+        keys = ("at_focus_spread_mm_s", "rms_error_mm_s", "drift_mm_s")
         return {f"changed_{key}": None for key in keys}
     at_focus = [each.row["at_focus_mm_s"] for each in changed]
     low, high = np.percentile(at_focus, [5, 95])
     drift = [float(np.sqrt(np.mean((each.field - verdict.field) ** 2))) * 1e3 for each in changed]
     return {
-        "changed_at_focus_low_mm_s": float(low),
-        "changed_at_focus_high_mm_s": float(high),
         "changed_at_focus_spread_mm_s": float(high - low),
         "changed_rms_error_mm_s": float(np.median([each.row["rms_error_mm_s"] for each in changed])),
         "changed_drift_mm_s": float(np.median(drift)),
@@ -177,31 +173,6 @@ def draw_fields(contest: Contest) -> Figure:
     return figure
 
 
-def draw_drives(contest: Contest) -> Figure:
-    """Draw the voltages of every method on individual scales; the table states their peaks."""
-    timing = contest.known.timing
-    n_channels = contest.designed[0].voltage.shape[0]
-    every = max(1, timing.n_samples // 12_500)
-    time = np.arange(timing.n_samples)[::every] * timing.hold * 1e3
-    with house_style(
-        7.6, 1.05 * len(contest.designed) + 0.6, len(contest.designed), n_channels, sharex=True, sharey="row"
-    ) as (figure, panels):
-        for row, designed in zip(panels, contest.designed, strict=True):
-            for axes, volts in zip(row, designed.voltage, strict=True):
-                n = volts.size // every * every
-                parts = volts[:n].reshape(-1, every)
-                axes.fill_between(time[: len(parts)], parts.min(axis=1), parts.max(axis=1), color=DARK, linewidth=0.4,
-                                  ec=DARK, rasterized=True)  # fmt: skip
-                axes.axvline(timing.focusing_instant * 1e3, color=FAINT, linewidth=0.7, linestyle=":")
-                quiet_grid(axes)
-            words = f"{designed.method.name}: at most {designed.peak_voltage:.1f} V"
-            row[0].set_title(words, loc="left", fontsize=8, pad=3)
-        for number, axes in enumerate(panels[-1], 1):
-            axes.set_xlabel(f"time [ms], output {number}")
-        figure.supylabel("voltage at the beam [V]", fontsize=9)
-    return figure
-
-
 def draw_price(rows: Sequence[Row], limit: float) -> Figure:
     """Draw the error of the field over peak voltage, and the contrast over energy, for every method."""
     pairs = [key for key in rows[0] if key.startswith("contrast_")]
@@ -214,7 +185,7 @@ def draw_price(rows: Sequence[Row], limit: float) -> Figure:
         left.axvline(limit, color=INK, linestyle="--", linewidth=0.8)
         left.text(limit, 0.5, "limit ", ha="right", fontsize=7, transform=left.get_xaxis_transform())
         left.set(yscale="log", xlabel="peak voltage [V]", ylabel="distance from the target\nfield, rms [mm/s]")
-        zones = zones_of(rows[0], pairs[0].removeprefix("contrast_"))
+        zones = zones_of(rows[0], pairs[0])
         right.set(xlabel="energy [V² s]", ylabel=f"contrast of ({', '.join(zones)})")
         for axes in (left, right):
             axes.set_xscale("log")
@@ -302,7 +273,6 @@ def write_comparison(found: Contest, about: dict[str, Any], folder: Path) -> dic
             "The same drives on other beams, drawn around the learned beam: a dot for each beam, a line for the "
             "learned one.",
         ),
-        ("drives", draw_drives(found), "The drives; each row has its own scale."),
     ]
     files = page_files(
         "modaltouch.lab",
@@ -324,7 +294,6 @@ def compare(
     protocol: Path,
     *,
     out: Path | None = None,
-    scan: Path | None = None,
     points: int = 41,
     averages: int = 2,
     beams: int = 20,
@@ -337,9 +306,8 @@ def compare(
     ----------
     protocol : Path
         A YAML file, or the name of a shipped protocol.
-    out, scan : Path, optional
-        Folder for page, figures and tables (``comparison/<protocol>`` by default), and folder for the recordings, from
-        which an interrupted comparison is resumed.
+    out : Path, optional
+        Folder for page, figures and tables; ``comparison/<protocol>`` if not given.
     points, averages : int
         Control points along the beam, and records at each.
     beams, seed : int
@@ -368,7 +336,7 @@ def compare(
     model = preflight.stimulus.model
     check_points(np.linspace(-model.length / 2, model.length / 2, points), model.label, model.length)
     with progress.interruptible() as heard:
-        responses = learn(preflight, n_points=points, n_records=averages, folder=scan, progress=heard)
+        responses = learn(preflight, n_points=points, n_records=averages, progress=heard)
         found = contest(preflight, responses, n_beams=beams, seed=seed, progress=heard)
     about = {
         "title": title_of(preflight),

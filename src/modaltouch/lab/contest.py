@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -28,12 +27,6 @@ from modaltouch.stimulus import ModalModel
 
 POINTS = 201
 """Number of points along the beam at which a field is evaluated."""
-
-REST = 0.02
-"""Fraction of the level below which the target is treated as rest, since a Gaussian never reaches zero [1]."""
-
-FINGER = 0.01
-"""Width of a finger's contact area [m]."""
 
 PLACES = 41
 """Number of points along the beam at which the highest speed is evaluated."""
@@ -69,7 +62,7 @@ def assess(rig: Simulator, preflight: Preflight, *, everywhere: bool = True) -> 
     preflight : Preflight
         The protocol, with the stimulus, zones and pairs used for the evaluation.
     everywhere : bool
-        Whether to evaluate the highest speed along the whole beam and under the fingers, the slowest part.
+        Whether to evaluate the highest speed along the whole beam, the slowest part.
     """
     twin, playbacks = rig.twin, rig.playbacks
     stimulus, target = preflight.stimulus, preflight.stimulus.target_field
@@ -83,43 +76,26 @@ def assess(rig: Simulator, preflight: Preflight, *, everywhere: bool = True) -> 
     felt = twin.felt(playbacks, list(zones.values())) * 1e3
     zone_peak = dict(zip(zones, felt.tolist(), strict=True))
     places = np.linspace(-half, half, PLACES).tolist()
+    pairs = preflight.experiment.protocol.conditions.pairs
     row = {
         "at_focus_mm_s": float(velocity @ twin.beam.shapes(target.centre)[:, 0]) * 1e3,
         "rms_error_mm_s": root_mean_square(miss) * 1e3,
         "max_error_mm_s": float(np.abs(miss).max()) * 1e3,
         "rms_from_selected_mm_s": root_mean_square(field - stimulus.projection.field(position)) * 1e3,
-        "outside_mm_s": float(np.abs(field[target.profile(position) < REST]).max(initial=0.0)) * 1e3,
         "width_50_mm": finite(spot_width(position, field, target.centre, 0.5) * 1e3),
         "width_80_mm": finite(spot_width(position, field, target.centre, 0.8) * 1e3),
         "highest_at_focus_mm_s": zone_peak[preflight.experiment.protocol.stimulus.focus],
         "highest_mm_s": float(twin.felt(playbacks, places).max()) * 1e3 if everywhere else None,
         "zone_peak_mm_s": zone_peak,
-        **_contrasts(zone_peak, preflight, "contrast"),
+        **{f"contrast_{a}_{b}": finite(contrast(zone_peak[a], zone_peak[b])) for a, b in pairs},
     }
-    if everywhere:
-        row |= _contrasts(_finger_peaks(rig, zones), preflight, "finger_contrast")
     return DriveAssessment(position, field, row)
-
-
-def _contrasts(peak: dict[str, float], preflight: Preflight, name: str) -> dict[str, float | None]:
-    return {
-        f"{name}_{a}_{b}": finite(contrast(peak[a], peak[b])) for a, b in preflight.experiment.protocol.conditions.pairs
-    }
 
 
 def true_delay(rig: Simulator) -> float:
     """Return the amplifier's total delay: its pure delay plus the lag of its pole [s]."""
     bandwidth = rig.twin.amplifier.bandwidth
     return rig.twin.amplifier.delay + (0.0 if bandwidth is None else 1 / (2 * math.pi * bandwidth))
-
-
-def _finger_peaks(rig: Simulator, zones: dict[str, float]) -> dict[str, float]:
-    """Return the highest speed under a finger on each zone [m/s]."""
-    half = rig.twin.beam.table.length / 2
-    under = np.linspace(-FINGER / 2, FINGER / 2, 5)
-    places = np.clip([centre + under for centre in zones.values()], -half, half)
-    speeds = rig.twin.felt(rig.playbacks, places.ravel().tolist()).reshape(places.shape).max(axis=1)
-    return dict(zip(zones, speeds.tolist(), strict=True))
 
 
 VOLTAGE = 10.0
@@ -252,7 +228,6 @@ def learn(
     *,
     n_points: int,
     n_records: int,
-    folder: Path | None = None,
     progress: MeasurementProgress = SILENT_PROGRESS,
 ) -> FrequencyResponses:
     """Measure the responses used as training data by every method, with a multisine on each actuator set.
@@ -266,8 +241,6 @@ def learn(
         The protocol, examined.
     n_points, n_records : int
         Control points along the beam, and records at each.
-    folder : Path, optional
-        Folder for the recordings; an interrupted scan is resumed there.
     progress : MeasurementProgress, optional
         Reports progress and lets the user interrupt.
     """
@@ -277,7 +250,7 @@ def learn(
     places = tuple(round(place, 9) for place in evenly(apparatus.beam.length_mm * 1e-3, n_points, 0.0))
     campaign = IdentificationPlan(places, n_records, VOLTAGE, highest, sets)
     with open_laboratory(apparatus, progress=progress, repetition="continuous") as laboratory:
-        return responses_of(campaign.scan(laboratory, source, folder), bandwidth=None)
+        return responses_of(campaign.scan(laboratory, source, None), bandwidth=None)
 
 
 def identified_model(found: Identification, apparatus: Apparatus) -> ModalModel:
@@ -315,12 +288,11 @@ def for_rivals(responses: FrequencyResponses, delay: float, apparatus: Apparatus
     frequencies = table.natural_frequency
     window = band(responses.frequency, float(frequencies.min()) / 2, 1.1 * float(frequencies.max()))
     shape = (table.n_channels, responses.n_points, responses.frequency.size)
-    response, variance = np.zeros(shape, dtype=complex), np.zeros((shape[0], shape[2]))
+    response = np.zeros(shape, dtype=complex)
     for index, name in enumerate(responses.sets):
         channel = apparatus.actuator_sets[name].channel - 1
         response[channel] = responses.response[index] * window * np.exp(2j * np.pi * responses.frequency * delay)
-        variance[channel] = responses.noise[index] * window**2
-    return TransferFunctions(responses.frequency, response, np.array(responses.places)[:, 0], variance)
+    return TransferFunctions(responses.frequency, response, np.array(responses.places)[:, 0])
 
 
 def _play(

@@ -6,29 +6,22 @@ velocity at the focus after an impulse from output c, the drive :math:`v_c(t) = 
 .. math:: \dot w(x, t_F) = A \sum_c \int h_c(x, \tau)\, h_c(x_0, \tau)\, d\tau
 
 at the focusing instant: at the focus all contributions add up as an autocorrelation, elsewhere they do not. It is the
-matched filter: no drive of equal energy produces more velocity there. The other points are not constrained. The 1-bit
-variant plays only the sign, for more velocity per volt of peak but a less accurate field.
+matched filter: no drive of equal energy produces more velocity there. The other points are not constrained.
 
 **Inverse filter.** At every frequency the responses of the M control points to the C outputs form a matrix H, the
 target velocities a vector U. The drives are given by the Tikhonov-regularised inverse,
 :math:`V = (H^* H + \beta I)^{-1} H^* U`, transformed back into time. The target is a pulse in the shape of the target
 field at the focusing instant, and rest at every other time; a few outputs can only approximate this.
 
-**Inverse filter at one instant.** With R the recorded responses at the focusing instant to a volt in each step before
-it, the drive :math:`v = R^T (R R^T + \beta I)^{-1} f` produces the target field at the control points with the least
-energy, up to the error that :math:`\beta` allows. It is the exact law without a model: motion between and beyond the
-points, and displacement at that instant, are not constrained.
-
 References
 ----------
 C. Hudin, J. Lozada, V. Hayward, "Localized Tactile Feedback on a Transparent Surface through Time-Reversal Wave
-Focusing", IEEE Trans. Haptics 8(2), 188-198, 2015, doi 10.1109/TOH.2015.2411267; A. Derode, A. Tourin, M. Fink,
-"Ultrasonic pulse compression with one-bit time reversal through multiple scattering", J. Appl. Phys. 85, 6343, 1999;
-L. Pantera, C. Hudin, "Sparse Actuator Array Combined with Inverse Filter for Multitouch Vibrotactile Stimulation",
-IEEE World Haptics Conference, 2019; the same, "Multitouch Vibrotactile Feedback on a Tactile Screen by the Inverse
-Filter Technique: Vibration Amplitude and Spatial Resolution", IEEE Trans. Haptics 13(3), 493-503, 2020; M. Tanter,
-J.-L. Thomas, M. Fink, "Time reversal and the inverse filter", J. Acoust. Soc. Am. 108, 223, 2000; O. Kirkeby et al.,
-"Fast deconvolution of multichannel systems using regularization", IEEE Trans. Speech Audio Process. 6(2), 1998.
+Focusing", IEEE Trans. Haptics 8(2), 188-198, 2015, doi 10.1109/TOH.2015.2411267; L. Pantera, C. Hudin, "Sparse Actuator
+Array Combined with Inverse Filter for Multitouch Vibrotactile Stimulation", IEEE World Haptics Conference, 2019; the
+same, "Multitouch Vibrotactile Feedback on a Tactile Screen by the Inverse Filter Technique: Vibration Amplitude and
+Spatial Resolution", IEEE Trans. Haptics 13(3), 493-503, 2020; M. Tanter, J.-L. Thomas, M. Fink, "Time reversal and the
+inverse filter", J. Acoust. Soc. Am. 108, 223, 2000; O. Kirkeby et al., "Fast deconvolution of multichannel systems
+using regularization", IEEE Trans. Speech Audio Process. 6(2), 1998.
 """
 
 from __future__ import annotations
@@ -71,14 +64,11 @@ class TransferFunctions:
         Velocity per volt at the beam, 0 outside the band of the modes [m/s per V].
     position : (n_points,) array
         Control points, origin at mid-beam [m].
-    variance : (n_channels, n_bins) array
-        Variance of the noise in `response` [(m/s per V)^2].
     """
 
     frequency: FloatArray
     response: ComplexArray
     position: FloatArray
-    variance: FloatArray
 
     @property
     def spacing(self) -> float:
@@ -208,19 +198,11 @@ def time_reversal(known: TrainingData) -> FloatArray:
     return known.to_level(known.towards[:, known.focus, ::-1])
 
 
-def one_bit_reversal(known: TrainingData) -> FloatArray:
-    """Return the signs of the voltages of `time_reversal`, at the level or the limit [V]."""
-    return known.to_level(np.sign(known.towards[:, known.focus, ::-1]))
-
-
 PULSES = (44e-6, 88e-6, 176e-6, 352e-6)
 """Trial widths of the raised-cosine target pulse; at 88 us it is above 90 % for as long as the paper's focus [s]."""
 
 STRENGTHS = 10.0 ** np.arange(-5.0, 0.01, 0.5)
 """Trial regularisations, relative to the largest squared singular value [1]."""
-
-ABOVE_NOISE = 10.0
-"""Minimum strength of a direction used by the inverse filter at one instant, relative to the noise [1]."""
 
 
 def inverse_filter(known: TrainingData) -> FloatArray:
@@ -274,44 +256,6 @@ def regularised_inverse(response: ComplexArray, target: ComplexArray, strength: 
     beta = strength * float(np.linalg.norm(gram, 2, axis=(1, 2)).max())
     right = (adjoint @ target.T[:, :, None])[:, :, 0]
     return np.asarray(np.linalg.solve(gram + beta * np.eye(gram.shape[1]), right[:, :, None])[:, :, 0].T)
-
-
-def inverse_filter_at_instant(known: TrainingData) -> FloatArray:
-    r"""Return the least-energy drives for the target field at the focusing instant, at the level or the limit.
-
-    On average, noise adds only to the diagonal of :math:`R R^T`; its variance, known from the scatter of the records,
-    is the regularisation. Directions below `ABOVE_NOISE` times the noise are left out, since a drive
-    that uses them depends on noise; further ones are left out while the drive exceeds the voltage limit.
-    """
-    # Noise variance of an element of `towards`, over all steps before the focusing instant.
-    noise = float(known.responses.variance.sum()) * 2 * (known.responses.spacing * known.step) ** 2 * known.n_before
-    target, towards = known.target(), known.towards
-    strength, direction = np.linalg.eigh(np.einsum("cmj,cnj->mn", towards, towards, optimize=True))
-    for floor in noise * ABOVE_NOISE * 10.0 ** np.arange(8):
-        # Always keep the strongest direction.
-        kept = direction[:, (strength > floor) | (strength == strength.max())]
-        steps = least_energy(towards, target, noise, kept)[:, ::-1]
-        reached = float(known.expected(steps)[known.focus])
-        if reached > 0 and float(np.abs(steps).max()) * known.target_field.velocity / reached <= known.amplifier.limit:
-            break
-    return known.to_level(steps)
-
-
-def least_energy(towards: FloatArray, target: FloatArray, beta: float, kept: FloatArray | None = None) -> FloatArray:
-    r"""Return :math:`R^T (R R^T + \beta I)^{-1} f`, (n_channels, n_steps) array [V].
-
-    Parameters
-    ----------
-    towards, target : (n_channels, n_points, n_steps) and (n_points,) array
-        R [m/s per V] and f [m/s]; the regularisation trades accuracy for energy [(m/s per V)^2].
-    kept : (n_points, n_kept) array, optional
-        Orthonormal directions in which the field is controlled; all if not given [1].
-    """
-    kept = np.eye(target.size) if kept is None else kept
-    within = np.einsum("mk,cmj->ckj", kept, towards, optimize=True)
-    gram = np.einsum("ckj,clj->kl", within, within, optimize=True)
-    weight = np.linalg.lstsq(gram + beta * np.eye(gram.shape[0]), kept.T @ target, rcond=None)[0]
-    return np.asarray(np.einsum("ckj,k->cj", within, weight))
 
 
 @dataclass(frozen=True)
@@ -373,26 +317,12 @@ METHODS = (
         time_reversal,
     ),
     Method(
-        "one_bit",
-        "1-bit time reversal",
-        "plays only the signs of the same (Derode, Tourin & Fink, J. Appl. Phys. 85, 1999)",
-        "focus",
-        one_bit_reversal,
-    ),
-    Method(
         "inverse_filter",
         "inverse filter",
         "regularised least squares at every frequency towards a pulse of the target field and rest at every other time "
         "(Pantera & Hudin, World Haptics 2019 and IEEE Trans. Haptics 13(3), 2020)",
         "field",
         inverse_filter,
-    ),
-    Method(
-        "inverse_instant",
-        "inverse filter at t_F",
-        "regularised least squares towards the target field at the focusing instant alone, a law without a model",
-        "field",
-        inverse_filter_at_instant,
     ),
 )
 """The methods, in the order of every table and figure."""

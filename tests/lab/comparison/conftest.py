@@ -30,9 +30,7 @@ def responses_of(model: ModalModel, positions: np.ndarray, highest: float = 120e
     )
     response = np.einsum("kc,kp,kf->cpf", model.modal_gain, model.shapes(positions), own, optimize=True)
     window = band(frequency, 0.5 * model.natural_frequency.min(), 1.1 * model.natural_frequency.max())
-    return TransferFunctions(
-        frequency, response * window, positions, np.full((model.n_channels, frequency.size), 1e-10)
-    )
+    return TransferFunctions(frequency, response * window, positions)
 
 
 @pytest.fixture(scope="session")

@@ -69,10 +69,9 @@ def test_other_beams_differ_and_the_learned_one_does_not_depend_on_a_seed(found,
 
 
 def test_each_method_wins_where_theory_says(rows):
-    """Reversal is the matched filter, 1-bit gives most for a volt, the exact law meets the selected modes."""
+    """Reversal is the matched filter, and the exact law meets the selected modes."""
     row = by_method(rows)
     assert min(rows, key=lambda each: each["energy_V2_s"])["method"] == "time_reversal"
-    assert min(rows, key=lambda each: each["peak_voltage_V"])["method"] == "one_bit"
     assert min(rows, key=lambda each: each["rms_from_selected_mm_s"])["method"] == "exact"
     assert row["time_reversal"]["width_80_mm"] < row["exact"]["width_80_mm"]
     assert row["inverse_filter"]["contrast_A_C"] > row["exact"]["contrast_A_C"]
@@ -105,7 +104,7 @@ def test_page_json_and_table_hold_the_same(found, rows, tmp_path):
     files = {name: Path(path) for name, path in written["files"].items()}
     page = files["comparison.html"].read_text()
     assert "A &lt;title&gt;" in page
-    assert len(re.findall(r'<img src="data:image/svg\+xml;base64,', page)) == page.count("<img") == 4
+    assert len(re.findall(r'<img src="data:image/svg\+xml;base64,', page)) == page.count("<img") == 3
     assert not re.search(r'(src|href)="(https?:)?//', page)
     for each in criteria(rows):
         assert each.name in page, each.name
