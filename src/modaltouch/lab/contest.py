@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from modaltouch.lab.arrays import FloatArray
+from modaltouch.lab.arrays import FloatArray, low_pass
 from modaltouch.lab.focusing_methods import MethodDrive, TrainingData, TransferFunctions, design_all
 from modaltouch.lab.identification.excitation import LOWEST, IdentificationPlan, evenly, highest_needed
 from modaltouch.lab.identification.joint_fit import identify
@@ -250,7 +250,8 @@ def learn(
     places = tuple(round(place, 9) for place in evenly(apparatus.beam.length_mm * 1e-3, n_points, 0.0))
     campaign = IdentificationPlan(places, n_records, VOLTAGE, highest, sets)
     with open_laboratory(apparatus, progress=progress, repetition="continuous") as laboratory:
-        return responses_of(campaign.scan(laboratory, source, None), bandwidth=None)
+        corner = apparatus.acquisition.vibrometer_bandwidth_kHz
+        return responses_of(campaign.scan(laboratory, source, None), None if corner is None else corner * 1e3)
 
 
 def identified_model(found: Identification, apparatus: Apparatus) -> ModalModel:
@@ -283,15 +284,20 @@ def band(frequency: FloatArray, lowest: float, highest: float) -> FloatArray:
 
 
 def for_rivals(responses: FrequencyResponses, delay: float, apparatus: Apparatus) -> TransferFunctions:
-    """Return the responses by generator output, limited to the band of the listed modes, with their delay removed."""
+    """Return the responses by generator output, in the band of the listed modes, without the vibrometer's delay.
+
+    Its low-pass is removed too, if the apparatus lists it.
+    """
     table = apparatus.modal_model()
     frequencies = table.natural_frequency
     window = band(responses.frequency, float(frequencies.min()) / 2, 1.1 * float(frequencies.max()))
+    window = window * np.exp(2j * np.pi * responses.frequency * delay)
+    window = window / low_pass(responses.frequency, responses.bandwidth)
     shape = (table.n_channels, responses.n_points, responses.frequency.size)
     response = np.zeros(shape, dtype=complex)
     for index, name in enumerate(responses.sets):
         channel = apparatus.actuator_sets[name].channel - 1
-        response[channel] = responses.response[index] * window * np.exp(2j * np.pi * responses.frequency * delay)
+        response[channel] = responses.response[index] * window
     return TransferFunctions(responses.frequency, response, np.array(responses.places)[:, 0])
 
 

@@ -38,6 +38,7 @@ def test_learning_measures_the_true_responses(preflight):
     Within 4 %, and four times the noise of two records.
     """
     recorded = learn(preflight, n_points=3, n_records=2)
+    assert recorded.bandwidth == preflight.experiment.apparatus.acquisition.vibrometer_bandwidth_kHz * 1e3
     assert recorded.positions == pytest.approx([-0.05, 0.0, 0.05])
     twin = Twin(without_mismatch(preflight.experiment.apparatus), 1)
     system, table = twin.beam.equations(replace(twin.amplifier, bandwidth=None, delay=0.0)), twin.beam.table
@@ -75,6 +76,15 @@ def test_laws_and_rivals_learn_from_the_same_recordings(preflight, known, record
     every = design_all(replace(known, model=model, responses=rivals))
     assert [each.method.key for each in every][:2] == ["exact", "paper"]
     assert all(0 < each.peak_voltage <= 250 * (1 + 1e-9) for each in every)
+
+
+def test_the_listed_low_pass_is_taken_out_for_the_rivals(preflight, recorded):
+    """A first-order one of 250 kHz, 6 % and 20 degrees at the highest mode: divided out, nothing of it is left."""
+    apparatus, corner = preflight.experiment.apparatus, 250e3
+    passed = recorded.response / (1 + 1j * recorded.frequency / corner)
+    filtered = replace(recorded, response=passed, bandwidth=corner)
+    expected = for_rivals(recorded, DELAY, apparatus).response
+    assert for_rivals(filtered, DELAY, apparatus).response == pytest.approx(expected, rel=1e-12)
 
 
 def test_a_mode_that_was_not_found_ends_the_comparison(recorded, monkeypatch, tmp_path):
