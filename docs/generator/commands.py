@@ -77,9 +77,9 @@ def write_commands(folder: Path) -> None:
 
 def write_statuses(folder: Path) -> None:
     """Write the page of exit statuses."""
-    from modaltouch.cli import common
+    from modaltouch import cli
 
-    known = {name: value for name, value in vars(common).items() if name.isupper() and type(value) is int}
+    known = {name: value for name, value in vars(cli).items() if name.isupper() and type(value) is int}
     if set(known) != {name for name, _ in STATUSES}:
         raise ValueError(f"the exit statuses are {', '.join(known)}: say in docs/generator/commands.py what each means")
     lead = (

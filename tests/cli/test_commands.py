@@ -89,7 +89,7 @@ def test_a_terminal_that_hung_up_does_not_change_the_exit_status(monkeypatch):
     """An interrupted session is 130 to whatever program started it, though nobody reads the words any more."""
     import typer
 
-    from modaltouch.cli.common import INTERRUPTED, leave
+    from modaltouch.cli import INTERRUPTED, leave
 
     class Gone:
         def write(self, words):

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from modaltouch import analysis, protocol
-from modaltouch.cli.common import JSON, MODE, print_json, reporting
+from modaltouch.cli import JSON, MODE, print_json, reporting
 
 _SOURCE = Annotated[
     list[Path],

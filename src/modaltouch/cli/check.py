@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from modaltouch import preflight, record
-from modaltouch.cli.common import (
+from modaltouch.cli import (
     BAD_INPUT,
     CALIBRATION,
     JSON,

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from modaltouch import lab
-from modaltouch.cli.common import APPARATUS, JSON, SEED_OF_TWIN, SHIPPED_APPARATUS, say
+from modaltouch.cli import APPARATUS, JSON, SEED_OF_TWIN, SHIPPED_APPARATUS, say
 from modaltouch.cli.lab import MEASURED_RIG, carry_out
 
 FILES = Annotated[

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from modaltouch import lab
-from modaltouch.cli.common import (
+from modaltouch.cli import (
     BAD_INPUT,
     CALIBRATION,
     JSON,

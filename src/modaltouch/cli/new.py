@@ -11,7 +11,7 @@ from typing import Annotated
 import typer
 
 from modaltouch import protocol, system
-from modaltouch.cli.common import JSON, print_json, reporting
+from modaltouch.cli import JSON, print_json, reporting
 
 
 def new(

@@ -13,8 +13,7 @@ from typing import Annotated, Any
 import typer
 
 from modaltouch import analysis, planning, preflight, record, report, session, system
-from modaltouch.cli.analyse import participants
-from modaltouch.cli.common import (
+from modaltouch.cli import (
     INTERRUPTED,
     JSON,
     MODE,
@@ -27,6 +26,7 @@ from modaltouch.cli.common import (
     reporting,
     say,
 )
+from modaltouch.cli.analyse import participants
 
 _FAMILIES_PER_TABLE = 4
 """Maximum number of test families per table, so that it fits 80 columns."""

@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import typer
 
 from modaltouch import protocol, record, report, rig, session, system, window
-from modaltouch.cli.common import (
+from modaltouch.cli import (
     APPARATUS,
     JSON,
     RECORD_AT_RISK,

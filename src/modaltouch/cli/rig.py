@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from modaltouch.cli.common import APPARATUS, JSON, SEED_OF_TWIN, SHIPPED_APPARATUS, print_json, reporting
+from modaltouch.cli import APPARATUS, JSON, SEED_OF_TWIN, SHIPPED_APPARATUS, print_json, reporting
 
 rig = typer.Typer(
     name="rig",

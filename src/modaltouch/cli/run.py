@@ -15,7 +15,7 @@ import typer
 
 from modaltouch import analysis, preflight, protocol, record, window
 from modaltouch import session as sessions
-from modaltouch.cli.common import (
+from modaltouch.cli import (
     CALIBRATION,
     INTERRUPTED,
     JSON,

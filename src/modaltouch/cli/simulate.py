@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from modaltouch import planning, preflight, session
-from modaltouch.cli.common import (
+from modaltouch.cli import (
     CALIBRATION,
     JSON,
     PROTOCOL,

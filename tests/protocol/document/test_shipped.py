@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 import modaltouch
-from modaltouch.cli.common import SHIPPED_APPARATUS
+from modaltouch.cli import SHIPPED_APPARATUS
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.source import InputError, Source
 
