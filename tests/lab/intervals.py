@@ -21,10 +21,10 @@ import numpy as np
 from calibration.conftest import PROTOCOL, TwinBench, mismatched_of
 from scipy.stats import norm
 
-from modaltouch.lab.arrays import NORMAL_95
-from modaltouch.lab.calibration.command import CalibrationLoop
+from modaltouch.lab.calibration import CalibrationLoop
 from modaltouch.lab.calibration.file import CalibrationResult, corrected_inputs
 from modaltouch.lab.calibration.plant import DATA_SHEET
+from modaltouch.lab.common import NORMAL_95
 from modaltouch.preflight import Preflight, examine
 from modaltouch.preflight.design_inputs import design_to_fit
 from modaltouch.protocol.apparatus import Apparatus

@@ -12,25 +12,25 @@ from typing import TYPE_CHECKING
 from modaltouch.system import lazily
 
 if TYPE_CHECKING:
-    from modaltouch.lab.calibration.command import calibrate
+    from modaltouch.lab.calibration import calibrate
     from modaltouch.lab.comparison import compare, comparison_table
     from modaltouch.lab.fingers import Prober, probe_fingers
     from modaltouch.lab.identification.command import IdentifyOptions, identify
     from modaltouch.lab.identification.responses import ResponseFormat
     from modaltouch.lab.laboratory import Laboratory, MeasurementProgress
-    from modaltouch.lab.validation.command import validate
+    from modaltouch.lab.validation import validate
     from modaltouch.lab.validation.key_figures import validation_table
 else:
     __getattr__ = lazily(
         __name__,
         {
-            "calibration.command": "calibrate",
+            "calibration": "calibrate",
             "comparison": "compare comparison_table",
             "fingers": "Prober probe_fingers",
             "identification.command": "IdentifyOptions identify",
             "identification.responses": "ResponseFormat",
             "laboratory": "Laboratory MeasurementProgress",
-            "validation.command": "validate",
+            "validation": "validate",
             "validation.key_figures": "validation_table",
         },
     )

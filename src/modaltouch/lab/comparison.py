@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from modaltouch.lab.common import DARK, MIDDLE, rounded, title_of
 from modaltouch.lab.contest import Contest, DriveAssessment, contest, learn
 from modaltouch.lab.identification.shapes import check_points
 from modaltouch.lab.laboratory import SILENT_PROGRESS, MeasurementProgress
-from modaltouch.lab.output import DARK, MIDDLE, rounded, title_of
 from modaltouch.preflight import examine
 from modaltouch.protocol import InputError
 from modaltouch.report import (

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from modaltouch.lab.arrays import FloatArray, low_pass
+from modaltouch.lab.common import FloatArray, low_pass
 from modaltouch.lab.focusing_methods import MethodDrive, TrainingData, TransferFunctions, design_all
 from modaltouch.lab.identification.excitation import LOWEST, IdentificationPlan, evenly, highest_needed
 from modaltouch.lab.identification.joint_fit import identify

@@ -13,8 +13,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from modaltouch.lab.arrays import NORMAL_95, FloatArray
-from modaltouch.lab.calibration.plausibility import COMMON_FACTORS
+from modaltouch.lab.common import COMMON_FACTORS, NORMAL_95, FloatArray, rounded, write_yaml
 from modaltouch.lab.laboratory import (
     SILENT_PROGRESS,
     SIMULATED,
@@ -23,7 +22,6 @@ from modaltouch.lab.laboratory import (
     open_laboratory,
     quiet,
 )
-from modaltouch.lab.output import rounded, write_yaml
 from modaltouch.lab.probe_excitation import BurstRecord, Excitation
 from modaltouch.preflight import DesignInputs, design, examine
 from modaltouch.protocol import InputError

@@ -34,7 +34,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from modaltouch.lab.arrays import ComplexArray, FloatArray
+from modaltouch.lab.common import ComplexArray, FloatArray
 from modaltouch.stimulus import Amplifier, Burst, Law, ModalModel, Release, TargetField, Timing, design_stimulus
 
 if TYPE_CHECKING:

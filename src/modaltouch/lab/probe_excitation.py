@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.lab.arrays import ComplexArray, FloatArray, low_pass
+from modaltouch.lab.common import ComplexArray, FloatArray, low_pass
 from modaltouch.lab.identification.excitation import HEADROOM, OVERSAMPLING, RATE
 from modaltouch.lab.laboratory import Laboratory
 from modaltouch.protocol import Apparatus

@@ -25,7 +25,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.lab.arrays import FloatArray
+from modaltouch.lab.common import FloatArray
 from modaltouch.lab.laboratory import MeasurementProgress
 from modaltouch.lab.scan import LARGEST_SHIFT
 from modaltouch.protocol import Apparatus

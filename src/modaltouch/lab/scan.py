@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.lab.arrays import FloatArray
+from modaltouch.lab.common import FloatArray
 from modaltouch.lab.laboratory import Laboratory
 from modaltouch.protocol import Apparatus, Source
 from modaltouch.record import RecordError, RecordInputError, replace_file

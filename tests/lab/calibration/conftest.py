@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from modaltouch.lab.calibration.command import CalibrationLoop
+from modaltouch.lab.calibration import CalibrationLoop
 from modaltouch.lab.calibration.file import CalibrationResult, corrected_inputs
 from modaltouch.lab.laboratory import SILENT_PROGRESS
 from modaltouch.preflight import Preflight, examine

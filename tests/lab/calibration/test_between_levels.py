@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from modaltouch.lab.calibration.command import calibrate_each, design_inputs_of, levels_between
+from modaltouch.lab.calibration import calibrate_each, design_inputs_of, levels_between
 from modaltouch.lab.calibration.file import corrected_inputs
 from modaltouch.preflight import examine
 from modaltouch.preflight.design_inputs import design_to_fit

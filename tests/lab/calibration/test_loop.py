@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from modaltouch.lab.calibration import CalibrationLoop, design_inputs_of
 from modaltouch.lab.calibration.acquisition import measuring_points
-from modaltouch.lab.calibration.command import CalibrationLoop, design_inputs_of
 from modaltouch.lab.calibration.file import corrected_inputs, significant
 from modaltouch.lab.calibration.plant import ModalState
 from modaltouch.lab.laboratory import MeasurementProgress

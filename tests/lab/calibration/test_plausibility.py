@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from modaltouch.lab.calibration.command import CalibrationLoop
+from modaltouch.lab.calibration import CalibrationLoop
 from modaltouch.lab.calibration.file import corrected_inputs
 from modaltouch.lab.calibration.plausibility import mark_of
 from modaltouch.preflight import Preflight

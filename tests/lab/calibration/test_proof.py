@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from modaltouch.lab.calibration import command
-from modaltouch.lab.calibration.command import CalibrationLoop
+from modaltouch.lab import calibration as command
+from modaltouch.lab.calibration import CalibrationLoop
 from modaltouch.lab.calibration.file import CalibrationResult
 from modaltouch.lab.calibration.plant import VibrometerDelay
 from modaltouch.lab.calibration.plausibility import mark_of, peak_shortfall

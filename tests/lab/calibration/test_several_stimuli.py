@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from modaltouch.__main__ import main
-from modaltouch.lab.calibration.command import calibrate_each, design_inputs_of
+from modaltouch.lab.calibration import calibrate_each, design_inputs_of
 from modaltouch.lab.laboratory import MeasurementProgress, open_laboratory
 from modaltouch.preflight import Preflight, examine
 from modaltouch.protocol.apparatus import Apparatus

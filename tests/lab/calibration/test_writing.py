@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from modaltouch.lab.calibration.command import CalibrationLoop
+from modaltouch.lab.calibration import CalibrationLoop
 from modaltouch.lab.calibration.file import (
     CalibrationResult,
     calibration_of,

@@ -11,9 +11,9 @@ import pytest
 from typer.testing import CliRunner
 
 from modaltouch.cli import app
+from modaltouch.lab.common import title_of
 from modaltouch.lab.comparison import Criterion, criteria, draw_price, draw_robustness, rows_of, write_comparison
 from modaltouch.lab.contest import run_contest, true_delay, without_mismatch
-from modaltouch.lab.output import title_of
 from modaltouch.preflight import examine
 from modaltouch.rig import Simulator
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from modaltouch.lab import recorded_files
-from modaltouch.lab.calibration.command import calibrate_each
+from modaltouch.lab.calibration import calibrate_each
 from modaltouch.lab.calibration.file import corrected_inputs
 from modaltouch.lab.laboratory import MeasurementProgress, open_laboratory
 from modaltouch.lab.recorded_files import RecordedFiles

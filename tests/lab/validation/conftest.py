@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from modaltouch.lab.laboratory import open_laboratory
-from modaltouch.lab.validation.command import record_laws
+from modaltouch.lab.validation import record_laws
 from modaltouch.lab.validation.evidence import Evidence, Observation, evaluate
 from modaltouch.preflight import Preflight, examine
 from modaltouch.rig.simulator.motion import TrueState

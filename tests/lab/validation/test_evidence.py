@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from modaltouch.lab.validation.command import read_laws
+from modaltouch.lab.validation import read_laws
 from modaltouch.lab.validation.evidence import Observation, evaluate
 from modaltouch.lab.validation.key_figures import key_figures
 from modaltouch.record.chain import RecordInputError

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from modaltouch.lab.validation.command import complete, read_laws
+from modaltouch.lab.validation import complete, read_laws
 from modaltouch.lab.validation.evidence import Evidence
 from modaltouch.lab.validation.figures import draw_over_width
 from modaltouch.lab.validation.key_figures import key_figures, validation_table

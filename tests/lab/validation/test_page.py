@@ -8,7 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 from modaltouch.cli import app
-from modaltouch.lab.validation.command import write_validation
+from modaltouch.lab.validation import write_validation
 from modaltouch.lab.validation.key_figures import findings, key_figures
 from modaltouch.record.chain import RecordError
 from modaltouch.report.output import write_files

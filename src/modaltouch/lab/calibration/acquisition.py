@@ -6,9 +6,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from modaltouch.lab.arrays import FloatArray
 from modaltouch.lab.calibration.plant import DriveDelay
 from modaltouch.lab.calibration.plausibility import refuse_implausible_velocity
+from modaltouch.lab.common import FloatArray
 from modaltouch.lab.laboratory import Laboratory
 from modaltouch.rig import Acquisition, Recording, RigError
 from modaltouch.stimulus import Amplifier, BlockStates, Burst, DiagonalSystem, ModalModel, Taper, Timing

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modaltouch.lab.arrays import ComplexArray, FloatArray
+from modaltouch.lab.common import ComplexArray, FloatArray
 
 _STANDS_OUT = 3.0
 """Power of a line above which it is a mode, relative to the highest power expected from noise alone [1]."""

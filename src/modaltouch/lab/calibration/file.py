@@ -11,9 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from modaltouch.lab.arrays import NORMAL_95, FloatArray
 from modaltouch.lab.calibration.plant import ModalState, Plant
-from modaltouch.lab.output import write_yaml
+from modaltouch.lab.common import NORMAL_95, FloatArray, write_yaml
 from modaltouch.preflight import DesignInputs
 from modaltouch.protocol import Apparatus, Calibration
 from modaltouch.stimulus import Correction

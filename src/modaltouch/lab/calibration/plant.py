@@ -13,8 +13,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from modaltouch.lab.arrays import NORMAL_95, ComplexArray, FloatArray
 from modaltouch.lab.calibration.decay import SLIP_NOISE, Decay, missed_swing
+from modaltouch.lab.common import NORMAL_95, ComplexArray, FloatArray
 from modaltouch.rig import Recording
 from modaltouch.stimulus import Amplifier, DiagonalSystem, ModalModel, Timing
 

@@ -12,22 +12,16 @@ from typing import Any
 
 import numpy as np
 
-from modaltouch.lab.arrays import NORMAL_95, FloatArray
 from modaltouch.lab.calibration.decay import Decay
 from modaltouch.lab.calibration.file import CERTAIN, CalibrationResult, Level
 from modaltouch.lab.calibration.plant import DriveDelay, ModalState, Plant, modal_swings
+from modaltouch.lab.common import GAINS, NORMAL_95, FloatArray
 from modaltouch.protocol import Protocol
 from modaltouch.rig import Recording, RigError
 from modaltouch.stimulus import ModalModel
 
-GAINS = (0.67, 1.5)
-"""Plausible range of measured over commanded drive [1]; outside, a probe or a switch differs from the file."""
-
 SPEEDS = (0.6, 1.6)
 """Plausible range of measured over listed gain, common to all modes [1]; outside, a setting differs from the file."""
-
-COMMON_FACTORS = (0.85, 1.15)
-"""Range of a common factor between measured and predicted speeds within an amplifier's tolerance [1]."""
 
 ALIKE = 0.2
 """Median relative deviation of gains from a common factor, below which the factor is that of the vibrometer [1]."""

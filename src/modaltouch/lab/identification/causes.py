@@ -11,7 +11,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from modaltouch.lab.arrays import FloatArray
+from modaltouch.lab.common import FloatArray
 from modaltouch.lab.identification.joint_fit import make_problem, refine
 from modaltouch.lab.identification.kernel import Evaluation, Poles
 from modaltouch.lab.identification.modal_parameters import REMEDIES, Identification

@@ -17,7 +17,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.lab.arrays import ComplexArray, FloatArray
+from modaltouch.lab.common import ComplexArray, FloatArray
 from modaltouch.lab.laboratory import Laboratory
 from modaltouch.lab.scan import DESCRIPTION, Scan, ScanPlan, read_facts, row_name, take_scan
 from modaltouch.protocol import Apparatus, Source

@@ -13,11 +13,10 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from modaltouch.lab.arrays import ComplexArray, FloatArray
+from modaltouch.lab.common import DARK, LIGHT, MIDDLE, ComplexArray, FloatArray, draw_map
 from modaltouch.lab.identification.modal_parameters import Identification
 from modaltouch.lab.identification.responses import FrequencyResponses
 from modaltouch.lab.identification.shapes import phase_collinearity, phase_deviation
-from modaltouch.lab.output import DARK, LIGHT, MIDDLE, draw_map
 from modaltouch.report import CONDITION_COLOURS, FAINT, INK, house_style, quiet_grid
 from modaltouch.stimulus import mode_shapes
 

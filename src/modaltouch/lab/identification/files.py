@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from modaltouch.lab.arrays import FloatArray
+from modaltouch.lab.common import FloatArray
 from modaltouch.lab.identification.responses import (
     QUANTITIES,
     FrequencyResponses,

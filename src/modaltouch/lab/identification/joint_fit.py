@@ -10,7 +10,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.lab.arrays import ComplexArray, FloatArray, low_pass
+from modaltouch.lab.common import ComplexArray, FloatArray, low_pass
 from modaltouch.lab.identification.kernel import Bins, Evaluation, LeastSquaresProblem, Poles, evaluate
 from modaltouch.lab.identification.modal_parameters import (
     WELL_FITTED,

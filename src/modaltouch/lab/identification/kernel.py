@@ -19,7 +19,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.lab.arrays import ComplexArray, FloatArray, low_pass
+from modaltouch.lab.common import ComplexArray, FloatArray, low_pass
 
 N_REST = 4
 """Real columns of the complex linear background."""

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.lab.arrays import NORMAL_95, ComplexArray, FloatArray
+from modaltouch.lab.common import NORMAL_95, ComplexArray, FloatArray
 from modaltouch.lab.identification.kernel import N_REST, Evaluation, Poles, complex_residue, fitted
 from modaltouch.lab.identification.peaks import HalfPower, half_power
 from modaltouch.lab.identification.responses import FrequencyResponses

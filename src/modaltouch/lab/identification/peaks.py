@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modaltouch.lab.arrays import ComplexArray, FloatArray, low_pass
+from modaltouch.lab.common import ComplexArray, FloatArray, low_pass
 from modaltouch.lab.identification.kernel import Poles
 from modaltouch.lab.identification.responses import FrequencyResponses, along
 from modaltouch.stimulus import mode_shapes

@@ -13,7 +13,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.lab.arrays import ComplexArray, FloatArray
+from modaltouch.lab.common import ComplexArray, FloatArray
 from modaltouch.lab.scan import Scan
 from modaltouch.record import RecordInputError
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modaltouch.lab.arrays import ComplexArray, FloatArray
+from modaltouch.lab.common import ComplexArray, FloatArray
 from modaltouch.lab.identification.responses import ROWS_APART, Place, along
 from modaltouch.stimulus import MeasuredShapes, characteristic_root, mode_shapes
 

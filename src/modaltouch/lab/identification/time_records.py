@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from modaltouch.lab.arrays import ComplexArray, FloatArray
+from modaltouch.lab.common import ComplexArray, FloatArray
 from modaltouch.lab.identification.responses import Key, MeasuredResponse, Part, Quantity, ResponseFormat
 
 

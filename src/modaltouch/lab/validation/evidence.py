@@ -10,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from modaltouch.lab.arrays import FloatArray
+from modaltouch.lab.common import FloatArray
 from modaltouch.lab.scan import Scan
 from modaltouch.record import RecordInputError
 from modaltouch.stimulus import Stimulus, mode_shapes

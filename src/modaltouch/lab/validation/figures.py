@@ -10,8 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from modaltouch.lab.arrays import NORMAL_95, FloatArray
-from modaltouch.lab.output import DARK, LIGHT, MIDDLE, SIGNED, draw_map
+from modaltouch.lab.common import DARK, LIGHT, MIDDLE, NORMAL_95, SIGNED, FloatArray, draw_map
 from modaltouch.lab.validation.evidence import Evidence, mean_velocity
 from modaltouch.lab.validation.key_figures import AROUND, around_focus, coefficients, key_figures, spectrogram_of
 from modaltouch.report import FAINT, INK, house_style, quiet_grid

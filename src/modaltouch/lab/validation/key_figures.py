@@ -7,9 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from modaltouch.lab.arrays import FloatArray
-from modaltouch.lab.calibration.plausibility import COMMON_FACTORS, GAINS
-from modaltouch.lab.output import rounded
+from modaltouch.lab.common import COMMON_FACTORS, GAINS, FloatArray, rounded
 from modaltouch.lab.validation.evidence import (
     Evidence,
     contrast,

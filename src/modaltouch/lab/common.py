@@ -1,11 +1,13 @@
-"""Colours, maps, rounding and YAML files for the outputs of the lab's commands."""
+"""Array types, plausible ranges, colours, rounding and YAML files common to the lab's commands."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from modaltouch.lab.arrays import FloatArray
+import numpy as np
+from numpy.typing import NDArray
+
 from modaltouch.record import prepare_file, replace_file
 
 if TYPE_CHECKING:
@@ -14,11 +16,28 @@ if TYPE_CHECKING:
 
     from modaltouch.preflight import Preflight
 
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+NORMAL_95 = 1.959963984540054
+"""Half-width of a 95 % interval of a normal distribution, in standard deviations."""
+
+GAINS = (0.67, 1.5)
+"""Plausible range of measured over commanded drive [1]; outside, a probe or a switch differs from the file."""
+
+COMMON_FACTORS = (0.85, 1.15)
+"""Range of a common factor between measured and predicted speeds within an amplifier's tolerance [1]."""
+
 DARK, MIDDLE, LIGHT = "#0b3c8c", "#5bb8e8", "#dbe3ee"
 """Colours of measured, predicted and target values, distinct in lightness so that they also differ in greyscale."""
 
 SIGNED = "cividis"
 """Colour map of signed values; perceptually uniform for all types of colour vision."""
+
+
+def low_pass(frequency: NDArray[np.floating[Any]], corner: float | None) -> ComplexArray:
+    """Return the frequency response of a first-order low-pass [1]; ones if its `corner` [Hz] is None."""
+    return np.asarray(1 / (1 + 1j * frequency / (np.inf if corner is None else corner)))
 
 
 def draw_map(axes: Axes, along: FloatArray, across: FloatArray, values: FloatArray, highest: float) -> Collection:
