@@ -22,9 +22,9 @@ import numpy as np
 from intervals import PROTOCOL, calibrated
 
 from modaltouch.lab.calibration.plausibility import mark_of
+from modaltouch.lab.identification.causes import check_gains
 from modaltouch.lab.identification.files import read_responses
 from modaltouch.lab.identification.joint_fit import identify, identify_each
-from modaltouch.lab.identification.listed_values import check_gains
 from modaltouch.lab.identification.modal_parameters import Identification
 from modaltouch.lab.identification.responses import FrequencyResponses
 from modaltouch.lab.identification.verdict import check_all, check_modes, warnings

@@ -11,10 +11,9 @@ import pytest
 import spoilt
 from scipy.signal import fftconvolve
 
-from modaltouch.lab.identification.causes import probable_cause
+from modaltouch.lab.identification.causes import check_gains, probable_cause
 from modaltouch.lab.identification.files import ResponseFormat, read_responses
 from modaltouch.lab.identification.joint_fit import axis_error, identify
-from modaltouch.lab.identification.listed_values import check_gains
 from modaltouch.lab.identification.responses import FrequencyResponses, Place
 from modaltouch.lab.identification.shapes import in_two_units
 from modaltouch.lab.identification.verdict import check_modes, misfit_verdict, warnings

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from modaltouch.lab.identification.causes import check_gains
 from modaltouch.lab.identification.excitation import (
     CLOCK_TOLERANCE,
     LOWEST,
@@ -23,7 +24,6 @@ from modaltouch.lab.identification.excitation import (
 from modaltouch.lab.identification.files import read_responses
 from modaltouch.lab.identification.joint_fit import axis_error, identify_each, over_repeats
 from modaltouch.lab.identification.joint_fit import identify as fit_jointly
-from modaltouch.lab.identification.listed_values import check_gains
 from modaltouch.lab.identification.report import (
     COMMAND,
     check_export,
