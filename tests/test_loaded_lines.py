@@ -57,7 +57,7 @@ def test_a_simulated_session_loads_neither_lab_nor_analysis_nor_screen(tmp_path)
         "record.audit",
         "rig.scope",
         "rig.watchdog_client",
-        "session.console.keyboard",
+        "session.console.__main__",
         "session.resumption",
         "stimulus.other_shapes",
         "window.masking",

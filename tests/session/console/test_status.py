@@ -18,9 +18,15 @@ from modaltouch.protocol import Findings
 from modaltouch.protocol.trial import Condition, Trial
 from modaltouch.session.console import Console as SilentConsole
 from modaltouch.session.console import Experimenter, Request
-from modaltouch.session.console.__main__ import describe_trial, draw_session
+from modaltouch.session.console.__main__ import (
+    LONGEST_NOTE,
+    Dialogue,
+    UnixKeyboard,
+    describe_trial,
+    draw_session,
+    split_keys,
+)
 from modaltouch.session.console.consoles import LONGEST_LINE, EventLines, PlainLines, open_console
-from modaltouch.session.console.keyboard import LONGEST_NOTE, Dialogue, UnixKeyboard, split_keys
 from modaltouch.session.console.status import Status
 from modaltouch.session.events import describe_trial as of_trial
 from modaltouch.window.interface import SessionStopped
@@ -377,7 +383,7 @@ def test_a_sequence_that_arrives_in_pieces_is_one_key(monkeypatch: pytest.Monkey
     pieces = iter(["\x1b[24~"[:place], "\x1b[24~"[place:]])
     keyboard = UnixKeyboard(0)
     monkeypatch.setattr(keyboard, "_receive", lambda: next(pieces))
-    monkeypatch.setattr("modaltouch.session.console.keyboard.select.select", lambda *_: ([0], [], []))
+    monkeypatch.setattr("modaltouch.session.console.__main__.select.select", lambda *_: ([0], [], []))
     assert keyboard.read(0.0) == ["f12"]
 
 

@@ -14,9 +14,8 @@ from rich.console import Console
 
 from modaltouch.session.console import OWN_KEYS, Experimenter, Request
 from modaltouch.session.console import Console as SilentConsole
-from modaltouch.session.console.__main__ import draw_session
+from modaltouch.session.console.__main__ import Dialogue, draw_session
 from modaltouch.session.console.consoles import EventLines, PlainLines
-from modaltouch.session.console.keyboard import Dialogue
 from modaltouch.session.console.status import Status, typed_keys
 from modaltouch.window.interface import Event
 

@@ -2,7 +2,7 @@
 
 ``status``        state of the session from its events, as plain values with units
 ``consoles``      the session's side: live console in the terminal, plain lines without a terminal, JSON lines
-``__main__``      the terminal's side, a separate process that draws and reads keys (``keyboard``)
+``__main__``      the terminal's side, a separate process that draws and reads keys
 
 Drawing and reading of keys run in a separate process: drawing takes about 10 ms of Python, and in a thread would delay
 the window's polls and bias reaction times. If either process is killed, the other restores the terminal.

@@ -1,22 +1,30 @@
-"""Console process: draws the state of the session, and sends the experimenter's requests.
+"""Console process: draws the state of the session, reads single keys, and sends the experimenter's requests.
 
 ``python -m modaltouch.session.console KEYS SCREEN EMERGENCY`` takes the descriptors of the terminal's input and output
 and the names of the emergency keys. States are read from standard input and requests written to standard output, one
 JSON object per line. The process ends with standard input, so that the terminal is restored even if the session is
 killed.
+
+Most keys act at once; a note is typed as text, and stopping requires confirmation. If the experimenter enters the
+answers, their keys work here too while a trial is on. The console's keys keep their meaning then: `x` is always the
+emergency stop.
 """
 
 from __future__ import annotations
 
+import codecs
 import json
 import os
 import queue
+import re
+import select
 import signal
 import sys
 import textwrap
 import threading
 import time
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from typing import Any, TextIO
 
 from rich.console import Console, ConsoleDimensions, Group, RenderableType
@@ -24,9 +32,12 @@ from rich.live import Live
 from rich.rule import Rule
 from rich.text import Text
 
-from modaltouch.session.console import SessionState, describe_last, describe_time
-from modaltouch.session.console.keyboard import Dialogue, Keyboard, open_keyboard
+from modaltouch.session.console import AT_ONCE, Command, Request, SessionState, describe_last, describe_time
+from modaltouch.session.console.consoles import restore_terminal, save_terminal
 from modaltouch.system import SYSTEM_CLOCK
+
+if sys.platform != "win32":
+    import termios
 
 STATES = {
     "waiting": "between trials",
@@ -36,7 +47,8 @@ STATES = {
     "ended": "ended",
 }
 HELP = ("p pause", "space go on", "r repeat", "n note", "b end after block", "q stop")
-_ARROWS = {name: f"{name} arrow" for name in ("left", "right", "up", "down")}
+_DIRECTIONS = ("up", "down", "right", "left")
+_ARROWS = {name: f"{name} arrow" for name in _DIRECTIONS}
 _NAMES = 14
 """Width of the column of names [characters]."""
 
@@ -44,20 +56,9 @@ _NAMES = 14
 def draw_session(
     facts: SessionState, prompt: str, *, width: int, height: int = 24, since_s: float = 0.0, emergency: str = "f12"
 ) -> RenderableType:
-    """Render the state of a session for the console.
+    """Render the state of a session, `since_s` seconds after it was sent, for a terminal of a size in characters.
 
-    Parameters
-    ----------
-    facts : dict
-        State of the session (`status.Status.facts`).
-    prompt : str
-        Line that prompts the experimenter or echoes a key.
-    width, height : int
-        Size of the terminal [characters].
-    since_s : float
-        Age of the state, by which displayed times are advanced [s].
-    emergency : str
-        Name of the emergency key.
+    `prompt` is the line that prompts the experimenter or echoes a key, and `emergency` the name of the emergency key.
     """
     mode = "" if facts["mode"] == "real" else f"[{facts['mode'].upper()}] "
     head = f"{mode}{facts['participant']}, session {facts['session']}, {facts['protocol']}"
@@ -197,6 +198,173 @@ def _describe_warnings(warnings: list[str], width: int) -> list[Text]:
     return [Text(f" {words}", style="yellow", no_wrap=True) for words in shortened]
 
 
+_NAMED_KEYS = {
+    **{"\r": "enter", "\n": "enter", "\x7f": "backspace", "\b": "backspace", "\x1b": "escape"},
+    **{f"\x1b{opening}{letter}": name for opening in "[O" for letter, name in zip("ABCD", _DIRECTIONS, strict=True)},
+    **{f"\x1bO{letter}": f"f{number}" for number, letter in enumerate("PQRS", start=1)},
+    **{
+        f"\x1b[{code}~": f"f{number}" for number, code in enumerate((11, 12, 13, 14, 15, 17, 18, 19, 20, 21, 23, 24), 1)
+    },
+}
+"""Control characters and sequences of terminals (xterm and VT220) for keys that print nothing."""
+_WINDOWS_KEYS = {
+    **dict(zip("HPMK", _DIRECTIONS, strict=True)),
+    **{chr(58 + number): f"f{number}" for number in range(1, 11)},
+    "\x85": "f11",
+    "\x86": "f12",
+}
+"""Codes after NUL or 0xE0 on the Windows console for arrow and function keys."""
+_KEY = re.compile(r"\x1b[\[O][^@-~]*[@-~]?|.", re.DOTALL)
+"""Input of a key: an escape sequence or a character."""
+
+
+@contextmanager
+def open_keyboard(descriptor: int) -> Iterator[Callable[[float], list[str]]]:
+    """Yield a function that returns the keys pressed within a time [s]: printable ones, and names such as `f12`.
+
+    Ctrl-C remains a signal, but Ctrl-Z and Ctrl-S do not stop the session. The descriptor is that of the terminal;
+    Windows uses the console of the process.
+    """
+    if sys.platform == "win32":
+        yield read_windows
+        return
+    before, settings = save_terminal(descriptor), termios.tcgetattr(descriptor)
+    settings[0] &= ~(termios.IXON | termios.ICRNL)
+    settings[3] &= ~(termios.ICANON | termios.ECHO)
+    for name in ("VSUSP", "VQUIT"):
+        settings[6][getattr(termios, name)] = b"\0"
+    settings[6][termios.VMIN], settings[6][termios.VTIME] = 1, 0
+    try:
+        termios.tcsetattr(descriptor, termios.TCSANOW, settings)
+        yield UnixKeyboard(descriptor).read
+    finally:
+        restore_terminal(descriptor, before)
+
+
+class UnixKeyboard:
+    """Keyboard of a Unix terminal."""
+
+    def __init__(self, descriptor: int) -> None:
+        self._descriptor = descriptor
+        self._decode = codecs.getincrementaldecoder("utf-8")(errors="replace").decode
+
+    def read(self, patience: float) -> list[str]:
+        """Return the keys pressed within `patience` [s]; raise EOFError if the terminal is gone."""
+        if not select.select([self._descriptor], [], [], patience)[0]:
+            return []
+        text = self._receive()
+        # On a slow line, a sequence may arrive in pieces; after 50 ms, the key is Escape itself.
+        while re.search(r"\x1b([\[O][^@-~]*)?\Z", text) and select.select([self._descriptor], [], [], 0.05)[0]:
+            text += self._receive()
+        return split_keys(text)
+
+    def _receive(self) -> str:
+        try:
+            data = os.read(self._descriptor, 1024)
+        except OSError as error:
+            raise EOFError from error
+        if not data:
+            raise EOFError
+        return self._decode(data)
+
+
+def read_windows(patience: float) -> list[str]:
+    """Return the keys pressed at the Windows console of this process within `patience` [s]."""
+    import msvcrt
+
+    keys: list[str] = []
+    end = time.monotonic() + patience
+    while not keys and time.monotonic() < end:
+        while msvcrt.kbhit():  # type: ignore[attr-defined,unused-ignore]
+            letter = msvcrt.getwch()  # type: ignore[attr-defined,unused-ignore]
+            if letter in ("\0", "\xe0"):
+                name = _WINDOWS_KEYS.get(msvcrt.getwch())  # type: ignore[attr-defined,unused-ignore]
+                keys += [name] if name else []
+            else:
+                keys += split_keys(letter)
+        time.sleep(0.01)
+    return keys
+
+
+def split_keys(text: str) -> list[str]:
+    r"""Decode the characters sent by a terminal into keys; unknown sequences are dropped.
+
+    Examples
+    --------
+    >>> split_keys("p\x1b[24~\r\x1b[A\x1b[Z")
+    ['p', 'f12', 'enter', 'up']
+    """
+    keys = (_NAMED_KEYS.get(typed, typed) for typed in _KEY.findall(text))
+    return [key for key in keys if key.isprintable()]
+
+
+LONGEST_NOTE = 500
+"""Maximum length of a note [characters]."""
+
+
+class Dialogue:
+    """Interpretation of keys as requests; emergency keys act even while a note is typed, and the first is shown."""
+
+    def __init__(self, emergency: Sequence[str] = ("f12",)) -> None:
+        self._emergency = frozenset(key for key in emergency if len(key) > 1)
+        self.emergency = next(iter(emergency), "x")
+        self._note: str | None = None
+        self._asks_to_stop = False
+        self._answers: dict[str, str] = {}
+        self._is_open = False
+        self.prompt = ""
+        """Line with the last request or the text being typed."""
+
+    def hear(self, facts: SessionState) -> None:
+        """Update the keys of answers, and whether a question is open, from the state of the session."""
+        question = facts.get("question") or {"open": False, "keys": {}}
+        self._answers = {key: answer for answer, keys in question["keys"].items() for key in keys}
+        self._is_open = question["open"]
+
+    def press(self, key: str) -> Request | None:
+        """Process a key and return the resulting request, if any."""
+        if key in self._emergency:
+            return self._ask("emergency_stop", "EMERGENCY STOP")
+        if self._note is not None:
+            return self._type(key)
+        if self._asks_to_stop:
+            self._asks_to_stop, self.prompt = False, ""
+            return self._ask("stop", "stopping") if key in ("y", "Y") else None
+        if key in AT_ONCE:
+            return self._ask(*AT_ONCE[key])
+        self.prompt = ""
+        match key:
+            case "n":
+                self._note, self.prompt = "", "note (Enter keeps it, Escape drops it): _"
+            case "q":
+                self._asks_to_stop, self.prompt = True, "stop the session now? y: yes, any other key: no"
+            case _ if key in self._answers and self._is_open:
+                self.prompt = f"typed: {self._answers[key]}"
+                return Request("answer", key)
+            case _ if key in self._answers:
+                self.prompt = f"{self._answers[key]} is not accepted: no trial is running"
+        return None
+
+    def _ask(self, command: Command, prompt: str) -> Request:
+        self.prompt = prompt
+        return Request(command)
+
+    def _type(self, key: str) -> Request | None:
+        note = self._note or ""
+        if key in ("enter", "escape"):
+            self._note, self.prompt = None, ""
+            return Request("note", note.strip()) if key == "enter" and note.strip() else None
+        if key == "backspace":
+            note = note[:-1]
+        elif len(key) == 1:
+            note = (note + key)[:LONGEST_NOTE]
+        self._note = note
+        # Keep the end of a long note visible.
+        full = f", full at {LONGEST_NOTE} characters" if len(note) == LONGEST_NOTE else ""
+        self.prompt = f"note (Enter keeps it, Escape drops it{full}): {note[-34:]}_"
+        return None
+
+
 News = queue.Queue[dict[str, Any] | None]
 """States to show; empty after a key press; None at the end."""
 
@@ -213,9 +381,9 @@ def main() -> None:
     news: News = queue.Queue()
     dialogue = Dialogue(emergency)
     threading.Thread(target=_listen, args=(news, dialogue), daemon=True).start()
-    with open(target, "w", encoding="utf-8", closefd=sys.platform == "win32") as file, open_keyboard(keys) as keyboard:
+    with open(target, "w", encoding="utf-8", closefd=sys.platform == "win32") as file, open_keyboard(keys) as read_keys:
         # Read keys in a separate thread, so that they do not wait for drawing.
-        threading.Thread(target=_read, args=(keyboard, dialogue, news), daemon=True).start()
+        threading.Thread(target=_read, args=(read_keys, dialogue, news), daemon=True).start()
         with suppress(OSError):  # the terminal is gone
             _show(news, file, dialogue)
 
@@ -249,11 +417,11 @@ def _show(news: News, file: TextIO, dialogue: Dialogue) -> None:
                 live.update(picture, refresh=True)
 
 
-def _read(keyboard: Keyboard, dialogue: Dialogue, news: News) -> None:
+def _read(read_keys: Callable[[float], list[str]], dialogue: Dialogue, news: News) -> None:
     """Turn keys into requests until the terminal is gone."""
     try:
         while True:
-            for key in keyboard.read(0.1):
+            for key in read_keys(0.1):
                 at = SYSTEM_CLOCK.now()
                 if (request := dialogue.press(key)) is not None:
                     message = {"command": request.command, "text": request.text, "at": at}

@@ -16,10 +16,12 @@ from collections import deque
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import IO, TextIO, cast
+from typing import IO, Any, TextIO, cast
 
 from modaltouch.session.console import COMMANDS, Console, Request, SessionState, describe_last, describe_time
-from modaltouch.session.console.keyboard import restore_terminal, save_terminal
+
+if sys.platform != "win32":
+    import termios
 
 _OPENING = b'{"time": "'
 """Beginning of each line."""
@@ -180,6 +182,25 @@ class EventLines(Console):
             shortened["generator"] = {**facts["generator"], "last_error": facts["generator"]["last_error"][:200]}
             line = json.dumps(shortened, ensure_ascii=False).encode() + b"\n"
         return line
+
+
+def save_terminal(descriptor: int) -> list[Any] | None:
+    """Return the settings of a terminal; None if not available."""
+    if sys.platform == "win32":
+        return None
+    try:
+        return termios.tcgetattr(descriptor)
+    except termios.error:
+        return None
+
+
+def restore_terminal(descriptor: int, before: list[Any] | None) -> None:
+    """Restore the settings of a terminal, unless it is gone."""
+    if sys.platform == "win32" or before is None:
+        return
+    # TCSANOW: waiting for output to drain would block forever on a stopped terminal.
+    with contextlib.suppress(termios.error):
+        termios.tcsetattr(descriptor, termios.TCSANOW, before)
 
 
 class TerminalConsole(Console):
