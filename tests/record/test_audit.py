@@ -202,6 +202,25 @@ def to_line(event: dict[str, Any], **facts: Any) -> None:
     event.update(facts)
 
 
+def insert(event: str, of_trial: dict[str, Any] | None = None, **facts: Any) -> Lie:
+    """Return the lie of a line before the end of the session, where it speaks of a trial of the last one's condition."""
+
+    def lie(events: Events) -> None:
+        stop = events.index(last(events, "stop"))
+        clock = {"time": events[stop]["time"], "clock": events[stop]["clock"]}
+        trial = {} if of_trial is None else {"trial": {**last(events)["trial"], **of_trial}}
+        events.insert(stop, {"n": stop + 1, **clock, "event": event, **trial, **facts})
+        for number, each in enumerate(events[stop + 1 :], stop + 2):
+            each["n"] = number
+
+    return lie
+
+
+def withdraw(events: Events) -> None:
+    """Say that the last answer was withdrawn, and leave the number of answers at the end as it was."""
+    insert("withdrawn", lines=[last(events)["n"]], reason="the experimenter has the trial repeated")(events)
+
+
 IN_BOTH: dict[str, tuple[Lie, str]] = {
     "every level": (rewrite_levels, "has the velocity_mm_s"),
     "every level and the order": (rewrite_levels_and_order, "draws a different order"),
@@ -238,6 +257,17 @@ IN_BOTH: dict[str, tuple[Lie, str]] = {
     "a completion": (
         lambda events: to_line(last(events, "stop"), complete=False),
         "says complete: false, which does not follow from trials and form",
+    ),
+    "an answer that was withdrawn": (withdraw, "says that 12 trials are answered, but 11 are"),
+    "a cut of nobody": (insert("trial_cut", {"index": 99}), "trial 99 is not one of the 12 trials of its order"),
+    "a cut of practice": (
+        insert("trial_cut", {"index": 99, "practice": True}),
+        ": practice trial 99 is not one of the 12 trials of its order, or of the 1 of practice",
+    ),
+    "what was not confirmed": (insert("unconfirmed", {"repetition": 7}), "has the repetition 7, but its order has 1"),
+    "a practice round": (
+        insert("practice_round", round=1, n_judged=7, n_agreed=7, passed=True),
+        "of 1 answers agreed, but the record says otherwise",
     ),
     "the seed": (start_says(seed=2), "seed 2 draws a different order"),
     "the codes": (start_says(stimulus__content_hash="0" * 64), "the recomputed drive has the hash"),
