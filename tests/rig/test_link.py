@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 from unittest.mock import Mock
 
 import pytest
 
 from modaltouch.rig.afg3022b import AFG3022B
-from modaltouch.rig.controls import Controls, describe_block, split_reply
-from modaltouch.rig.interface import InUse, LinkError
+from modaltouch.rig.controls import MOST_ERRORS, Controls, describe_block, split_reply
+from modaltouch.rig.interface import InUse, LinkError, Unconfirmed
 
 
 class Transport:
-    """Answers as told."""
+    """Answers as told: always the same, or from a list one after the other and then the last for ever."""
 
     def __init__(self, reply: object) -> None:
-        self.reply = reply
+        self.replies = list(reply) if isinstance(reply, list) else [reply]
+        self.sent: list[str] = []
         self.timeouts: list[float] = []
         self.closed: list[bool] = []
 
@@ -26,10 +28,12 @@ class Transport:
 
     def exchange(self, message: bytes, *, timeout: float, reply: bool) -> Any:
         assert message.endswith(b"\n")
+        self.sent.append(message[:-1].decode("ascii"))
         self.timeouts.append(timeout)
-        if isinstance(self.reply, BaseException):
-            raise self.reply
-        return self.reply
+        answer = self.replies.pop(0) if len(self.replies) > 1 else self.replies[0]
+        if isinstance(answer, BaseException):
+            raise answer
+        return answer
 
     def close(self, *, broken: bool) -> None:
         self.closed.append(broken)
@@ -118,6 +122,63 @@ def test_reply_that_is_no_whole_block_is_an_error(link: Callable[..., Any], repl
     opened, _ = link(reply)
     with pytest.raises(LinkError, match="is not a block|announces 5 bytes, but 2 came"):
         opened.ask_block("DATA?")
+
+
+NO_ERROR, RANGE, QUEUED = b'0,"No error"', b'-222,"Data out of range"', b'-350,"Queue overflow"'
+
+
+def test_a_refused_command_is_told_with_all_the_errors_that_wait(link: Callable[..., Any], heard: Any) -> None:
+    """The queue is read to its end (SCPI-99, 21.8), each error named once, so that none is told of the next command."""
+    opened, transport = link([RANGE, QUEUED, RANGE, NO_ERROR, b"1"])
+    with pytest.raises(Unconfirmed, match=r'reports -222,"Data out of range", -350,"Queue overflow"$'):
+        opened.command("ABOR")
+    assert transport.sent == [":ABOR;:SYST:ERR?", *["SYST:ERR?"] * 3]
+    assert heard.of("instrument_errors")[-1]["errors"] == [QUEUED.decode(), RANGE.decode()]
+
+
+def test_a_queue_without_end_is_read_a_number_of_times(link: Callable[..., Any]) -> None:
+    """An instrument that always reports an error keeps nobody waiting for ever."""
+    opened, transport = link(RANGE)
+    assert opened.pending_errors() == [RANGE.decode()] * MOST_ERRORS
+    assert len(transport.sent) == MOST_ERRORS
+
+
+def test_an_error_of_an_upload_is_logged_as_it_was_said(link: Callable[..., Any], heard: Any) -> None:
+    """The reply to the completion before it is no error."""
+    opened, _ = link([b"1;" + RANGE + b";1000", NO_ERROR])
+    with pytest.raises(Unconfirmed, match="to 'a copy' the generator reports -222"):
+        opened.complete("a copy", "DATA:COPY USER1,EMEM;*OPC?", "DATA:POIN? EMEM")
+    assert heard.of("instrument_errors")[0]["errors"] == [RANGE.decode()]
+    opened, _ = link(b"1;" + NO_ERROR + b";1000")
+    heard.clear()
+    assert opened.complete("a copy", "DATA:COPY USER1,EMEM;*OPC?", "DATA:POIN? EMEM") == ["1000"]
+    assert heard.of("instrument_errors") == []
+
+
+@pytest.mark.parametrize(
+    ("replies", "command", "n_sent"),
+    [
+        ([NO_ERROR], "TRIG", 1),
+        ([b'-113,"Undefined header"', b"1", NO_ERROR], "*TRG", 2),
+        ([b'-211,"Trigger ignored"', b"1"], "TRIG", 2),
+    ],
+)
+def test_a_trigger_that_the_instrument_knows_is_taken(
+    link: Callable[..., Any], replies: list[bytes], command: str, n_sent: int
+) -> None:
+    """Only an undefined header (SCPI-99, 21.8.9) means that it does not; an error it left is cleared."""
+    opened, transport = link(replies)
+    opened._table = replace(opened._table, triggers=("TRIG", "*TRG"))
+    assert opened.trigger_command() == command
+    assert transport.sent == [":TRIG;:SYST:ERR?", "*CLS;*OPC?"][:n_sent]
+
+
+def test_many_settings_are_asked_for_in_messages_that_an_instrument_can_hold(link: Callable[..., Any]) -> None:
+    """Twelve queries a message; what differs is named in the order of the settings."""
+    levels = [AFG3022B.level(1, volts) for volts in range(1, 26)]
+    opened, transport = link([b";".join(b"%d" % n for n in part) for part in ([*range(1, 13)], [*range(13, 25)], [7])])
+    assert [each.partition(" reads ")[2] for each in opened.differences(levels)] == ["7, 25VPP was set"]
+    assert [message.count("?") for message in transport.sent] == [12, 12, 1]
 
 
 @pytest.mark.parametrize(
