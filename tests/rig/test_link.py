@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any
 from unittest.mock import Mock
 
+import numpy as np
 import pytest
 
 from modaltouch.rig.afg3022b import AFG3022B
@@ -114,6 +115,8 @@ def test_the_content_of_a_block_is_returned(link: Callable[..., Any], heard: Any
     opened, _ = link(b"#16" + bytes([0, 1, 0, 2, 0x3F, 0xFE]) + b"\n")
     assert opened.ask_block("DATA?") == bytes([0, 1, 0, 2, 0x3F, 0xFE])
     assert heard.of("scpi")[-1]["reply"].startswith("<6 bytes, blake2b ")
+    opened, _ = link(b"#12ab")
+    assert opened.ask_block("DATA?") == b"ab", "a transport may have taken the terminator off"
 
 
 @pytest.mark.parametrize("reply", [b"", b"1", b"#", b"#0", b"#2x1", b"#15ab", b"\xff#12ab"])
@@ -179,6 +182,65 @@ def test_many_settings_are_asked_for_in_messages_that_an_instrument_can_hold(lin
     opened, transport = link([b";".join(b"%d" % n for n in part) for part in ([*range(1, 13)], [*range(13, 25)], [7])])
     assert [each.partition(" reads ")[2] for each in opened.differences(levels)] == ["7, 25VPP was set"]
     assert [message.count("?") for message in transport.sent] == [12, 12, 1]
+
+
+def test_replies_are_as_many_as_the_queries(link: Callable[..., Any]) -> None:
+    """One that is missing or too many would be taken for that of another setting."""
+    levels = [AFG3022B.level(1, 5.0), AFG3022B.level(2, 7.0)]
+    for replies in (b"5;7", b"5;7;7;" + NO_ERROR):
+        opened, _ = link(replies)
+        with pytest.raises(Unconfirmed, match="the generator answers"):
+            opened.apply(levels)
+    for replies in (b"5", b"5;7;7"):
+        opened, _ = link(replies)
+        with pytest.raises(Unconfirmed, match=r"2 settings were queried, but \d came back"):
+            opened.differences(levels)
+
+
+def test_a_setting_reported_as_an_error_is_refused_although_it_reads_back(link: Callable[..., Any]) -> None:
+    """With what was read back."""
+    opened, _ = link([b"5;7;" + RANGE, NO_ERROR])
+    with pytest.raises(Unconfirmed, match=r"reports -222") as refused:
+        opened.apply([AFG3022B.level(1, 5.0), AFG3022B.level(2, 7.0)])
+    assert refused.value.read_back == ("5", "7")
+
+
+@pytest.mark.parametrize("entry", [b"", b"garbled", b'","'])
+def test_an_error_entry_that_cannot_be_read_is_an_error(link: Callable[..., Any], entry: bytes) -> None:
+    """Bytes were lost, and nobody knows what it said."""
+    opened, _ = link([b"5;" + entry, NO_ERROR])
+    with pytest.raises(Unconfirmed, match="the generator reports"):
+        opened.apply([AFG3022B.level(1, 5.0)])
+
+
+def test_outputs_are_off_only_if_both_say_so(link: Callable[..., Any]) -> None:
+    """Which were on before, and what the instrument reports, are told; anything else is no confirmation."""
+    opened, _ = link(b"1;0;0;0;" + NO_ERROR)
+    assert opened.outputs_off() == ((True, False), ())
+    opened, _ = link([b"0;1;0;0;" + RANGE, QUEUED, NO_ERROR])
+    assert opened.outputs_off() == ((False, True), (RANGE.decode(), QUEUED.decode()))
+    for replies in (b"1;1;0;1;", b"1;1;1;0;", b"0;0;0;", b"1;1;0;0;0;", b"1;1;;0;"):
+        opened, _ = link(replies + NO_ERROR)
+        with pytest.raises(Unconfirmed, match="asked whether its outputs are off, the generator says"):
+            opened.outputs_off()
+
+
+def test_a_link_that_is_opened_again_is_closed_first(link: Callable[..., Any]) -> None:
+    """An instrument that admits one session would refuse the second."""
+    opened, transport = link(b"1")
+    opened.open()
+    assert transport.closed == [False]
+
+
+def test_records_hold_what_a_memory_can(link: Callable[..., Any]) -> None:
+    """2 to 131072 points (AFG3000 series programmer manual, DATA:DEFine)."""
+    opened, transport = link(b"1")
+    opened._instrument = replace(AFG3022B, records=Mock(store=lambda _, records: [len(codes) for _, codes in records]))
+    for n_points in (1, 131_073):
+        with pytest.raises(Unconfirmed, match=f"a record of {n_points} points: the generator holds 2 to 131072"):
+            opened.store([(1, np.zeros(n_points, dtype=np.uint16))])
+    assert opened.store([(1, np.zeros(n_points, dtype=np.uint16)) for n_points in (2, 131_072)]) == [2, 131_072]
+    assert transport.sent == []
 
 
 @pytest.mark.parametrize(
