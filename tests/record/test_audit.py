@@ -203,7 +203,7 @@ def to_line(event: dict[str, Any], **facts: Any) -> None:
 
 
 def insert(event: str, of_trial: dict[str, Any] | None = None, **facts: Any) -> Lie:
-    """Return the lie of a line before the end of the session, where it speaks of a trial of the last one's condition."""
+    """Return the lie of a line more, before the end of the session; its trial is the last one but for what is given."""
 
     def lie(events: Events) -> None:
         stop = events.index(last(events, "stop"))
