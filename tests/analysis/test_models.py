@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import csv
 import math
+import warnings
 
 import numpy as np
 import pandas as pd
 import pytest
+from statsmodels.genmod.bayes_mixed_glm import BinomialBayesMixedGLM
 
 from modaltouch.analysis.counts import count_answers
 from modaltouch.analysis.models import model_files, model_findings, tidy_files
@@ -80,6 +82,49 @@ def test_one_participant_has_no_random_intercept(frame) -> None:
     alone = frame[frame["participant"] == "p03"]
     (row,) = model_findings(count_answers(alone), alone)
     assert "only one participant" in row.note
+
+
+@pytest.mark.parametrize("fault", ["a warning", "no spread"])
+def test_a_fit_that_does_not_converge_gives_no_coefficients(frame, monkeypatch, fault) -> None:
+    """Neither where statsmodels only warns of it, nor where a posterior has no spread."""
+    fit = BinomialBayesMixedGLM.fit_map
+
+    def fail(self, **given):
+        fitted = fit(self, **given)
+        if fault == "a warning":
+            warnings.warn("Optimization failed to converge", stacklevel=1)
+        else:
+            fitted.fe_sd[0] = np.nan
+        return fitted
+
+    monkeypatch.setattr(BinomialBayesMixedGLM, "fit_map", fail)
+    (row,) = model_findings(count_answers(frame), frame)
+    assert math.isnan(row.estimate)
+    assert row.note == "not fitted: the fit did not converge"
+
+
+def test_groups_are_a_column_and_a_term(frame) -> None:
+    """Every answer stands beside the group of who gave it."""
+    grouped = frame.assign(group=np.where(frame["participant"] < "p07", "young", "old"))
+    given = Responses(grouped, (), (), AnswerSource("", "csv", ""))
+    files = model_files(count_answers(grouped), given)
+    rows = csv.DictReader(files["answers.csv"].splitlines())
+    assert [(row["participant"], row["group"]) for row in rows] == [
+        *zip(grouped["participant"], grouped["group"], strict=True)
+    ]
+    assert "dominant ~ pair + finger_condition + level + group + (1 | participant)" in files["models.R"]
+
+
+def test_what_no_row_has_is_no_column(frame) -> None:
+    """A stimulus without a name; a single answer, of which nothing can be chosen; a row each for equal answers."""
+    few = frame[frame["velocity_mm_s"] == 80].assign(stimulus="", n=2, response="left")
+    answers = AnswerList.of({"keys": {"left": ["a"]}})
+    files = tidy_files(Responses(few, (), (), AnswerSource("", "csv", ""), answers=answers))
+    rows = list(csv.DictReader(files["answers.csv"].splitlines()))
+    assert len(rows) == 2 * len(few)
+    assert list(rows[0]) == ["participant", "finger_condition", "pair", "velocity_mm_s", "level", "response"]
+    named = tidy_files(Responses(few.assign(stimulus="x"), (), (), AnswerSource("", "csv", ""), answers=answers))
+    assert next(csv.DictReader(named["answers.csv"].splitlines()))["stimulus"] == "x"
 
 
 def test_an_analysis_writes_the_table_and_the_script(paper_csv, tmp_path) -> None:
