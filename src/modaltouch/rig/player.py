@@ -159,7 +159,7 @@ class Player:
     def _records(self, burst: Burst) -> NDArray[np.uint16]:
         return self._instrument.continuous_codes(burst) if self._continuous else burst.codes
 
-    def amplitudes(self, velocity: float, which: int = 0) -> tuple[float, ...]:
+    def amplitudes(self, velocity: float, which: int) -> tuple[float, ...]:
         """Return the amplitude of each channel for a burst at a level [m/s], into an open circuit [V peak to peak]."""
         # Settings exist only after every record has been verified and every setting read back.
         if not self._bursts or not self._settings:
@@ -173,7 +173,7 @@ class Player:
             )
         return self._limits.amplitudes(self._bursts[which], velocity)
 
-    def prepare(self, commanded: tuple[float, ...], *, silent: bool = False) -> tuple[str, ...]:
+    def prepare(self, commanded: tuple[float, ...], *, silent: bool) -> tuple[str, ...]:
         """Set both amplitudes with the trigger stopped, check all other settings, and return the values read back.
 
         With `silent` the steps are the same, so that neither relays nor timing reveal a catch trial, but no burst will
