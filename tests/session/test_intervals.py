@@ -10,6 +10,7 @@ from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 
@@ -21,6 +22,7 @@ from modaltouch.record.expectation import check_answers
 from modaltouch.rig import Generator, RigError, Simulator
 from modaltouch.session import simulate_session
 from modaltouch.session.console.status import Status
+from modaltouch.session.events import Markers
 from modaltouch.session.resumption import resume, wire_resume
 from modaltouch.session.setup import begin
 from modaltouch.session.wiring import wire_run
@@ -233,6 +235,21 @@ def test_a_further_question_counts_from_the_last_interval(recorded: Session) -> 
             further = {"answer": "rated", "value": 3.0, "reaction_time": 1.0, "question_after": after}
             told["response"]["further"] = {"sure": further}
             assert len(list(check_answers(told, asked))) == faults
+
+
+def test_markers_of_a_further_question_count_from_the_last_interval(recorded: Session) -> None:
+    """Wherever the comparison stands, the marker is at the instant at which the question was shown."""
+    sent, markers = list[tuple[str, float]](), Markers.__new__(Markers)
+    vars(markers).update(_offset=1000.0, _outlet=Mock(push_sample=lambda words, at: sent.append((words[0], at))))
+    for event in of(recorded, "trial"):
+        further = {"answer": "rated", "value": 3.0, "reaction_time": 1.0, "question_after": 2.0}
+        markers.follow({**event, "response": {**event["response"], "further": {"sure": further}}})
+        shown = event["intervals"][-1]["confirmed"]["onset"] + 2.0
+        assert [words.partition("/")[0] for words, _ in sent] == ["question", "answer"]
+        assert [words.rpartition("/sure")[2] for words, _ in sent] == ["", "/3"]
+        assert [at - 1000.0 for _, at in sent] == pytest.approx([shown, shown + 1.0], abs=1e-6)
+        sent.clear()
+    assert {event["trial"]["interval"] for event in of(recorded, "trial")} == {1, 2}
 
 
 def test_the_console_tells_which_interval_plays(recorded: Session) -> None:

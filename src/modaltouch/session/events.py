@@ -240,9 +240,11 @@ class Markers:
                 middle = (instant["earliest_s"] + instant["latest_s"]) / 2
                 self._send("answer", event["trial"], middle, _say(event["response"]))
             case "trial":
+                # Questions are timed from the onset of the last interval; the line itself describes the comparison.
+                onset = (event.get("intervals") or [event])[-1]["confirmed"]["onset"]
                 for name, further in event["response"].get("further", {}).items():
                     if (after := further["question_after"]) is not None:
-                        asked, answer = event["confirmed"]["onset"] + after, f"{name}/{_say(further)}"
+                        asked, answer = onset + after, f"{name}/{_say(further)}"
                         self._send("question", event["trial"], asked, name)
                         self._send("answer", event["trial"], asked + further["reaction_time"], answer)
             case "trial_cut":
