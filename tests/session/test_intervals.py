@@ -237,10 +237,34 @@ def test_a_further_question_counts_from_the_last_interval(recorded: Session) -> 
             assert len(list(check_answers(told, asked))) == faults
 
 
+def markers_of(sent: list[tuple[str, float]]) -> Markers:
+    """Return markers that go into a list, with a clock of LSL 1000 s ahead."""
+    markers = Markers.__new__(Markers)
+    vars(markers).update(_offset=1000.0, _outlet=Mock(push_sample=lambda words, at: sent.append((words[0], at))))
+    return markers
+
+
+def test_the_marker_of_the_question_is_that_of_its_trial(recorded: Session) -> None:
+    """With the level of the comparison, also where the standard was presented last."""
+    sent = list[tuple[str, float]]()
+    markers = markers_of(sent)
+    for event in of(recorded, "fired", "answered"):
+        if event["event"] == "answered":
+            markers.send_question(event["clock"])
+        markers.follow(event)
+    for trial in zip(*[iter(sent)] * 4, strict=True):
+        words = [marker.split("/") for marker, _ in trial]
+        assert [each[0] for each in words] == ["stimulus", "stimulus", "question", "answer"]
+        about = words[2][1:]
+        assert [words[0][1:], words[1][1:]] == [[*about, "interval_1"], [*about, "interval_2"]]
+        assert words[3][1:-1] == about
+    assert len(sent) == 4 * 7
+
+
 def test_markers_of_a_further_question_count_from_the_last_interval(recorded: Session) -> None:
     """Wherever the comparison stands, the marker is at the instant at which the question was shown."""
-    sent, markers = list[tuple[str, float]](), Markers.__new__(Markers)
-    vars(markers).update(_offset=1000.0, _outlet=Mock(push_sample=lambda words, at: sent.append((words[0], at))))
+    sent = list[tuple[str, float]]()
+    markers = markers_of(sent)
     for event in of(recorded, "trial"):
         further = {"answer": "rated", "value": 3.0, "reaction_time": 1.0, "question_after": 2.0}
         markers.follow({**event, "response": {**event["response"], "further": {"sure": further}}})

@@ -219,20 +219,23 @@ class Markers:
         self._source, self._library = source, pylsl.library_version()
         # Both clocks count from the boot of the machine at the same rate, so their difference is constant.
         self._offset = pylsl.local_clock() - clock.now()
+        self._asked: dict[str, Any] = {}
 
     def describe(self) -> dict[str, Any]:
         """Return name and source of the stream, and the offset of its clock from the session's [s]."""
         stream = {"name": "modaltouch", "source_id": self._source, "clock_offset_s": round(self._offset, 6)}
         return {"lsl": {**stream, "library": self._library}}
 
-    def send_question(self, trial: Trial, instant: float) -> None:
-        """Send the marker of a trial's question at an instant [s]."""
-        self._send("question", trial.as_dict(), instant)
+    def send_question(self, instant: float) -> None:
+        """Send the marker of the question on the latest stimulus at an instant [s]."""
+        self._send("question", self._asked, instant)
 
     def follow(self, event: dict[str, Any]) -> None:
         """Send the markers for the stimulus, questions and answers in a log event, or for an interrupted trial."""
         match event["event"]:
             case "fired":
+                # The window asks about the interval it presented last, which may be the standard.
+                self._asked = event["trial"]
                 interval = f"interval_{event['interval']}" if "interval" in event else ""
                 self._send("stimulus", event["trial"], event["confirmed"]["onset"], interval)
             case "answered":

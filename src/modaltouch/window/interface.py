@@ -132,10 +132,10 @@ class AnswerWindow(AbstractContextManager["AnswerWindow"]):
     Attributes
     ----------
     on_question : callable
-        Called for each question with its trial and the time of its appearance on the screen [s].
+        Called for the question of each trial with the time of its appearance on the screen [s].
     """
 
-    on_question: Callable[[Trial, float], None] = staticmethod(lambda trial, instant: None)
+    on_question: Callable[[float], None] = staticmethod(lambda instant: None)
 
     @abstractmethod
     def describe(self) -> dict[str, Any]:

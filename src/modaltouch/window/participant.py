@@ -183,7 +183,7 @@ class ParticipantWindow(AnswerWindow):
             presentation.stop()
         self._feel(trial, question, replace(presentation, interval=0), until=due)
         asked = self._loop.show(question, Moment("answer", trial, onset))
-        self.on_question(trial, asked)
+        self.on_question(asked)
         flip_took = self._loop.flip_took
         # Events read now occurred while the question was being drawn and cannot answer it.
         for event in self._loop.poll_quietly():
