@@ -11,6 +11,7 @@ import pandas as pd
 import pytest
 from statsmodels.genmod.bayes_mixed_glm import BinomialBayesMixedGLM
 
+from modaltouch.analysis import models
 from modaltouch.analysis.counts import count_answers
 from modaltouch.analysis.models import model_files, model_findings, tidy_files
 from modaltouch.analysis.pipeline import analyse
@@ -82,6 +83,22 @@ def test_one_participant_has_no_random_intercept(frame) -> None:
     alone = frame[frame["participant"] == "p03"]
     (row,) = model_findings(count_answers(alone), alone)
     assert "only one participant" in row.note
+
+
+def test_an_interval_holds_95_percent_of_a_normal_posterior(frame, monkeypatch) -> None:
+    """1.959964 posterior standard deviations either way of the mode (standard normal table)."""
+    monkeypatch.setattr(models, "_fit", lambda *_: ([0.5] * 5, [0.25] * 5, 1.0))
+    for row in model_findings(count_answers(frame), frame):
+        assert (row.estimate, row.low, row.high) == pytest.approx((0.5, 0.5 - 0.489991, 0.5 + 0.489991), abs=1e-6)
+
+
+def test_zones_are_those_that_answers_can_name(frame) -> None:
+    """Without an answer for both fingers there is no such level of the ordered response."""
+    given = Responses(frame, (), (), AnswerSource("", "csv", ""))
+    assert 'c("other", "both", "dominant")' in model_files(count_answers(frame), given)["models.R"]
+    answers = AnswerList.of({"keys": {"left": ["a"], "right": ["b"]}})
+    named = frame[frame["response"] != "both"]
+    assert 'c("other", "dominant")' in model_files(count_answers(named, offered=answers), given)["models.R"]
 
 
 @pytest.mark.parametrize("fault", ["a warning", "no spread"])
@@ -180,6 +197,7 @@ def test_answers_that_name_no_finger_have_a_table_and_a_script_too() -> None:
     table = list(csv.DictReader(files["answers.csv"].splitlines()))
     assert [row["response"] for row in table] == ["comparison", "standard"] * 2
     assert [row["sure"] for row in table] == ["low"] * 4
+    assert [row["interval"] for row in table] == ["1", "2"] * 2
     assert [row["chosen"] for row in table] == ["1", "0"] * 2, "of the first answer, which the script names"
     assert "glmer(\n  chosen ~ group + level + (1 | participant)" in files["models.R"]
     assert 'glmer(\n  (`sure` == "high") ~ group + level + (1 | participant)' in files["models.R"]
