@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 
@@ -30,6 +31,7 @@ class PaperRig:
     """Fires nothing, and notes what it was told."""
 
     told: list[str] = field(default_factory=list)
+    fired: list[dict[str, object]] = field(default_factory=list)
     unstarted: int = 0
     unconfirmed: int = 0
     stalled: int = 0
@@ -37,7 +39,8 @@ class PaperRig:
     lead: float = 0.0
     firing: Firing | None = None
 
-    def fire(self, velocity: float, *, silent: bool = False, **_: object) -> Firing:
+    def fire(self, velocity: float, *, silent: bool = False, **options: object) -> Firing:
+        self.fired.append({"velocity": velocity, "silent": silent, **options})
         self.told.append(f"silent {velocity:g}" if silent else f"fire {velocity:g}")
         started = self.unstarted == 0
         self.unstarted = max(self.unstarted - 1, 0)
@@ -72,6 +75,7 @@ class Person:
     rule: Callable[[Trial], str]
     seen: list[str] = field(default_factory=list)
     cut: list[str | Exception] = field(default_factory=list)
+    waited: list[float] = field(default_factory=list)
 
     def welcome(self, trial: Trial) -> None:
         self.seen.append("welcome " + "".join(trial.condition.zones))
@@ -97,7 +101,7 @@ class Person:
         self.seen.append(f"feedback {response.answer} {expected}")
 
     def wait(self, seconds: float) -> None:
-        pass
+        self.waited.append(seconds)
 
     def settle(self, trial: Trial, progress: Progress, lead: float = 0.0) -> float:
         return 100.0 + lead
@@ -193,6 +197,51 @@ def test_every_trial_is_answered_once_in_order(sit: Callable[..., SessionRun]) -
     first = "".join(sitting.trials[0].condition.zones)
     assert seen(sitting)[:2] == [f"welcome {first}", "practice"], "the fingers of the first trial, as they are placed"
     assert seen(sitting)[-1] == "goodbye"
+
+
+def test_a_stimulus_is_fired_as_the_protocol_has_it(sit: Callable[..., SessionRun]) -> None:
+    """Its burst, at the level played, in m/s; as many bursts as there may be, at the instant that the window gave."""
+    sitting = sit(practice_trials=0)
+    sitting.rig.lead = 0.25  # type: ignore[misc]
+    conduct(replace(sitting, which=lambda trial: trial.index, played=lambda _, level: level / 2))
+    n_bursts = sitting.protocol.n_bursts("")
+    assert sitting.rig.fired == [  # type: ignore[attr-defined]
+        {"velocity": pytest.approx(trial.condition.velocity_mm_s * 0.5e-3), "silent": False, "n_bursts": n_bursts,
+         "exactly": False, "which": trial.index, "due": 100.25}
+        for trial in sitting.trials
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("lead", "busy", "left"), [(0.0, 0.0, 0.9), (0.25, 0.0, 0.65), (0.25, 0.5, 0.15), (1.0, 0.5, 0)]
+)
+def test_the_pause_counts_what_the_instrument_needs(
+    sit: Callable[..., SessionRun], lead: float, busy: float, left: float
+) -> None:
+    """A pause of 0.9 s less the lead of the generator and the work on the fingers, and never below nothing."""
+    sitting = sit()
+    answers = sitting.protocol.answers.model_copy(update={"pause_s": 0.9})
+    protocol = sitting.protocol.model_copy(update={"answers": answers})
+    sitting.rig.lead = lead  # type: ignore[misc]
+    probing = Mock(busy=busy, delivered=lambda trial: {"delivered": {"refused": "nothing was measured"}})
+    conduct(replace(sitting, protocol=protocol, probing=probing))
+    assert sitting.window.waited == pytest.approx([left] * 13)  # type: ignore[attr-defined]
+    assert [event["delivered"] for event in events(sitting, "trial")] == [{"refused": "nothing was measured"}] * 13
+
+
+def test_fingers_are_measured_at_each_placement_and_after_each_break(sit: Callable[..., SessionRun]) -> None:
+    """Hands off the beam before they are placed; what is measured is listened to once a stimulus."""
+    sitting = sit(break_after_trials=4)
+    probing = Mock(busy=0.0, delivered=lambda trial: {})
+    conduct(replace(sitting, probing=probing))
+    called = [call[0] for call in probing.method_calls]
+    n_placed = len(events(sitting, "placement"))
+    assert called.count("lift_hands") == called.count("measure") == n_placed
+    assert called.count("listen") == 13
+    assert called[:3] == ["lift_hands", "measure", "listen"]
+    names = [name for name in seen(sitting) if name == "rest" or name.startswith(("trial", "place"))]
+    after = [names[place + 1] for place, name in enumerate(names) if name == "rest"]
+    assert [name.split()[0] for name in after] == ["place", "place"]
 
 
 def test_the_last_trial_can_be_repeated_while_the_participant_is_thanked(sit: Callable[..., SessionRun]) -> None:
