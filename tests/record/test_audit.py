@@ -32,6 +32,7 @@ Lie = Callable[[Events], object]
 
 PROTOCOLS = Path(__file__).parents[2] / "protocols"
 FORMAT_1 = Path(__file__).parent / "format_1"
+REAL = "TEKTRONIX,AFG3022B,C012345,SCPI:99.0 FV:3.2.1"
 
 
 @pytest.fixture(scope="module")
@@ -55,17 +56,23 @@ def copied(recorded: dict[str, Path], tmp_path: Path) -> Callable[..., Path]:
     return copy_of
 
 
-def forge(log: Path, lie: Lie) -> None:
-    """Tell a lie in a log, and make its checks and its view fit."""
-    events: Events = [copy.deepcopy(event) for event in read_chain(log).events]
-    place = SessionFolder.of(log, "simulated", events[0]["protocol"])
-    lie(events)
+def rewritten(log: Path, events: Events) -> Session:
+    """Write the lines of a log with checks that fit, and return the session."""
     check, lines = GENESIS, []
     for event in events:
         line, check = encode_line(event, check)
         lines.append(line)
     log.write_bytes(b"".join(lines))
-    write_view(place, Session(log, tuple(events)), {"lines": len(lines), "check": check})
+    return Session.find(log)
+
+
+def forge(log: Path, lie: Lie) -> None:
+    """Tell a lie in a log, and make its checks and its view fit."""
+    events: Events = [copy.deepcopy(event) for event in read_chain(log).events]
+    place = SessionFolder.of(log, "simulated", events[0]["protocol"])
+    lie(events)
+    written = rewritten(log, events)
+    write_view(place, Session(log, tuple(events)), {"lines": len(events), "check": written.chain.last_check})
 
 
 def of(events: Events, *kinds: str) -> Events:
@@ -365,6 +372,36 @@ def test_a_log_written_anew_without_a_lie_passes(copied: Callable[..., Path], pr
     forge(log, nothing)
     assert log.read_bytes() == before
     assert audit_session(Session.find(log)).problems == ()
+
+
+@pytest.mark.parametrize(
+    ("rig_choice", "answers_choice", "identity", "is_real"),
+    [
+        ("TCPIP::192.168.0.7::INSTR", "window", REAL, True),
+        ("TCPIP::192.168.0.7::INSTR", "simulated", REAL, False),
+        ("simulated", "window", REAL, False),
+        ("TCPIP::192.168.0.7::INSTR", "window", None, False),
+    ],
+)
+def test_a_session_is_real_if_rig_and_answers_are(
+    copied: Callable[..., Path], rig_choice: str, answers_choice: str, identity: str | None, is_real: bool
+) -> None:
+    """By what was chosen and by the serial number that the generator gave: the twin's is none of the maker's."""
+    log = copied()
+    events = [copy.deepcopy(event) for event in read_chain(log).events]
+    events[0] |= {"mode": "real", "rig_choice": rig_choice, "answers_choice": answers_choice}
+    events[0]["rig"]["identity"] = identity or events[0]["rig"]["identity"]
+    problems = audit_session(rewritten(log, events)).problems
+    assert any("but its rig or its answers were simulated" in problem for problem in problems) is not is_real
+
+
+def test_a_record_that_names_no_format_is_of_the_first(copied: Callable[..., Path]) -> None:
+    """The first records named none, and counted no bursts."""
+    log = copied(schema="1")
+    forge(log, lambda events: events[0].pop("schema", None))
+    audit = audit_session(Session.find(log))
+    assert audit.problems == ()
+    assert audit.lines[3] == "13 answers, each in its place, with its level and amplitudes"
 
 
 @pytest.mark.parametrize("name", ["every level", "the codes", "a speed at a zone", "a line number"])
