@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -182,20 +183,48 @@ def test_every_drive_is_computed_again(session: Session) -> None:
     assert f"drives for the fingers of {len(placements(session))} placements recomputed: identical codes" in audit.lines
 
 
-def test_other_fingers_in_the_record_are_noticed(session: Session, tmp_path: Path) -> None:
-    """Even where every check of the log was made to fit."""
+def forged(session: Session, tmp_path: Path, lie: Callable[[list[dict[str, Any]]], object]) -> tuple[str, ...]:
+    """Return what the audit finds in a copy with a lie, where every check of the log was made to fit."""
     copied = Path(shutil.copytree(session.path.parents[5], tmp_path / "copy"))
     log = copied / session.path.relative_to(session.path.parents[5])
+    told = list(read_chain(log).events)
+    lie(told)
     check, lines = GENESIS, []
-    for event in read_chain(log).events:
-        if event["event"] == "probe" and event["hands"] == "on":
-            event["fingers"]["right index"]["mass_g"] *= 1.01
-        if event["event"] == "trial":
-            event["delivered"]["fingers"]["right index"]["mass_g"] *= 1.1
+    for event in told:
         line, check = encode_line(event, check)
         lines.append(line)
     log.write_bytes(b"".join(lines))
-    problems = audit_session(Session.find(log)).problems
+    return audit_session(Session.find(log)).problems
+
+
+def test_other_levels_in_the_record_are_noticed(session: Session, tmp_path: Path) -> None:
+    """That of the design and the highest that it attains, each by itself, and fingers that are said to have drifted."""
+
+    def lie(told: list[dict[str, Any]]) -> None:
+        first, second, _ = (
+            event["levels"][0] for event in told if event["event"] == "probe" and event["hands"] == "on"
+        )
+        first["level_mm_s"] += 0.01
+        second["attainable_mm_s"] += 0.01
+        next(event for event in told if event["event"] == "trial")["delivered"]["drifted"] = True
+
+    problems = forged(session, tmp_path, lie)
+    for place in [each["levels"][0]["design"] for each in placements(session)][:2]:
+        assert any(f"under the fingers that were measured ({place}) the level is " in each for each in problems)
+    assert any("give a delivered drifted of False, not True" in each for each in problems)
+
+
+def test_other_fingers_in_the_record_are_noticed(session: Session, tmp_path: Path) -> None:
+    """In its measurement, and in what a burst delivered."""
+
+    def lie(told: list[dict[str, Any]]) -> None:
+        for event in told:
+            if event["event"] == "probe" and event["hands"] == "on":
+                event["fingers"]["right index"]["mass_g"] *= 1.01
+            if event["event"] == "trial":
+                event["delivered"]["fingers"]["right index"]["mass_g"] *= 1.1
+
+    problems = forged(session, tmp_path, lie)
     assert any(
         "the drive for the fingers that were measured (A-C) is not the one recorded" in each for each in problems
     )
