@@ -186,3 +186,19 @@ class TestSignFlip:
         """Zeros lean neither way and carry no information."""
         test = sign_test([5, 1, 0, 0, -2])
         assert (test.statistic, test.n_informative) == (2, 3)
+
+
+def test_scores_are_whole_numbers_of_any_type() -> None:
+    """As a table of numbers has them: 2.0 counts as 2, and 2.5 would leave ties to rounding."""
+    assert float(sign_flip_test([2.0, 1.0, -1.0]).p) == float(sign_flip_test([2, 1, -1]).p)
+    with pytest.raises(ValueError, match=r"scores must be whole numbers, so that ties are exact; got \[2\.0, 1\.5\]"):
+        sign_flip_test([2.0, 1.5])
+
+
+@pytest.mark.parametrize("n", [1, 2, 39, 40, 41, 60])
+def test_the_quick_p_of_unanimous_answers_is_not_below_what_is_attainable(n: int) -> None:
+    """2/2^n, where the quick way has an error of 1e-13 of its own: to the bit up to forty participants."""
+    quick = float(sign_flip_test([1] * n).quick_p)
+    assert quick >= 2.0 ** (1 - n)
+    if n <= 40:
+        assert quick == 2.0 ** (1 - n)

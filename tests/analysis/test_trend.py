@@ -143,7 +143,13 @@ class TestTrend:
 
 @pytest.mark.parametrize(
     ("levels", "scores"),
-    [([80, 100, 150, 200], [0, 2, 7, 12]), ([92.5, 100], [0, 1]), ([5], [0]), ([1, 2.001, 4000], [0, 0, 1000])],
+    [
+        ([80, 100, 150, 200], [0, 2, 7, 12]),
+        ([92.5, 80, 117.5], [1, 0, 3]),
+        ([5], [0]),
+        ([1, 2.001, 4000], [0, 0, 1000]),
+        ([0, 999, 1000], [0, 999, 1000]),
+    ],
 )
 def test_levels_become_the_smallest_whole_scores(levels, scores) -> None:
     """Closed form: distances over their greatest common divisor, at most a thousand steps."""
