@@ -12,8 +12,8 @@ from windows_rules import windows_rules
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """Run each test under both, unless it says which."""
     says = any(mark.args[0] == "rules" for mark in metafunc.definition.iter_markers("parametrize"))
-    # The audit writes nothing.
-    if "rules" in metafunc.fixturenames and not says and metafunc.module.__name__.rpartition(".")[2] != "test_audit":
+    writes = metafunc.module.__name__.rpartition(".")[2] not in ("test_audit", "test_expectation")
+    if "rules" in metafunc.fixturenames and not says and writes:
         metafunc.parametrize("rules", ["unix", "windows"], indirect=True)
 
 

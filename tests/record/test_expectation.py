@@ -1,0 +1,220 @@
+"""Lines of a record against each other, at the edges: what one more microsecond or one more burst changes."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from modaltouch.protocol import AnswersSection, Sources, Trial
+from modaltouch.protocol.questions import QuestionSection
+from modaltouch.protocol.trial import Condition
+from modaltouch.record import Session
+from modaltouch.record.expectation import (
+    TrialExpectation,
+    check_answers,
+    check_bursts,
+    check_form,
+    check_instants,
+    listed,
+    restore,
+)
+from modaltouch.session import simulate_session
+
+TRIAL = Trial(1, 1, Condition("one_hand", "A", "C", 80.0))
+SILENT = replace(TRIAL, condition=Condition("one_hand", "A", "C", 0.0))
+US = 1e-6
+
+
+def line(**changes: float | str | None) -> dict[str, Any]:
+    """Return an answer at 11 s to a stimulus that began at 10 s, with a question at 10.3 s, otherwise changed."""
+    said: dict[str, Any] = {
+        "first": (9.999, 10.001), "question": (10.29, 10.3), "answer": (11.0, 11.002), "clock": 11.01,
+        "reaction_time": 1.0, "word": "left", "from": "first_burst", **changes,
+    }  # fmt: skip
+    names = {"first_burst": said["first"], "question": said["question"], "answer": said["answer"]}
+    return {
+        "event": "answered",
+        "clock": said["clock"],
+        "instants": {
+            name: None if span is None else {"earliest_s": span[0], "latest_s": span[1]} for name, span in names.items()
+        },
+        "response": {"answer": said["word"], "onset": said["from"], "reaction_time": said["reaction_time"]},
+        "confirmed": {"onset": 10.0, "onset_uncertainty": 0.001, "confirmed": False},
+    }
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"reaction_time": 0.999 - 4 * US},
+        {"reaction_time": 1.003 + 4 * US},
+        {"clock": 11.0 - 4 * US},
+        {"question": (9.98, 9.999 - 4 * US)},
+        {"question": None},
+        {"first": None},
+        {"from": "question", "reaction_time": 0.7},
+        {"from": "question", "reaction_time": 0.712 + 4 * US},
+        {"from": "question", "question": None, "reaction_time": 0.0},
+        {"word": "time_out", "reaction_time": 77.0},
+    ],
+)
+def test_instants_that_fit_are_no_fault(changes: dict[str, Any]) -> None:
+    """Within how exactly each is known, and the 5 us that rounding to 1 us may add up to."""
+    assert [*check_instants(line(**changes), TRIAL)] == []
+
+
+@pytest.mark.parametrize(
+    ("changes", "fault"),
+    [
+        (
+            {"reaction_time": 0.999 - 6 * US},
+            "has a reaction time of 0.998994 s, but its instants give 0.999 to 1.003 s",
+        ),
+        ({"reaction_time": 1.003 + 6 * US}, "has a reaction time of 1.00301 s, but its instants give 0.999 to 1.003 s"),
+        ({"clock": 11.0 - 6 * US}, "its answer came at 11.0 s, after its line was written at 10.999994 s"),
+        ({"question": (9.98, 9.999 - 6 * US)}, "its question came before its first burst"),
+        ({"answer": (10.2, 10.2), "reaction_time": 0.2}, "its answer came before its question"),
+        ({"question": (10.3, 10.29)}, "its question came between 10.3 and 10.29 s"),
+        ({"from": "question", "reaction_time": 0.7 - 6 * US}, "its instants give 0.7 to 0.712 s"),
+        ({"from": "question", "reaction_time": 0.712 + 6 * US}, "its instants give 0.7 to 0.712 s"),
+        ({"from": "question", "question": None, "reaction_time": -6 * US}, "its instants give 0 to 1.003 s"),
+        ({"first": None, "reaction_time": 1.003 + 6 * US}, "its instants give 0.999 to 1.003 s"),
+    ],
+)
+def test_instants_that_do_not_fit_are_named(changes: dict[str, Any], fault: str) -> None:
+    """By what came when, and what the reaction time could have been."""
+    (found,) = check_instants(line(**changes), TRIAL)
+    assert fault in found
+
+
+def test_a_catch_trial_has_no_first_burst() -> None:
+    """Its answer counts from the instant at which the burst would have come."""
+    assert [*check_instants(line(first=None), SILENT)] == []
+    assert [*check_instants(line(), SILENT)] == ["is a catch trial with a first burst"]
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory: pytest.TempPathFactory) -> Session:
+    """A session of the demonstration."""
+    return simulate_session("demo", "sim01", tmp_path_factory.mktemp("results"))
+
+
+@pytest.fixture(scope="module")
+def given(session: Session) -> TrialExpectation:
+    """What its start record leads to."""
+    restored = restore(Sources.from_dict(session.start["sources"]), session.occasion)
+    return TrialExpectation(restored, restored.protocol, 2)
+
+
+def faults_of(event: dict[str, Any], given: TrialExpectation, **bursts: int | None) -> list[str]:
+    """Return the faults of a finished trial whose counts of bursts are changed."""
+    told = copy.deepcopy(event)
+    told["bursts"].update(bursts)
+    return [*check_bursts(told, Trial.from_dict(told["trial"]), given)]
+
+
+def test_bursts_are_as_many_as_were_due(session: Session, given: TrialExpectation) -> None:
+    """Seven a second: the last not after the line was written, the one after it not before the answer.
+
+    A fifth of a period either way, in which a burst is late and not dropped, and how exactly the first is known.
+    """
+    for event in session.trials:
+        first, around = event["bursts"]["first_s"], event["bursts"]["uncertainty_s"]
+        for n in range(1, 20):
+            last, following = first + (n - 1) / 7, first + n / 7
+            begun = last <= event["clock"] + around + 0.2 / 7
+            ended = following >= event["instants"]["answer"]["earliest_s"] - around - 0.2 / 7
+            found = faults_of(event, given, asked=n, played=n, whole=n)
+            assert (found == []) is (begun and ended), (n, found)
+            assert all(f"its record says {n} bursts due, but at 7 Hz" in fault for fault in found)
+
+
+@pytest.mark.parametrize(
+    ("bursts", "fault"),
+    [
+        ({"whole": 0}, "is confirmed with"),
+        ({"played": 0, "whole": 0}, "is confirmed with"),
+        ({"dropped": 1}, "is confirmed with"),
+        ({"asked": True}, "its burst counts are not whole numbers from 0"),
+        ({"asked": None}, "is confirmed, although its bursts are not all counted"),
+    ],
+)
+def test_a_confirmed_stimulus_has_whole_bursts_and_all_of_them(
+    session: Session, given: TrialExpectation, bursts: dict[str, Any], fault: str
+) -> None:
+    """None cut, and what was due was played or dropped."""
+    assert any(fault in found for found in faults_of(session.trials[0], given, **bursts))
+
+
+def test_an_unconfirmed_stimulus_may_lack_counts_and_none_may_exceed_another(
+    session: Session, given: TrialExpectation
+) -> None:
+    """Whole bursts are some of those played, which are some of those due; so are those dropped."""
+    event = copy.deepcopy(session.trials[0])
+    event["confirmed"]["confirmed"] = False
+    assert faults_of(event, given, asked=9, played=8, whole=7, dropped=1) == []
+    assert faults_of(event, given, asked=9, played=None, whole=None) == []
+    for counts in ({"whole": 9}, {"played": 10}, {"dropped": 10}, {"played": None, "whole": 10}):
+        (found,) = faults_of(event, given, **{"asked": 9, "played": 8, "whole": 8, "dropped": 0} | counts)
+        assert found.startswith("has 9 bursts due, ")
+
+
+def further(after: float | None, word: str = "low") -> dict[str, Any]:
+    """Return the answer to a further question that came so long after the stimulus began."""
+    return {"answer": word, "reaction_time": 0.5, "question_after": after}
+
+
+def test_further_questions_follow_each_other(given: TrialExpectation) -> None:
+    """Each after the answer before it, 1 s and then 0.5 s more; without a screen, whenever."""
+    question = QuestionSection.model_validate({"keys": {"low": ["f1"], "high": ["f2"]}})
+    asked = given.protocol.answers.model_copy(update={"then": {"sure": question, "near": question}})
+    event = line() | {"event": "trial"}
+    event["confirmed"]["confirmed"] = True
+    for sure, near, faults in (
+        (further(1.0), further(1.5), []),
+        (further(1.0 - 4 * US), further(1.5 - 8 * US), []),
+        (further(None), further(None), []),
+        (further(None), further(0.9), ["near: was asked 0.9 s after the stimulus began, before the answer at 1 s"]),
+        (further(0.9), further(1.4), ["sure: was asked 0.9 s after the stimulus began, before the answer at 1 s"]),
+        (further(1.0), further(1.4), ["near: was asked 1.4 s after the stimulus began, before the answer at 1.5 s"]),
+        (further(1.0, "upwards"), further(1.5), ["sure: was answered 'upwards'; allowed: low, high, time_out"]),
+    ):
+        event["response"]["further"] = {"sure": sure, "near": near}
+        assert [*check_answers(event, asked)] == faults
+    assert [*check_answers({**event, "event": "answered"}, asked)] == [
+        "answers the further questions sure, near, but - were asked"
+    ]
+    event["response"]["answer"] = "time_out"
+    assert len([*check_answers(event, asked)]) == 1
+
+
+@pytest.mark.parametrize("seconds", [0.0, 1e9])
+def test_a_reaction_takes_a_finite_time(given: TrialExpectation, seconds: float) -> None:
+    """From nothing on; infinity and what is no number are none."""
+    event = line(reaction_time=seconds)
+    assert [*check_answers(event, given.protocol.answers)] == []
+    for impossible in (-1e-9, float("inf"), float("nan")):
+        event["response"]["reaction_time"] = impossible
+        (found,) = check_answers(event, given.protocol.answers)
+        assert found == f"has a reaction time of {impossible} s"
+
+
+def test_a_form_is_answered_once() -> None:
+    """What it asks, each question once, with one of its answers."""
+    asked = AnswersSection.model_validate({"keys": {"yes": ["a"], "no": ["b"]}})
+    protocol: Any = SimpleNamespace(closing={"dizzy": asked})
+    event = {"name": "dizzy", "response": {"answer": "yes", "reaction_time": 1.0}}
+    done: set[str] = set()
+    assert [*check_form(event, protocol, done)] == []
+    assert [*check_form(event, protocol, done)] == ["the form already has an answer to 'dizzy'"]
+    assert [*check_form({**event, "name": "hungry"}, protocol, set())] == ["the form has no question 'hungry'"]
+
+
+def test_numbers_are_listed_to_six_digits() -> None:
+    """And words as they are."""
+    assert listed((1.23456789, "never", 2)) == "1.23457, never, 2"
