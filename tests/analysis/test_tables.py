@@ -1,10 +1,12 @@
 from __future__ import annotations
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from modaltouch.analysis.counts import count_answers, find_focus
 from modaltouch.analysis.crossed import figure_names, tabulate, zone_table
+from modaltouch.protocol import AnswerList
 from modaltouch.protocol.checks import TAKEN_NAMES
 
 
@@ -81,6 +83,8 @@ def test_participants_are_sorted_as_people_count(build) -> None:
         ([("B", "D")], ""),
         ([("A", "C")], "C"),
         ([("P", "Q"), ("R", "S")], ""),
+        ([("P", "Q"), ("Q", "R"), ("P", "R")], ""),
+        ([("P",)], ""),
     ],
 )
 def test_the_focus_is_the_zone_most_pairs_share(zones, focus) -> None:
@@ -119,8 +123,42 @@ def test_a_turned_beam_keeps_the_zones(build) -> None:
         placement=np.where(half, "mirrored", "normal"),
     )
     from modaltouch.analysis.responses import unmirror
-    from modaltouch.protocol import AnswerList
 
     answers = count_answers(unmirror(turned, AnswerList.of({})))
     assert (answers.counts == count_answers(frame).counts).all()
     assert answers.facing.tolist() == [1] * 5 + [-1] * 5
+
+
+def test_counts_of_a_small_table_are_those_counted_by_hand() -> None:
+    """Two participants, a pair and a triple of zones; rows count once where no column says how often."""
+    names = ["participant", "finger_condition", "zone_left", "zone_between", "zone_right", "velocity_mm_s", "response"]
+    rows = [("p10", "two_hands", "A", "", "C", 80.0, "left"), ("p10", "two_hands", "A", "", "C", 80.0, "both"),
+            ("p2", "one_hand", "A", "B", "E", 200.0, "right")]  # fmt: skip
+    found = count_answers(pd.DataFrame(rows, columns=names))
+    assert found.participants == ("p2", "p10")
+    assert found.finger_conditions == ("one_hand", "two_hands")
+    assert [pair.zones for pair in found.pairs] == [("A", "C"), ("A", "B", "E")]
+    assert [pair.in_words for pair in found.pairs] == ["A and C", "A, B and E"]
+    assert found.counts.shape == (2, 2, 2, 2, 3)
+    assert found.counts[1, 1, 0, 0].tolist() == [1, 1, 0]
+    assert found.counts[0, 0, 1, 1].tolist() == [0, 0, 1]
+    assert found.counts.sum() == 3
+    assert (found.n_repetitions, found.n_answers) == (2, 4)
+    assert not found.compares, "three zones have no dominant one of two"
+
+
+def test_effects_are_the_answers_whose_share_says_something(paper_frame) -> None:
+    """The dominant zone and both; of two answers without fingers the first, whose share gives the other's; else all."""
+    compared = count_answers(paper_frame)
+    assert [compared.effects(pair) for pair in compared.pairs][0] == (("C", 2), ("both", 1))
+    assert not compared.is_nominal
+    for words, places in ((("yes", "no"), [0]), (("low", "middle", "high"), [0, 1, 2])):
+        offered = AnswerList.of({"keys": {word: [word[0]] for word in words}})
+        named = paper_frame.assign(response=pd.Categorical([words[0]] * len(paper_frame), words))
+        found = count_answers(named, offered=offered)
+        assert [place for _, place in found.effects(found.pairs[0])] == places
+        assert found.is_nominal is (len(words) > 2)
+        with pytest.raises(ValueError, match="no answer names both fingers: the answers are " + ", ".join(words)):
+            found.compared()
+        with pytest.raises(ValueError, match="no answer names the left finger alone"):
+            found.sided()
