@@ -334,6 +334,14 @@ def test_a_forged_log_is_found_out(copied: Callable[..., Path], name: str, schem
     assert re.match(rf"{re.escape(str(log))}:\d+: ", found[0])
 
 
+def test_every_line_of_a_trial_of_nobody_is_named(copied: Callable[..., Path]) -> None:
+    """That it was fired, that it was answered, and its end."""
+    log = copied()
+    forge(log, everywhere(lambda e: e["trial"].update(index=99), "fired", "answered", "trial"))
+    problems = audit_session(Session.find(log)).problems
+    assert sum("trial 99 is not one of the 12 trials of its order" in problem for problem in problems) == 3
+
+
 @pytest.mark.parametrize("name", IN_FORMAT_2)
 def test_forged_bursts_and_instants_are_found_out(copied: Callable[..., Path], name: str) -> None:
     """The same of what is told since bursts are counted."""

@@ -12,6 +12,7 @@ import pytest
 
 from modaltouch.protocol import Experiment, Findings, Protocol
 from modaltouch.protocol.levels import Levels
+from modaltouch.protocol.questions import QuestionSection
 from modaltouch.protocol.schedule import Schedule
 from modaltouch.protocol.trial import Response, Trial
 from modaltouch.record.log import SessionLog
@@ -105,6 +106,10 @@ class Person:
 
     def settle(self, trial: Trial, progress: Progress, lead: float = 0.0) -> float:
         return 100.0 + lead
+
+    def ask_further(self, name: str, asked: object, trial: Trial | None = None) -> Response:
+        self.seen.append(f"further {name}")
+        return Response("yes", 1.0, onset="question")
 
     def show_stall(self) -> None:
         self.seen.append("stall")
@@ -210,6 +215,43 @@ def test_a_stimulus_is_fired_as_the_protocol_has_it(sit: Callable[..., SessionRu
          "exactly": False, "which": trial.index, "due": 100.25}
         for trial in sitting.trials
     ]  # fmt: skip
+
+
+def test_a_session_ends_before_a_trial_where_its_ticks_say_so(sit: Callable[..., SessionRun]) -> None:
+    """Nothing is placed nor fired any more, whatever the window does."""
+    left = [None, None]
+
+    def tick() -> None:
+        if not left:
+            raise SessionStopped("experimenter")
+        left.pop()
+
+    sitting = sit()
+    with pytest.raises(SessionStopped, match="experimenter"):
+        conduct(replace(sitting, tick=tick))
+    assert len(events(sitting, "trial")) == len(events(sitting, "placement")) == 2
+
+
+def test_the_form_asks_what_is_left_and_each_answer_is_shown(sit: Callable[..., SessionRun]) -> None:
+    """Before the thanks; where the experimenter answers, the console is given the keys of each question."""
+    sitting, saved, told = sit(), list[int](), list[dict[str, Any]]()
+    question = QuestionSection.model_validate({"keys": {"yes": ["a"], "no": ["b"]}})
+    answers = sitting.protocol.answers.model_copy(update={"given_by": "experimenter"})
+    form = {"dizzy": question, "cold": question}
+    protocol = sitting.protocol.model_copy(update={"form": form, "answers": answers})
+    sitting.log.append("form", name="dizzy", response=Response("no", 1.0).as_dict())
+    experimenter: Any = Mock(take_repeat=lambda: None, ends_after_block=False, tell=told.append)
+
+    def save_view() -> None:
+        saved.append(len(events(sitting, "form")))
+
+    conduct(replace(sitting, protocol=protocol, experimenter=experimenter, save_view=save_view))
+    assert seen(sitting)[-2:] == ["further cold", "goodbye"]
+    answered = [(event["name"], event["response"]["answer"]) for event in events(sitting, "form")]
+    assert answered == [("dizzy", "no"), ("cold", "yes")]
+    assert saved == [1] * 13 + [2]
+    asked = {"event": "question_next", "keys": {"yes": ["a"], "no": ["b"]}, "rates": False}
+    assert [event for event in told if event["event"] == "question_next"] == [asked]
 
 
 @pytest.mark.parametrize(
