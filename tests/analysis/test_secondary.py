@@ -51,13 +51,13 @@ def test_reaction_times_are_compared_by_medians_of_participants(build) -> None:
 
 
 def test_an_interval_narrower_than_the_resolution_is_no_single_value(build) -> None:
-    """Synthetic: participants differ by 1 ms each, and times are known to 16 ms, hence rounded to 0.1 s."""
+    """Synthetic: participants differ by 1 ms each, and times are known to 60 ms, hence rounded to 0.01 s."""
     frame = build["tidy"](build["paper"]())
     own = pd.factorize(frame["participant"])[0] * 1e-3 - 4.5e-3
     times = 0.8 + (frame["zone_left"] == "B").to_numpy() * own
-    frame = frame.assign(response_time=times, response_uncertainty=0.016)
+    frame = frame.assign(response_time=times, response_uncertainty=0.06)
     finding = {f.scope: f for f in time_findings(count_answers(frame), frame)}["one_hand A-C - B-D"]
-    assert (finding.low, finding.high) == (-0.1, 0.1)
+    assert (finding.low, finding.high) == (-0.01, 0.01)
     assert "one value as interval" not in finding.note
 
 

@@ -154,7 +154,7 @@ def _rounded(interval: Interval, known: float) -> Interval:
     """Return an interval rounded to the decimal place of the resolution `known`; outward if it would become a point."""
     if not known > 0:
         return interval
-    digits = max(0, -math.ceil(math.log10(known)))
+    digits = max(0, -math.floor(math.log10(known)))
     rounded = interval.changed(lambda value: round(value, digits))
     if rounded.low < rounded.high or not interval.low < interval.high:
         return rounded
