@@ -674,12 +674,23 @@ def test_repetitions_whose_answers_vary_between_participants_but_never_within_ar
 ) -> None:
     """In (B,D), where half the participants answer otherwise, 80 pairs of repetitions would not all agree.
 
-    Numbered, they are read: somebody says that they are repetitions.
+    Sorting does not hide copies. Numbered, they are read: somebody says that they are repetitions.
     """
-    with pytest.raises(InputError, match="every row 2 times; allowed: each once, .* under repetition"):
+    said = "every row 2 times, in one order; allowed: each once, .* under repetition"
+    for key in ("participant", "velocity_mm_s", "response"):
+        with pytest.raises(InputError, match=said):
+            read_responses(write_csv(sorted(paper_rows * 2, key=lambda row, key=key: row[key])))
+    with pytest.raises(InputError, match=said):
         read_responses(write_csv(paper_rows * 2))
     numbered = [{**row, "repetition": number} for number in (1, 2) for row in paper_rows]
     assert len(read_responses(write_csv(numbered)).frame) == 480
+
+
+def test_repetitions_in_another_order_are_no_copies(write_csv, paper_rows) -> None:
+    """People who always answer a cell alike, each repetition in an order of its own: read, with a note."""
+    again = [*paper_rows[:-2], *paper_rows[:-3:-1]]
+    found = read_responses(write_csv([*paper_rows, *again]))
+    assert (len(found.frame), "every row occurs 2 times, taken as repetitions" in found.notes[0]) == (480, True)
 
 
 @pytest.mark.parametrize(

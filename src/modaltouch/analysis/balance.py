@@ -96,6 +96,8 @@ def _measured_levels(table: Table, frame: pd.DataFrame, column: str) -> Problem:
 def check_doubling(table: Table, frame: pd.DataFrame, most: int | None) -> tuple[list[Problem], list[str]]:
     """Refuse a table whose every row is duplicated, unless these may be repetitions with the same answer; note those.
 
+    Copies keep their order, even if the table is then sorted; repetitions may be told from them by another order.
+
     Parameters
     ----------
     table : Table
@@ -115,12 +117,23 @@ def check_doubling(table: Table, frame: pd.DataFrame, most: int | None) -> tuple
         return [Problem(table.file, 1, 1, "", given, f"{most}, as in the protocol", "remove the copies")], []
     # Levels of a pair are alike to some participants, and participants to others: the larger probability counts.
     alike = (cell, ["participant", *cell_of(frame.columns)[:-1]])
-    if most is None and max(_log_chance(frame, by, times) for by in alike) < _LEAST_LOG_CHANCE:
-        given, allowed = f"every row {times} times", "each once, as repetitions would differ somewhere"
+    is_rare = max(_log_chance(frame, by, times) for by in alike) < _LEAST_LOG_CHANCE
+    if most is None and is_rare and _recurs_in_order(table.fields, times):
+        given, allowed = f"every row {times} times, in one order", "each once, as repetitions would differ somewhere"
         remedy = "remove the copies, or number the repetitions under repetition"
         return [Problem(table.file, 1, 1, "", given, allowed, remedy)], []
     note = f"every row occurs {times} times, taken as repetitions: if the table was pasted together, remove the copies"
     return [], [note]
+
+
+def _recurs_in_order(fields: pd.DataFrame, times: int) -> bool:
+    """Return whether the first, second, ... occurrences of all rows stand in the same order."""
+    rows = pd.util.hash_pandas_object(fields, index=False)
+    same = rows.groupby(rows)
+    nth, n_each = same.cumcount(), same.transform("size") // times
+    # Of a row that occurs several times in each copy, the copies may stand one below the other, or row by row.
+    ways = ([rows[copy == number].tolist() for number in range(times)] for copy in (nth // n_each, nth % times))
+    return any(orders == orders[:1] * times for orders in ways)
 
 
 def _log_chance(frame: pd.DataFrame, by: list[str], times: int) -> float:
