@@ -127,6 +127,20 @@ def test_a_table_that_says_its_stimuli_is_fitted(tmp_path: Path) -> None:
     assert (fitted.n_participants, fitted.fit.n_answers, len(fitted.responses)) == (1, len(rows) - 1, 2)
 
 
+def test_the_words_of_a_table_are_mapped_as_by_analyse(tmp_path: Path, preflight: Preflight) -> None:
+    """B for both, and NA for no answer; recorded sessions have words of their own."""
+    cells = designs_for(preflight, TRUTH)[""]
+    rows = [f"p1,{fingers},{pair.left},{pair.right},{level:g},B,1"
+            for fingers, pair, level in product(cells.finger_conditions, cells.pairs, cells.levels)]  # fmt: skip
+    rows[0] = rows[0].replace("B,1", "NA,1")
+    (tmp_path / "a.csv").write_text("\n".join([HEADER, *rows]), encoding="utf-8")
+    words = ({"B": "both"}, ("NA",))
+    fitted = fit_answers(preflight, tmp_path / "a.csv", Observer(), words=words)
+    assert fitted.fit.n_answers == len(rows) - 1
+    with pytest.raises(InputError, match="answer words with recorded sessions, which contain their own"):
+        fit_answers(preflight, tmp_path, Observer(), words=words)
+
+
 def test_answers_about_another_beam_are_refused(tmp_path: Path, preflight: Preflight) -> None:
     """Expected: the zone, the zones of the beam, and what to do."""
     (tmp_path / "a.csv").write_text(f"{HEADER}\np1,one_hand,A,Z,80,left,1\n", encoding="utf-8")

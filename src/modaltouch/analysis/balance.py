@@ -149,7 +149,7 @@ def check_unit(table: Table, frame: pd.DataFrame, design: Mapping[str, Any]) -> 
     highest = frame[VELOCITY.column].max() if VELOCITY.column in frame else math.inf
     if not highest < 1 <= max(planned):
         return []
-    remedy = "multiply them by 1000 if they are in m/s; if not, name their protocol with --protocol"
+    remedy = "multiply them by 1000 if they are in m/s" + "; if not, name their protocol with --protocol" * (not design)
     given, allowed = f"levels of at most {highest:g}", "peak velocities in mm/s"
     return [table.problem(int(frame.index[0]), VELOCITY.column, given, allowed, remedy)]
 

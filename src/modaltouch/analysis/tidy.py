@@ -235,6 +235,7 @@ def choose_rows(table: Table, name: str, chosen: str | None) -> Table:
         raise InputError.of(Path(table.file), given, f"rows of one {name}", remedy)
     if chosen is not None and chosen not in words:
         remedy = "choose one of them, or leave the option out"
+        remedy += "; a fit needs the protocol that was answered" * (name == "stimulus")
         raise InputError.of(Path(table.file), f"{name} {chosen!r} with a CSV file", listed, remedy)
     if name == "mode" and words and not words <= set(MODES):
         given, remedy = f"a column mode with {listed}", "correct it, or rename the column if it means something else"

@@ -25,6 +25,13 @@ _OUT = Annotated[
         show_default="derivatives/analysis in a protocol's results, analysis in one above it, <name>_analysis by a CSV",
     ),
 ]
+ANSWERS = Annotated[
+    str | None, typer.Option("--answers", help="What the words in a CSV stand for, such as L=left,B=both,R=right.")
+]
+MISSING = Annotated[
+    str | None,
+    typer.Option(help="Words in a CSV that stand for no answer, such as NA,-; an empty field and n/a always do."),
+]
 _FIGURES = Annotated[
     str,
     typer.Option(
@@ -64,13 +71,8 @@ def analyse(
             "margin."
         ),
     ] = None,
-    answers: Annotated[
-        str | None, typer.Option(help="What the words in a CSV stand for, such as L=left,B=both,R=right.")
-    ] = None,
-    missing: Annotated[
-        str | None,
-        typer.Option(help="Words in a CSV that stand for no answer, such as NA,-; an empty field and n/a always do."),
-    ] = None,
+    answers: ANSWERS = None,
+    missing: MISSING = None,
     figures: _FIGURES = "",
     prereg: _PREREG = None,
     model: Annotated[
@@ -102,19 +104,21 @@ def analyse(
 
 def _table_format(file: str | None, answers: str | None, missing: str | None) -> analysis.TableFormat:
     """Return the format of a CSV of answers, from the command's options."""
-    words = {} if answers is None else _mapped(answers)
-    codes = tuple(word.strip() for word in (missing or "").split(","))
+    words, codes = parse_words(answers, missing)
     if file is None:
         return analysis.TableFormat(words=words, missing=codes)
     return analysis.TableFormat.of(protocol.Findings.read(file), words, codes)
 
 
-def _mapped(answers: str) -> dict[str, str]:
-    """Parse ``--answers`` into the answer for each word of the CSV."""
+def parse_words(answers: str | None, missing: str | None) -> tuple[dict[str, str], tuple[str, ...]]:
+    """Parse ``--answers`` into the answer for each word of a CSV, and ``--missing`` into words for no answer."""
+    codes = tuple(filter(None, map(str.strip, (missing or "").split(","))))
+    if answers is None:
+        return {}, codes
     pairs = [part.strip().partition("=") for part in answers.split(",")]
     if not all(word.strip() and sign and answer.strip() for word, sign, answer in pairs):
         raise typer.BadParameter(f"given --answers {answers!r}; allowed: words and answers, such as L=left,R=right")
-    return {word.strip(): answer.strip() for word, _, answer in pairs}
+    return {word.strip(): answer.strip() for word, _, answer in pairs}, codes
 
 
 def participants(number: int) -> str:

@@ -26,6 +26,7 @@ from modaltouch.cli import (
     reporting,
     say,
 )
+from modaltouch.cli.analyse import ANSWERS, MISSING, parse_words, participants
 from modaltouch.cli.analyse import participants
 
 _FAMILIES_PER_TABLE = 4
@@ -355,6 +356,8 @@ def fit(
         Path | None, typer.Option(help="YAML file for the fitted observer.", show_default="nothing is written")
     ] = None,
     mode: MODE = None,
+    words: ANSWERS = None,
+    missing: MISSING = None,
     json_output: JSON = False,
 ) -> None:
     """Fit an observer, a model of how participants answer, to recorded answers such as those of a pilot.
@@ -367,7 +370,7 @@ def fit(
         checked = preflight.examine(protocol, uncalibrated=True).require()
         if out is not None:
             record.prepare_file(out)
-        fitted = planning.fit_answers(checked, answers, prior, mode=mode)
+        fitted = planning.fit_answers(checked, answers, prior, mode=mode, words=parse_words(words, missing))
         n_answers = f"{fitted.fit.n_answers} answers of {participants(fitted.n_participants)}"
         if out is not None:
             text = fitted.fit.observer.as_file("fitted", f"Fitted to {n_answers} in {answers.name}")

@@ -26,7 +26,7 @@ Moscatelli, Mezzetti, Lacquaniti, J. Vision 12(11):26 (2012) (populations of psy
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -350,7 +350,14 @@ class Fitted:
         }
 
 
-def fit_answers(preflight: Preflight, path: Path, prior: Observer, *, mode: str | None = None) -> Fitted:
+def fit_answers(
+    preflight: Preflight,
+    path: Path,
+    prior: Observer,
+    *,
+    mode: str | None = None,
+    words: tuple[Mapping[str, str], tuple[str, ...]] = ({}, ()),
+) -> Fitted:
     """Fit an observer to recorded answers, jointly to all stimuli if there are several.
 
     Parameters
@@ -363,6 +370,8 @@ def fit_answers(preflight: Preflight, path: Path, prior: Observer, *, mode: str 
         Centre of the priors, and front end.
     mode : {"real", "pilot", "simulated"}, optional
         Which sessions of a results tree to use.
+    words : (dict of str to str, tuple of str)
+        Answers for the words of a CSV, and words that stand for no answer.
 
     Raises
     ------
@@ -383,7 +392,8 @@ def fit_answers(preflight: Preflight, path: Path, prior: Observer, *, mode: str 
                 )
             ]
         )
-    table_format = TableFormat.of(preflight.findings) if path.is_file() and path.suffix != ".jsonl" else None
+    is_table = any(words) or (path.is_file() and path.suffix != ".jsonl")
+    table_format = TableFormat.of(preflight.findings, *words) if is_table else None
     taken = {
         name: read_responses(path, mode=mode, stimulus=name or None, table_format=table_format)
         for name in preflight.parts
