@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 from modaltouch.planning.design import designs_for
+from modaltouch.planning.fitting import fit_answers
 from modaltouch.planning.observer import Observer
+from modaltouch.planning.preregistration import preregister
 from modaltouch.preflight import examine
 from modaltouch.protocol import InputError
 
@@ -41,3 +43,23 @@ def test_groups_that_meet_the_same_cells_are_refused_as_groups(edit: Callable[..
     file = edit("demo.yaml", ("schedule:\n", "groups: {low: {}, high: {}}\nschedule:\n"))
     with pytest.raises(InputError, match="groups: given groups of participants, which one observer cannot represent"):
         designs_for(examine(file).require(), Observer())
+
+
+def test_a_protocol_whose_sessions_are_not_analysed_is_neither_planned_nor_fitted(edit, tmp_path: Path) -> None:
+    """Only training: nothing will be tested, whichever command asks."""
+    kinds = "schedule:\n  sessions: [{name: training, analysed: false}]\n"
+    preflight = examine(edit("demo.yaml", ("schedule:\n", kinds))).require()
+    said = r"schedule.sessions: given no kind of session that is analysed \(only training\); allowed: at least one kind"
+    with pytest.raises(InputError, match=said):
+        designs_for(preflight, Observer())
+    with pytest.raises(InputError, match=said):
+        fit_answers(preflight, tmp_path, Observer())
+    with pytest.raises(InputError, match=said):
+        preregister(preflight, Observer(), 2, study=lambda seed: pytest.fail("simulated a study"))
+
+
+def test_a_fit_is_not_told_to_simulate(edit, tmp_path: Path) -> None:
+    """Sessions are recorded already."""
+    file = edit("demo.yaml", ("schedule:\n", "schedule:\n  sessions: [{name: before}, {name: after}]\n"))
+    with pytest.raises(InputError, match="several analysed kinds of session.*; see these answers with `modaltouch ana"):
+        fit_answers(examine(file).require(), tmp_path, Observer())

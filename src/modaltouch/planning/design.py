@@ -161,8 +161,19 @@ def designs_for(preflight: Preflight, observer: Observer) -> dict[str, Design]:
 
 
 def of_analysed_kind(preflight: Preflight) -> Preflight:
-    """Return the preflight of the only analysed kind of session; self if there are several kinds, or none."""
-    kinds = {kind.name for kind in preflight.experiment.protocol.schedule.session_kinds if kind.analysed}
+    """Return the preflight of the only analysed kind of session, or self if there are several; refuse none."""
+    every = preflight.experiment.protocol.schedule.session_kinds
+    kinds = {kind.name for kind in every if kind.analysed}
+    _refuse(
+        preflight,
+        (
+            every and not kinds,
+            ("schedule", "sessions"),
+            f"no kind of session that is analysed (only {', '.join(dict.fromkeys(kind.name for kind in every))})",
+            "at least one kind without `analysed: false`",
+            "add the sessions whose answers you will analyse",
+        ),
+    )
     return preflight.at("", *kinds) if len(kinds) == 1 else preflight
 
 
@@ -183,11 +194,11 @@ def refuse_own_levels(preflight: Preflight, remedy: str = "plan with the peak ve
 _UNCROSSED = {
     "conditions": "cells that are listed or left out, which an observer's design has no place for",
     "groups": "groups of participants, which one observer cannot represent",
-    "schedule": "several analysed kinds of session, whose tests are corrected together, or none",
+    "schedule": "several analysed kinds of session, whose tests are corrected together",
 }
 
 
-def refuse_unlike(preflight: Preflight) -> None:
+def refuse_unlike(preflight: Preflight, remedy: str = _SIMULATE) -> None:
     """Refuse a protocol whose cells or answers do not fit an observer that compares two fingers."""
     protocol = preflight.experiment.protocol
     offered, n_intervals = protocol.answers.offered, 1 if protocol.intervals is None else protocol.intervals.number
@@ -200,21 +211,21 @@ def refuse_unlike(preflight: Preflight) -> None:
             protocol.uncrossed_by,
             _UNCROSSED.get("".join(protocol.uncrossed_by[:1]), ""),
             "every pair of zone_pairs at every one of peak_velocities_mm_s, in every finger condition, for all",
-            f"{_SIMULATE}, or plan with a protocol of a part of the design that these two keys give",
+            f"{remedy}, or give a protocol of a part of the design that these two keys describe",
         ),
         (
             n_intervals > 1,
             ("intervals",),
             f"trials of {n_intervals} intervals, but this compares two fingers in one interval",
             "null",
-            _SIMULATE,
+            remedy,
         ),
         (
             unknown,
             ("conditions", "finger_conditions"),
             f"{unknown}, but no observer models how its fingers suppress each other",
             ", ".join(_KNOWN),
-            _SIMULATE,
+            remedy,
         ),
         (
             odd or not offered.compares or offered.naming("left", "right") is None,
@@ -222,7 +233,7 @@ def refuse_unlike(preflight: Preflight) -> None:
             ("a scale" if protocol.answers.scale else f"the answers {', '.join(offered.names)}")
             + ", which an observer that compares two fingers does not give",
             "an answer for each finger and one for both, with or without one for neither",
-            _SIMULATE,
+            remedy,
         ),
     )
 

@@ -380,7 +380,7 @@ def fit_answers(
     """
     _refuse_adaptive(path, is_adaptive=preflight.experiment.protocol.adaptive is not None)
     preflight = of_analysed_kind(preflight)
-    refuse_unlike(preflight)
+    refuse_unlike(preflight, "see these answers with `modaltouch analyse`")
     if preflight.findings.measured:
         raise InputError(
             [

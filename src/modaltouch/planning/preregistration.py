@@ -21,7 +21,7 @@ from modaltouch.analysis import (
     terms_of,
     wilson,
 )
-from modaltouch.planning.design import Design, designs_for, refuse_own_levels
+from modaltouch.planning.design import Design, designs_for, of_analysed_kind, refuse_own_levels
 from modaltouch.planning.experiments import Study
 from modaltouch.planning.observer import Observer
 from modaltouch.planning.power import plan, processes
@@ -91,6 +91,7 @@ def preregister(
         If the protocol has faults, or its levels depend on a threshold that is not given.
     """
     protocol, path = preflight.experiment.protocol, _public(preflight.experiment.sources.protocol.path)
+    of_analysed_kind(preflight)  # refuses a protocol without one
     if threshold_mm_s is None:
         refuse_own_levels(preflight, "give the threshold that you expect with --threshold")
     if threshold_mm_s is not None or not (design := _counted(preflight, observer)):
