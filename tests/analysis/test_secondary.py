@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -13,7 +15,7 @@ from modaltouch.analysis.covariates import (
     time_findings,
 )
 from modaltouch.analysis.exact import sign_flip_test
-from modaltouch.analysis.intervals import centre_interval, student_interval
+from modaltouch.analysis.intervals import MOST_TIME_STEPS, centre_interval, student_interval, time_steps
 
 
 def test_a_side_bias_is_the_difference_between_focus_right_and_left(build) -> None:
@@ -59,6 +61,18 @@ def test_an_interval_narrower_than_the_resolution_is_no_single_value(build) -> N
     finding = {f.scope: f for f in time_findings(count_answers(frame), frame)}["one_hand A-C - B-D"]
     assert (finding.low, finding.high) == (-0.01, 0.01)
     assert "one value as interval" not in finding.note
+
+
+def test_breaks_of_an_hour_do_not_exhaust_the_memory() -> None:
+    """In milliseconds, ten such differences have a distribution of 10^8 values; in longer steps p hardly changes."""
+    hours = np.array([3600.0, -7200.0, 5400.0, 3601.0, -1.5, 0.7, 12000.0, -40.0, 9000.0, 2.0])
+    steps, per_second = time_steps(hours)
+    assert np.abs(steps).sum() <= MOST_TIME_STEPS + len(hours)
+    assert steps / per_second == pytest.approx(hours, abs=0.5 / per_second)
+    signs = np.array(list(product([-1, 1], repeat=len(hours))))
+    every = np.abs(signs @ np.abs(hours))
+    assert sign_flip_test(steps).p == pytest.approx(np.mean(every >= abs(hours.sum()) - 1e-9), abs=4 / 2**10)
+    assert time_steps(np.array([0.8, -0.25]))[1] == 1000
 
 
 def test_a_pair_that_everybody_answered_too_early_has_no_time(build) -> None:

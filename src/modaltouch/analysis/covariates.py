@@ -16,7 +16,7 @@ from modaltouch.analysis.contrasts import Shares, mean_of_known
 from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.exact import sign_flip_test
 from modaltouch.analysis.findings import Finding, finding_of
-from modaltouch.analysis.intervals import BoundedMean, Interval, centre_interval
+from modaltouch.analysis.intervals import BoundedMean, Interval, centre_interval, time_steps
 
 ANTICIPATION = 0.15
 """Shortest plausible reaction time [s]; faster (anticipatory) answers are excluded from reaction times."""
@@ -136,7 +136,7 @@ def time_findings(answers: AnswerCounts, frame: pd.DataFrame, n_untimed: int = 0
         for first, second in combinations(answers.pairs, 2):
             gap = (medians[first.label] - medians[second.label]).dropna().to_numpy()
             every = (all_medians[first.label] - all_medians[second.label]).dropna().to_numpy()
-            test, unfiltered = (sign_flip_test(np.rint(values * 1000).astype(np.int64)) for values in (gap, every))
+            test, unfiltered = (sign_flip_test(time_steps(values)[0]) for values in (gap, every))
             notes = [
                 f"{dropped} of all {len(frame)} answers left out as faster than {ANTICIPATION:g} s",
                 f"with them p = {unfiltered.p:.2g}" if dropped else "",

@@ -136,8 +136,21 @@ def student_interval(values: FloatArray) -> Interval:
     return Interval(mean, mean - half, mean + half, n)
 
 
+MOST_TIME_STEPS = 1_000_000
+"""Maximum sum of times in steps for sign-flip tests, whose memory and run time grow with it."""
+
+
+def time_steps(seconds: FloatArray) -> tuple[IntArray, float]:
+    """Return times in milliseconds, or in longer steps if they sum to over `MOST_TIME_STEPS`; and steps per second.
+
+    Rounding treats both signs alike, so sign-flip tests of the steps keep their level.
+    """
+    per_second = 1000 / max(1.0, 1000 * float(np.abs(seconds).sum()) / MOST_TIME_STEPS)
+    return np.rint(seconds * per_second).astype(np.int64), per_second
+
+
 def centre_interval(seconds: FloatArray) -> Interval:
-    """Return the mean with the interval of centres not rejected by the sign-flip test, to a millisecond.
+    """Return the mean with the interval of centres not rejected by the sign-flip test, to a step of `time_steps`.
 
     Parameters
     ----------
@@ -148,7 +161,7 @@ def centre_interval(seconds: FloatArray) -> Interval:
     ----------
     Hartigan, J. Am. Stat. Assoc. 64 (1969) 1303-1317 (typical values).
     """
-    values = np.rint(seconds * 1000).astype(np.int64)
+    values, per_second = time_steps(seconds)
     if 2.0 ** (1 - values.size) > 1 - CONFIDENCE:
         return Interval(float(seconds.mean()) if values.size else math.nan, -math.inf, math.inf, values.size)
 
@@ -158,7 +171,8 @@ def centre_interval(seconds: FloatArray) -> Interval:
         return centres.start + kept
 
     mean = float(seconds.mean())
-    return Interval(mean, min(lowest(values) / 1000, mean), max(-lowest(-values) / 1000, mean), values.size)
+    low, high = lowest(values) / per_second, -lowest(-values) / per_second
+    return Interval(mean, min(low, mean), max(high, mean), values.size)
 
 
 def student_quantile(degrees: int) -> float:
