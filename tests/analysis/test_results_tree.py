@@ -152,6 +152,29 @@ def test_what_cannot_be_pooled_is_refused_with_a_way_out(record, edit, paper, tm
         read_responses(tmp_path / "results", mode=mode)
 
 
+@pytest.mark.parametrize("is_lab", [False, True], ids=["tree", "labs"])
+def test_sessions_of_changed_protocols_are_analysed_with_a_note(record, edit, tmp_path, is_lab: bool) -> None:
+    """An answer that only some were offered, and another field."""
+    record("p01"), record("p02")
+    if is_lab:
+        (tmp_path / "results").rename(tmp_path / "north")
+    record("p03", altered(edit, NONE, ("base_mm: 56", "base_mm: 60")))
+    first = tmp_path / ("north" if is_lab else "results")
+    responses = read_responses(first, *[tmp_path / "results"] * is_lab)
+    said = "Versions of the protocol that differ in answers.keys, stimulus.field are analysed together"
+    assert [note for note in responses.notes if note.startswith(said)][0].removeprefix(said) in (
+        " (2 and 1 sessions)", " (1 and 2 sessions)",
+    )  # fmt: skip
+
+
+def test_sessions_of_one_name_with_another_focus_are_refused(record, edit, tmp_path) -> None:
+    """They would be counted as about the focus of the first: the dominant zone of each pair depends on it."""
+    for who, change in (("p01", ("150, 200]", "120, 150]")), ("p02", ("focus: C ", "focus: B "))):
+        record(who, altered(edit, change), answer=lambda trial: "both")  # each change is of the file changed before
+    with pytest.raises(InputError, match=r"several foci \(1 C, 1 B\).*give the other protocol another name"):
+        read_responses(tmp_path / "results")
+
+
 def test_an_unreadable_file_is_left_out_and_named(record, tmp_path) -> None:
     """A log that is no log."""
     record("p01")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -66,6 +67,8 @@ class SessionFacts:
         Numbers and words from the form at the end, by question.
     occasion : (str, str)
         Group and kind of session; empty if there are none.
+    design : (str, str, str)
+        Group, kind of session, and the protocol's sections as JSON.
     """
 
     participant: str
@@ -80,6 +83,7 @@ class SessionFacts:
     people: dict[str, float | str] = field(default_factory=dict)
     form: dict[str, float | str] = field(default_factory=dict)
     occasion: tuple[str, str] = ("", "")
+    design: tuple[str, str, str] = ("", "", "{}")
 
     @property
     def name(self) -> str:
@@ -110,6 +114,7 @@ def take_facts(session: Session) -> SessionFacts:
         people=dict(_people(start)),
         form={name: each.get("value", each["answer"]) for name, each in session.form.items()},
         occasion=session.occasion,
+        design=share("design", (*session.occasion, json.dumps(start.get("design", {}), sort_keys=True))),
     )
 
 
@@ -140,6 +145,30 @@ def describe_record(sessions: Sequence[SessionFacts]) -> dict[str, Any] | None:
         "people": list(_describe_people(sessions)),
         "form": list(summarise_form(sessions)),
     }
+
+
+def version_notes(sessions: Sequence[SessionFacts]) -> Iterator[str]:
+    """Yield a note for each group and kind of session that was recorded with several versions of the protocol."""
+    counted = Counter(session.design for session in sessions)
+    for _, own in groupby(sorted(counted), key=lambda design: design[:2]):
+        versions = list(own)
+        first, *others = [json.loads(design) for *_, design in versions]
+        keys = dict.fromkeys(key for other in others for key in _differing(first, other))
+        if keys:
+            numbers = " and ".join(str(counted[each]) for each in versions)
+            yield (
+                f"Versions of the protocol that differ in {', '.join(keys)} are analysed together ({numbers} sessions)"
+            )
+
+
+def _differing(first: dict[str, Any], other: dict[str, Any]) -> Iterator[str]:
+    """Yield the keys in both versions with different values; older programs record fewer keys."""
+    for name in sorted(first.keys() & other.keys()):
+        one, two = first[name], other[name]
+        if isinstance(one, dict) and isinstance(two, dict):
+            yield from (f"{name}.{key}" for key in sorted(one.keys() & two.keys()) if one[key] != two[key])
+        elif one != two:
+            yield name
 
 
 def _describe_people(sessions: Sequence[SessionFacts]) -> Iterator[str]:

@@ -21,7 +21,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from modaltouch.analysis.columns import OWN_THRESHOLD, VELOCITY
-from modaltouch.analysis.provenance import SessionFacts, share, take_facts
+from modaltouch.analysis.provenance import SessionFacts, share, take_facts, version_notes
 from modaltouch.analysis.responses import (
     MODES,
     AnswerSource,
@@ -256,6 +256,9 @@ def read_tree(place: Path, *further: Path, mode: str | None = None, stimulus: st
     if levels != "adaptive":
         taken = _as_many(taken, left_out)
     is_crossed = levels == "adaptive" or _is_crossed(taken, stimulus)
+    for kind in dict.fromkeys(item.kind for item in taken):
+        foci = [", ".join(item.foci.values()) or item.focus for item in taken if item.kind == kind]
+        _only(place, "foci", foci, _ONE_NAMED)
     answers = _one_list(place, taken)
     whole = _join(place, taken, levels, answers, stimulus, is_crossed=is_crossed)
     asked = int(answers_per_cell(whole).to_numpy().max()) if levels != "adaptive" else None
@@ -264,10 +267,11 @@ def read_tree(place: Path, *further: Path, mode: str | None = None, stimulus: st
     if levels != "adaptive" and is_crossed:
         notes += missing_answer_notes(whole, frame)
     foci, start = taken[0].foci, read_session(taken[0].path).start
+    facts = tuple(item.facts for item in taken if item.facts is not None)
     caught = ((one.participant, name, one.kind[1], word, n) for one in taken for (name, word), n in one.catches.items())
     return Responses(
         frame,
-        tuple(item.facts for item in taken if item.facts is not None),
+        facts,
         tuple(sorted(left_out, key=lambda item: Path(item.source))),
         _source([place, *further], taken, chosen),
         foci.get(stimulus or "", taken[0].focus),
@@ -278,7 +282,7 @@ def read_tree(place: Path, *further: Path, mode: str | None = None, stimulus: st
         answers,
         (design := start.get("design", {})).get("analysis", {}).get("equivalence_margin"),
         asked,
-        notes=tuple(notes),
+        notes=(*notes, *version_notes(facts)),
         scheduled=None if is_crossed else whole,
         design=design,
     )
