@@ -115,6 +115,20 @@ def test_the_next_participant_fills_the_gap_where_the_records_decide(
     assert [each["open"] for each in found["orders"]] == [0, 1]
 
 
+def test_rows_of_a_square_are_balanced_once_each_has_been_used(
+    tmp_path: Path, edit: Callable[..., Path], scribe: Callable[..., Path]
+) -> None:
+    """Two conditions in either order, six orders of three pairs: 12 in all (Williams 1949), each of 36 turns thrice."""
+    preflight = examine(
+        edit("demo.yaml", ("repetitions: 1", "order: by_pair"), ("max_same_pair_running: 2", ""))
+    ).require()
+    for number in range(1, 6):
+        scribe(preflight, tmp_path, f"p{number:02d}")
+    (found,) = survey_results(tmp_path)
+    counts = [(each["filled"], each["open"], each["n_turns"]) for each in found["orders"]]
+    assert counts == [(3, 3, 18), (2, 4, 18)]
+
+
 def test_a_session_begun_anew_counts_once_and_the_time_between_sittings_not(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,

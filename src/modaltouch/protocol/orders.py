@@ -113,20 +113,38 @@ def order_by_square(protocol: Protocol, cells: list[Cell], turn: int, stream: St
     """
     order, repetitions = protocol.schedule.order, protocol.scheduled_repetitions
     kinds = _kinds(order, cells)
-    rows = latin_square(len(kinds))
+    square = latin_square(len(kinds))
+    rows = [square[row] for row in _rows_of_turn(protocol, cells, turn)]
     if order == "latin_square":
-        turns = range(turn * repetitions, (turn + 1) * repetitions)
-        return [cells[cell] for each in turns for cell in rows[_row_of_turn(each, len(rows))]]
+        return [cells[cell] for row in rows for cell in row]
     each_kind = [[cell for cell in cells if cell[_PLACES[order]] == kind] * repetitions for kind in kinds]
-    return [cell for kind in rows[_row_of_turn(turn, len(rows))] for cell in stream.shuffled(each_kind[kind])]
+    return [cell for row in rows for kind in row for cell in stream.shuffled(each_kind[kind])]
+
+
+def rows_of_turn(protocol: Protocol, turn: int) -> tuple[tuple[int, ...], ...]:
+    """Return the rows of a Latin square in a turn, for each finger condition; empty if there is no square."""
+    if protocol.schedule.order not in ("latin_square", *_PLACES):
+        return ()
+    return tuple(_rows_of_turn(protocol, protocol.cells(name), turn) for name in protocol.conditions.finger_conditions)
+
+
+def _rows_of_turn(protocol: Protocol, cells: list[Cell], turn: int) -> tuple[int, ...]:
+    n_rows, taken = _n_rows(protocol, cells), _rows_per_turn(protocol)
+    return tuple(_row_of_turn(each, n_rows) for each in range(turn * taken, (turn + 1) * taken))
+
+
+def _n_rows(protocol: Protocol, cells: list[Cell]) -> int:
+    return len(latin_square(len(_kinds(protocol.schedule.order, cells))))
+
+
+def _rows_per_turn(protocol: Protocol) -> int:
+    return protocol.scheduled_repetitions if protocol.schedule.order == "latin_square" else 1
 
 
 def _period(protocol: Protocol, cells: list[Cell]) -> int:
-    n_rows = len(latin_square(len(_kinds(protocol.schedule.order, cells))))
     # Each round begins one row later than the last, so the period is as many rounds as rows.
-    period = n_rows * n_rows
-    taken = protocol.scheduled_repetitions if protocol.schedule.order == "latin_square" else 1
-    return period // math.gcd(period, taken)
+    period = _n_rows(protocol, cells) ** 2
+    return period // math.gcd(period, _rows_per_turn(protocol))
 
 
 def _row_of_turn(turn: int, n_rows: int) -> int:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from modaltouch.protocol.conditions import Cell, Placement
-from modaltouch.protocol.orders import are_certain, order_cells, period_of_rows
+from modaltouch.protocol.orders import are_certain, order_cells, period_of_rows, rows_of_turn
 from modaltouch.protocol.schedule_section import NoOrderError
 from modaltouch.protocol.sections import Protocol
 from modaltouch.protocol.source import InputError, Problem
@@ -83,6 +83,10 @@ class Turn:
         orders, placements = _orders_of_finger_conditions(protocol), protocol.conditions.placements
         # Orders alternate with every turn; the placement advances after each cycle of orders.
         return orders[self.number % len(orders)], placements[self.number // len(orders) % len(placements)]
+
+    def balanced(self, protocol: Protocol) -> tuple[object, ...]:
+        """Return all that this turn decides: order of finger conditions, placement and rows of a Latin square."""
+        return *self.order(protocol), rows_of_turn(protocol, self.number)
 
     @staticmethod
     def period(protocol: Protocol) -> int:

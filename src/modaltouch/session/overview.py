@@ -207,24 +207,27 @@ def _balance(protocol: Protocol, turns: list[tuple[int, str]]) -> list[dict[str,
 
     `turns` contains pairs of a turn and the state of its session, counted as in `assignment.assign_turn`.
     """
-    n_turns = Turn.period(protocol)
-    filled = Counter(turn % n_turns for turn, state in turns if state in ("complete", "running"))
-    left = Counter(turn % n_turns for turn, state in turns if state not in ("complete", "running"))
+    every = [Turn(number, "") for number in range(Turn.period(protocol))]
+    # Later turns repeat the rows of a Latin square before they repeat the turn.
+    balanced = [turn.balanced(protocol) for turn in every]
+    filled, left = Counter[object](), Counter[object]()
+    for number, state in turns:
+        (filled if state in ("complete", "running") else left)[balanced[number % len(every)]] += 1
     most = max(filled.values(), default=1)
-    orders = [_order(Turn(number, ""), protocol) for number in range(n_turns)]
-    alike: dict[str, list[int]] = defaultdict(list)
-    for number, order in enumerate(orders):
-        alike[str(order)].append(number)
-    return [
-        orders[own[0]]
-        | {
+    alike: dict[str, list[Turn]] = defaultdict(list)
+    for turn in every:
+        alike[str(turn.order(protocol))].append(turn)
+    rows = []
+    for own in alike.values():
+        different = {balanced[turn.number] for turn in own}
+        counts = {
             "n_turns": len(own),
-            "filled": sum(filled[number] for number in own),
-            "left_incomplete": sum(left[number] for number in own),
-            "open": sum(most - filled[number] for number in own),
+            "filled": sum(filled[each] for each in different),
+            "left_incomplete": sum(left[each] for each in different),
+            "open": sum(most - filled[each] for each in different),
         }
-        for own in alike.values()
-    ]
+        rows.append(_order(own[0], protocol) | counts)
+    return rows
 
 
 def _turns_had(turns: dict[str, int], rows: list[dict[str, Any]]) -> dict[str, list[tuple[str, int, str]]]:
