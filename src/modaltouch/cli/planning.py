@@ -27,7 +27,6 @@ from modaltouch.cli import (
     say,
 )
 from modaltouch.cli.analyse import ANSWERS, MISSING, parse_words, participants
-from modaltouch.cli.analyse import participants
 
 _FAMILIES_PER_TABLE = 4
 """Maximum number of test families per table, so that it fits 80 columns."""
