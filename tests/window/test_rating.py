@@ -58,6 +58,7 @@ def scale(given: dict[str, Any]) -> dict[str, Any]:
         (LIKERT, ["num_2", "right", "right", "9", "enter"], 4),
         (NUMBER, ["1", "2", "backspace", "comma", "5", "num_enter"], 1.5),
         (NUMBER, ["0", "enter", "period", "3", "enter"], 0.3),
+        (NUMBER | {"lowest": 2e8, "highest": 1e9}, [*"1000000000", "enter"], 1e9),
         (NUMBER | {"lowest": -9, "highest": 9}, ["1", "0", "enter", "backspace", "minus", "enter"], -1),
     ],
 )
@@ -242,6 +243,15 @@ def test_no_part_of_a_scale_covers_another(experiment: Any, size: tuple[int, int
         for other in boxes[place + 1 :]:
             apart = box.right <= other.left or other.right <= box.left or box.bottom >= other.top
             assert apart or other.bottom >= box.top
+
+
+def test_the_bounds_of_a_number_are_written_out(experiment: Any) -> None:
+    """Seven digits, as a person writes them, where six significant ones would be 1.23457e+06."""
+    number = ScaleSection.model_validate(NUMBER | {"lowest": 0.5, "highest": 1234567})
+    layout = lay_out(1280, 800, {"A": (-0.5, 0.0), "B": (0.0, 0.5)}, AnswerList.of({}), number)
+    marks = draw_scale(layout, DARK, experiment.texts, number, "", confirmed=False, keys=True)
+    assert "0.5 – 1234567" in [mark.text for mark in marks if isinstance(mark, Words)]
+    assert number.allowed == "a number of at least 0.5, at most 1234567"
 
 
 @pytest.mark.parametrize("size", [(800, 600), (1280, 800)])

@@ -168,9 +168,9 @@ class ScaleSection(Section):
     def allowed(self) -> str:
         """Description of the allowed answers."""
         if self.points:
-            return f"{self.low:g} to {self.high:g} by {self.step or 1.0:g}"
-        least = "a number above 0" if self.lowest is None else f"a number of at least {self.lowest:g}"
-        return least if math.isinf(self.high) else f"{least}, at most {self.high:g}"
+            return f"{self.low:.10g} to {self.high:.10g} by {self.step or 1.0:.10g}"
+        least = "a number above 0" if self.lowest is None else f"a number of at least {self.lowest:.10g}"
+        return least if math.isinf(self.high) else f"{least}, at most {self.high:.10g}"
 
     def takes(self, value: float) -> bool:
         """Test whether a number is on the scale."""

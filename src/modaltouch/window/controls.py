@@ -143,8 +143,8 @@ def key_name(texts: Texts, key: str) -> str:
 _MOVES = {"lower": -1, "higher": 1, "ten_lower": -10, "ten_higher": 10}
 _BEFORE_CREEPING, _CREEP = 0.4, 0.03
 """Delay before a held key moves the mark repeatedly, and the time per step [s]."""
-_LONGEST = 8
-"""Maximum length of a typed number [characters]."""
+_LONGEST = 14
+"""Maximum length of a typed number [characters]; all bounds that a protocol may set have fewer whole digits."""
 
 
 class Entry:
@@ -248,7 +248,7 @@ def draw_scale(
     words = tuple(texts.answers.get(each, each) for each in scale.words)[::way]
     marks += _draw_words(layout, theme, words, typesetter_of(texts))
     if scale.kind == "number" and math.isfinite(scale.high) and not entered:
-        marks.append(Words(f"{scale.low:g} – {scale.high:g}", _field(layout).inset(0.008), 0.03, theme.dim))
+        marks.append(Words(f"{scale.low:.10g} – {scale.high:.10g}", _field(layout).inset(0.008), 0.03, theme.dim))
     if confirmed:
         return tuple(marks)
     box, size = layout.buttons["confirm"], 0.032 * layout.type_scale
