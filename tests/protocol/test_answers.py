@@ -177,3 +177,19 @@ def test_adaptive_runs_need_the_answers_that_they_judge_by(edit: Edit) -> None:
     keys = text[text.index("    left:") :]
     with pytest.raises(InputError, match="focus_named, but the answers do not name each finger alone"):
         Findings.read(edit("threshold.yaml", (keys, "    more: [up]\n    less: [down]\n"))).experiment()
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "instructions: ''",
+        "form: {tired: {question: ' ', scale: {kind: vas}}}",
+        "form: {tired: {question: Tired?, scale: {kind: vas, words: ['', very]}}}",
+        "people: {sex: {kind: choice, question: Sex?, choices: ['', female]}}",
+        "people: {age: {kind: number, question: ''}}",
+    ],
+)
+def test_what_the_participant_reads_is_not_empty(edit: Edit, line: str) -> None:
+    """The screen would show nothing, or the question of the texts in place of the one that was left blank."""
+    with pytest.raises(InputError, match="given an empty text; allowed: at least one word; write what the participant"):
+        Findings.read(edit(FILE, ("\nanswers:\n", f"\n{line}\nanswers:\n"))).experiment()

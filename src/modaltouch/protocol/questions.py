@@ -10,7 +10,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from pydantic import Field, PrivateAttr, model_validator
 
 from modaltouch.protocol.reading import Reading
-from modaltouch.protocol.section import Number, Positive, Section, Text, Word, described
+from modaltouch.protocol.section import Number, Positive, Section, Shown, Text, Word, described
 from modaltouch.protocol.source import Problem, fault, suggest
 from modaltouch.protocol.trial import RATED, TIME_OUT
 
@@ -83,7 +83,7 @@ class ScaleSection(Section):
         "Step from one position of the mark, or one point, to the next; null for 1. Always null for a typed number.",
         default=None,
     )
-    words: tuple[Text, ...] = described(
+    words: tuple[Shown, ...] = described(
         "Words at the two ends, such as [not at all, extremely], or at each point; each written out, or given by its "
         "name under `answers` in the texts.",
         default=(),
@@ -213,7 +213,7 @@ class AskedSection(Section):
     }  # fmt: skip
     """Alternative key names: number pad without NumLock; French digit row, which needs Shift for digits."""
 
-    question: Text | None = described(
+    question: Shown | None = described(
         "The question, written out, or the name of a text under `further` in the texts. Null for the one that follows "
         "from the answers, if the texts have it, or else the text `question`; for a further question, or one of the "
         "form, null for the text under `further` that has its name.",

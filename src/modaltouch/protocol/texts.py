@@ -11,7 +11,7 @@ from pydantic import AfterValidator, Field, ValidationInfo, field_validator
 
 from modaltouch.protocol.conditions import FingerName, offered_answers
 from modaltouch.protocol.reading import Reading
-from modaltouch.protocol.section import Section, Text, Word, described, plain_word
+from modaltouch.protocol.section import Section, Text, Word, described, not_empty, plain_word
 from modaltouch.protocol.sections import Protocol
 from modaltouch.protocol.source import Problem, fault, suggest
 from modaltouch.protocol.trial import RATED, SHIPPED
@@ -46,8 +46,7 @@ _OPTIONAL: dict[str, frozenset[str]] = {
 
 def _check_text(text: str, wanted: frozenset[str] = frozenset(), optional: frozenset[str] = frozenset()) -> str:
     """Validate a text: not empty, with all required placeholders, and no others except the optional ones."""
-    if not text.strip():
-        raise fault("an empty text", "at least one word", "write what the participant should read")
+    not_empty(text)
     needed = ", ".join(f"{{{name}}}" for name in sorted(wanted)) or "no words in braces"
     try:
         fields = [field for field in string.Formatter().parse(text) if field[1] is not None]
