@@ -77,6 +77,8 @@ def _translate(reading: Any, details: Any) -> Any:
 
 def _home_of(model: type[BaseModel], path: tuple[Step, ...]) -> str:
     """Return a phrase with the section to which a misplaced key belongs; empty if there is none."""
+    if path[-1] == "<<":
+        return "YAML 1.2 has no merge keys: write out the keys that it would bring"
     homes = ["the top of the file, not indented"] * (len(path) > 1 and path[-1] in model.model_fields)
     homes += [f"the section {name}" for name in model.model_fields if path[-1] in keys_of(model, (name,))]
     return f"it belongs to {' or '.join(homes[:2])}" if homes else ""
@@ -132,7 +134,7 @@ def _remedy(reading: Any, path: tuple[Step, ...], node: Node | None) -> str:
         number, after = suggest_number(node.content) if "number" in allowed else ("", "")
         if number:
             unit = unit_of(path)
-            only = f"write only the number: {number}" + ("; the unit is part of the key" if unit else "")
+            only = f"write only the number: {number}" + ("; the unit is part of the key" if unit and after else "")
             return f"write the number in {unit}, without the unit" if unit and after not in ("", unit) else only
         meant = suggest(node.content, allowed.split(", "))
         return f"did you mean '{meant}'?" if meant else ""

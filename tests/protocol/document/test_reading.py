@@ -58,6 +58,11 @@ def faults(text: str) -> list[str]:
             "given '0.08 m/s'; allowed: a number [mm/s] above 0; write the number in mm/s, ",
         ),
         (GOOD.replace("5", "0,5"), "write only the number: 0.5"),
+        (
+            GOOD + "  <<: {law: paper}\n",
+            "x:4:3: inner.<<: given '<<', which is not a key here; allowed: speed_mm_s, law",
+        ),
+        (GOOD + "  <<: {law: paper}\n", "; YAML 1.2 has no merge keys: write out the keys that it would bring"),
         (GOOD.replace("5", "5e"), "x:3:15: inner.speed_mm_s: given '5e'"),
         (GOOD.replace("5", ".nan"), "x:3:15: inner.speed_mm_s: given .nan, which is not finite"),
         (GOOD.replace("5", "-.inf"), "x:3:15: inner.speed_mm_s: given -.inf, which is not finite"),
@@ -83,6 +88,13 @@ def test_each_fault_says_place_given_allowed_and_remedy(text: str, fault: str) -
     """Lines and columns counted by eye in the text."""
     (found,) = faults(text)
     assert fault in found
+
+
+@pytest.mark.parametrize(("written", "number"), [("0,5", "0.5"), ("'5'", "5")])
+def test_a_number_without_a_unit_is_told_nothing_of_units(written: str, number: str) -> None:
+    """A decimal comma, and quotes; the unit is no part of the fault."""
+    (found,) = faults(GOOD.replace("5", written))
+    assert found.endswith(f"; write only the number: {number}")
 
 
 def test_all_faults_come_at_once() -> None:
