@@ -6,6 +6,7 @@ import json
 import os
 import re
 from collections.abc import Callable
+from datetime import datetime, timedelta, tzinfo
 from pathlib import Path
 from typing import Any
 
@@ -127,6 +128,25 @@ def test_rows_of_a_square_are_balanced_once_each_has_been_used(
     (found,) = survey_results(tmp_path)
     counts = [(each["filled"], each["open"], each["n_turns"]) for each in found["orders"]]
     assert counts == [(3, 3, 18), (2, 4, 18)]
+
+
+def test_a_session_of_the_future_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, demo: Preflight, scribe: Callable[..., Path]
+) -> None:
+    """The clock was a year ahead for p02, as with an empty battery; a least gap would be reckoned from then."""
+
+    class Ahead(datetime):
+        @classmethod
+        def now(cls, tz: tzinfo | None = None) -> datetime:  # type: ignore[override]
+            return datetime.now(tz) + timedelta(days=365)
+
+    scribe(demo, tmp_path, "p01")
+    (found,) = survey_results(tmp_path)
+    assert found["notes"] == []
+    monkeypatch.setattr("modaltouch.record.log.datetime", Ahead)
+    scribe(demo, tmp_path, "p02")
+    (found,) = survey_results(tmp_path)
+    assert found["notes"] == ["p02 session 1: begun later than now, so this computer's clock is wrong, or was then"]
 
 
 def test_a_session_begun_anew_counts_once_and_the_time_between_sittings_not(

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from collections.abc import Iterator
 from dataclasses import replace
-from datetime import datetime, timedelta
+from datetime import UTC, datetime, timedelta
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -260,4 +260,12 @@ def _notes(begun: dict[str, Session], rows: list[dict[str, Any]]) -> list[str]:
         f"an analysis would now use the first {fewest} of up to {most} sessions of each participant: not all have more"
     )
     several = f"sessions were begun with {len(texts)} versions of the protocol"
-    return [*([several] if len(texts) > 1 else []), *([uneven] if fewest < most else [])]
+    now = datetime.now(UTC).isoformat()
+    ahead = [f"{row['participant']} session {row['session']}" for row in rows if str(row["begun"] or "") > now]
+    who = ", ".join(ahead) if len(ahead) < 4 else f"{len(ahead)} sessions"
+    wrong = f"{who}: begun later than now, so this computer's clock is wrong, or was then"
+    return [
+        *([several] if len(texts) > 1 else []),
+        *([uneven] if fewest < most else []),
+        *([wrong] if ahead else []),
+    ]
