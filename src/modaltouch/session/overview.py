@@ -207,27 +207,26 @@ def _balance(protocol: Protocol, turns: list[tuple[int, str]]) -> list[dict[str,
 
     `turns` contains pairs of a turn and the state of its session, counted as in `assignment.assign_turn`.
     """
-    every = [Turn(number, "") for number in range(Turn.period(protocol))]
-    # Later turns repeat the rows of a Latin square before they repeat the turn.
-    balanced = [turn.balanced(protocol) for turn in every]
-    filled, left = Counter[object](), Counter[object]()
-    for number, state in turns:
-        (filled if state in ("complete", "running") else left)[balanced[number % len(every)]] += 1
+    n_turns = Turn.period(protocol)
+    # The rows of a Latin square repeat before the turns do.
+    first_like = dict[object, int]()
+    alike = [first_like.setdefault(Turn(number, "").balanced(protocol), number) for number in range(n_turns)]
+    filled = Counter(alike[turn % n_turns] for turn, state in turns if state in ("complete", "running"))
+    left = Counter(alike[turn % n_turns] for turn, state in turns if state not in ("complete", "running"))
     most = max(filled.values(), default=1)
-    alike: dict[str, list[Turn]] = defaultdict(list)
-    for turn in every:
-        alike[str(turn.order(protocol))].append(turn)
-    rows = []
-    for own in alike.values():
-        different = {balanced[turn.number] for turn in own}
-        counts = {
+    by_order: dict[str, list[int]] = defaultdict(list)
+    for number in first_like.values():
+        by_order[str(Turn(number, "").order(protocol))].append(number)
+    return [
+        _order(Turn(own[0], ""), protocol)
+        | {
             "n_turns": len(own),
-            "filled": sum(filled[each] for each in different),
-            "left_incomplete": sum(left[each] for each in different),
-            "open": sum(most - filled[each] for each in different),
+            "filled": sum(filled[number] for number in own),
+            "left_incomplete": sum(left[number] for number in own),
+            "open": sum(most - filled[number] for number in own),
         }
-        rows.append(_order(own[0], protocol) | counts)
-    return rows
+        for own in by_order.values()
+    ]
 
 
 def _turns_had(turns: dict[str, int], rows: list[dict[str, Any]]) -> dict[str, list[tuple[str, int, str]]]:
