@@ -97,6 +97,22 @@ def test_scope_measures_the_latency_of_a_trigger(apparatus: Apparatus, monkeypat
     assert most <= high + 0.6
 
 
+@pytest.mark.parametrize(("number", "words"), [(12, "SOUR1:BURS:NCYC 1"), (13, "SOUR2:BURS:NCYC 1")])
+def test_waits_for_one_cycle_at_each_trigger(
+    number: int, words: str, apparatus: Apparatus, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In the words of the table. After a reset it is five, and a trigger within a burst may be ignored."""
+    monkeypatch.setattr(checklist, "QUESTIONS", [entry for entry in checklist.QUESTIONS if entry[0] == number])
+    with Simulator(apparatus) as simulator:
+        heard: list[bytes] = []
+        execute = simulator.server.device.execute
+        monkeypatch.setattr(
+            simulator.server.device, "execute", lambda message, link: heard.append(message) or execute(message, link)
+        )
+        check_rig(simulator.address, apparatus, patience=PATIENCE)
+    assert any(words.encode() in message for message in heard)
+
+
 def test_amplitudes_are_stepped_within_any_limit(apparatus: Apparatus, monkeypatch: pytest.MonkeyPatch) -> None:
     """Up to the one that the amplifier bears: 0.6 V behind a gain of 25 are 0.04 V peak to peak, in steps of 10 mV."""
     monkeypatch.setattr(checklist, "QUESTIONS", [entry for entry in checklist.QUESTIONS if entry[0] == 6])

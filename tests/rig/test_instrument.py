@@ -24,7 +24,7 @@ TABLE = AFG3022B.commands
 ON = TABLE.output.filled(channel=1)
 OFF = ON.off
 QUIET = [entry.filled(channel=1) for entry in TABLE.quiet]
-BURST = [entry.filled(channel=1, memory=1) for entry in TABLE.burst]
+BURST = [entry.filled(channel=1, memory=1) for entry in (*TABLE.burst, *TABLE.triggered)]
 
 
 @pytest.mark.parametrize(

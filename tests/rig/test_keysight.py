@@ -31,6 +31,7 @@ from modaltouch.stimulus.burst import Burst
 from modaltouch.system.clock import VirtualClock
 
 PROTOCOLS = Path(__file__).parents[2] / "protocols"
+PATIENCE = Patience(reply=0.3, copy=1.0, tries=2, pause=0.02)
 
 
 @pytest.fixture(scope="session")
@@ -368,9 +369,8 @@ def test_no_fault_at_any_message_leaves_outputs_on_or_confirms_a_wrong_stimulus(
 
 def test_checklist_asks_what_applies(apparatus: Apparatus) -> None:
     """What is about the AFG3022B's timer and edit memory is left out; what is left finds its answers."""
-    patience = Patience(reply=0.3, copy=1.0, tries=2, pause=0.02)
     with Simulator(apparatus) as simulator:
-        rows = check_rig(simulator.address, apparatus, patience=patience)
+        rows = check_rig(simulator.address, apparatus, patience=PATIENCE)
         assert simulator.outputs == (False, False)
     answers = {row["number"]: row["answer"] for row in rows}
     assert sorted(answers) == [0, 1, 6, 7, 8, 10, 12, 13, 14]
@@ -383,6 +383,28 @@ def test_checklist_asks_what_applies(apparatus: Apparatus) -> None:
     assert "the record, from its lowest code to its highest, as the driver assumes" in rows[-1]["advice"]
 
 
+def test_trigger_output_shows_each_burst(
+    apparatus: Apparatus, open_generator: Callable[..., Generator], simulator: Simulator, burst: Burst
+) -> None:
+    """It is off after a reset, and the connector is the trigger input of an external source (guide, page 264)."""
+    scope = simulator.scope()
+    with pytest.raises(RigError, match="no trigger came from the generator: .* its trigger output is off"):
+        scope.time_trigger(lambda: simulator.front_panel("SOUR1:BURS:STAT ON;:TRIG1:SOUR BUS;:*TRG"))
+    (row,) = (
+        row for row in check_rig(simulator.address, apparatus, patience=PATIENCE, scope=scope) if row["number"] == 13
+    )
+    assert re.search(r"trigger_latency_ms: \{low: 0.\d, high: 0.\d\}", row["answer"])
+    rig = open_generator()
+    rig.load(burst)
+    assert simulator.front_panel("OUTP:TRIG?") == "1"
+    rig.load(burst, repetition="wired")
+    rig.fire(0.1)
+    assert simulator.front_panel("OUTP:TRIG?") == "0"
+    rig.stop()
+    assert rig.firing is not None
+    assert rig.firing.confirmed, rig.firing.reason
+
+
 def test_checklist_notices_an_amplitude_of_another_meaning(
     apparatus: Apparatus, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -390,7 +412,7 @@ def test_checklist_notices_an_amplitude_of_another_meaning(
     monkeypatch.setattr(TrueformChannel, "span", 1.0)
     monkeypatch.setattr("modaltouch.rig.checklist.QUESTIONS", QUESTIONS[-1:])
     with Simulator(apparatus) as simulator:
-        (row,) = check_rig(simulator.address, apparatus, patience=Patience(reply=0.3, copy=1.0, tries=2, pause=0.02))
+        (row,) = check_rig(simulator.address, apparatus, patience=PATIENCE)
     assert row["answer"] == "a record that uses half the codes reaches 20 Vpp, one that uses all codes 20 Vpp"
     assert "EVERY LEVEL WOULD BE WRONG" in row["advice"]
 

@@ -134,6 +134,8 @@ AFG3022B = Instrument(
         burst=(
             Setting("SOUR{channel}:FREQ", "burst_rate", "HZ", tolerance=1e-6),
             Setting("SOUR{channel}:FUNC", "USER{memory}"),
+        ),
+        triggered=(
             Setting("SOUR{channel}:BURS:MODE", "TRIG", replies=("TRIG", "TRIGGERED")),
             Setting("SOUR{channel}:BURS:NCYC", 1.0),
             Setting("SOUR{channel}:BURS:TDEL", 0.0, "S"),

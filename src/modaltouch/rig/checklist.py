@@ -8,6 +8,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import partial
 from timeit import timeit
 from typing import Any, Literal
@@ -18,7 +19,6 @@ from modaltouch.protocol import Apparatus
 from modaltouch.rig.catalogue import instrument_of
 from modaltouch.rig.connection import Connection, Patience
 from modaltouch.rig.controls import split_reply
-from modaltouch.rig.instrument import Setting
 from modaltouch.rig.interface import LinkError, Rig, Unconfirmed
 from modaltouch.rig.scope import Scope
 from modaltouch.rig.watchdog_client import WatchdogClient
@@ -30,7 +30,7 @@ N_POINTS = 125_000
 STEPS = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
 N_CHANGES = 3
 N_ERRORS = 40
-N_TRIGGERS, BURST_LENGTH = 50, 0.05
+N_TRIGGERS, TRIGGER_PERIOD = 50, 0.05
 
 State = Literal["found", "person", "unanswered"]
 
@@ -118,14 +118,13 @@ def _time_of_change(connection: Connection, amplitude: float) -> float:
 
 
 def _limits(connection: Connection) -> Finding:
-    controls, level = connection.controls, connection.limits.level
-    source = "SOUR1:VOLT"
-    controls.apply([Setting(f"{source}:LIM:HIGH", 1.0, "V"), Setting(f"{source}:LIM:LOW", -1.0, "V")])
-    connection.controls.ask("*CLS;*OPC?")
-    reply = float(split_reply(connection.controls.ask(f":{source} 4VPP;:{source}?"))[-1])
-    errors = connection.controls.pending_errors()
-    controls.apply([connection.instrument.level(1, connection.limits.quiet_amplitude)])
-    controls.apply([Setting(f"{source}:LIM:HIGH", level, "V"), Setting(f"{source}:LIM:LOW", -level, "V")])
+    controls, limits = connection.controls, connection.limits
+    controls.apply_each(replace(limits, level=1.0).quiet_settings(1))
+    controls.clear_errors()
+    above = connection.instrument.level(1, 4.0)
+    reply = float(split_reply(controls.ask(f":{above.command};:{above.query}"))[-1])
+    errors = controls.pending_errors()
+    controls.apply_each(limits.quiet_settings(1))
     if reply > 2.001:
         return "found", f"4 Vpp is accepted above a limit of 1 V (reads {reply:g})", "DO NOT rely on VOLTage:LIMit"
     how = f"refused with {', '.join(errors)}" if errors else "cut without an error"
@@ -133,7 +132,7 @@ def _limits(connection: Connection) -> Finding:
 
 
 def _error_queue(connection: Connection) -> Finding:
-    connection.controls.ask("*CLS;*OPC?")
+    connection.controls.clear_errors()
     for _ in range(N_ERRORS):
         connection.controls.ask("*OPC?;:NONSENSE:HEADER")
     errors = connection.controls.pending_errors()
@@ -145,10 +144,8 @@ def _error_queue(connection: Connection) -> Finding:
 
 def _trigger(connection: Connection, scope: Scope | None = None) -> Finding:
     controls = connection.controls
-    controls.apply(connection.instrument.on_all(connection.instrument.commands.stopped))
-    for channel in connection.instrument.channels:
-        source = f"SOUR{channel}"
-        controls.apply_each([Setting(f"{source}:FREQ", 20.0, "HZ"), Setting(f"{source}:BURS:STAT", "ON")])
+    _await_trigger(connection)
+    controls.apply_each(connection.instrument.commands.pulses)
     command = controls.trigger_command()
     sent, began, taken = np.empty(N_TRIGGERS), np.full((N_TRIGGERS, 2), np.nan), np.empty(N_TRIGGERS)
 
@@ -162,7 +159,7 @@ def _trigger(connection: Connection, scope: Scope | None = None) -> Finding:
             send()
         else:
             began[n] = scope.time_trigger(send)
-        SYSTEM_CLOCK.sleep(BURST_LENGTH)
+        SYSTEM_CLOCK.sleep(TRIGGER_PERIOD)
     took = (taken - sent) * 1e3
     answer = f"{command} is accepted after {np.median(took):.2f} ms, {took.max():.2f} ms at most"
     if scope is None:
@@ -185,13 +182,19 @@ def _trigger(connection: Connection, scope: Scope | None = None) -> Finding:
     )
 
 
+def _await_trigger(connection: Connection) -> None:
+    """Let both channels wait, at the standby amplitude, for commands that trigger one cycle of their waveform."""
+    instrument, controls = connection.instrument, connection.controls
+    controls.apply(instrument.on_all(instrument.commands.stopped))
+    for channel in instrument.channels:
+        controls.apply_each(connection.limits.quiet_settings(channel))
+        controls.apply_each([entry.filled(channel=channel) for entry in instrument.commands.triggered])
+
+
 def _after_link_loss(connection: Connection) -> Finding:
     controls = connection.controls
-    controls.apply(connection.instrument.on_all(connection.instrument.commands.stopped))
-    for channel in connection.instrument.channels:
-        controls.apply_each(connection.limits.quiet_settings(channel))
-        # In burst mode without a trigger, the output is at rest.
-        controls.apply_each([Setting(f"SOUR{channel}:FREQ", 20.0, "HZ"), Setting(f"SOUR{channel}:BURS:STAT", "ON")])
+    # In burst mode without a trigger, the output is at rest.
+    _await_trigger(connection)
     controls.outputs_on()
     controls.close(broken=True)
     found = connection.restore("question 12", (), lambda: None)
@@ -211,7 +214,7 @@ def _amplitude(connection: Connection) -> Finding:
     codes = np.full((1, 64), zero, dtype=np.uint16)
     codes[0, 16:32], codes[0, 32:48] = zero + zero // 2, zero - zero // 2
     (memory,) = controls.store([(1, codes[0])])
-    half = Burst(codes, BURST_LENGTH, 1 / REPETITION_PERIOD, 0.1, (1.0,), instrument.converter)
+    half = Burst(codes, 0.05, 1 / REPETITION_PERIOD, 0.1, (1.0,), instrument.converter)
     controls.apply_each(instrument.burst_settings(1, memory, half, continuous=False))
     reached = float(connection.controls.ask(f"{connection.instrument.level(1, 1.0).query} MAX"))
     controls.reset()

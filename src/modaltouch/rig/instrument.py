@@ -120,14 +120,18 @@ class Commands:
         Settings of a ``{channel}`` before anything is loaded: load and units, standby amplitude (``quiet_amplitude``),
         voltage limits (``highest``, ``lowest``).
     burst, continuous : tuple of Setting
-        Settings for a ``{channel}`` to play a ``{memory}`` once per trigger, or to repeat it without a trigger, at a
-        ``burst_rate`` or ``repetition_rate`` of records, or a ``sampling_rate``.
+        Settings for a ``{channel}`` to play a ``{memory}``, followed by those in `triggered`, or to repeat it without a
+        trigger, at a ``burst_rate`` or ``repetition_rate`` of records, or a ``sampling_rate``.
+    triggered : tuple of Setting
+        Settings for a ``{channel}`` to play its waveform once per trigger.
     stopped, wired : Setting
         Trigger source: commands only, or the trigger input; per ``{channel}`` if the channels have separate sources.
     triggers : tuple of str
         Commands that trigger a burst on all channels; the first one known to the instrument is used.
     align : str
         Command that restarts repeating records at their first sample, on all channels.
+    pulses : tuple of Setting
+        Settings for a pulse at the trigger output with each commanded burst; empty if there always is one.
     timer, armed : Setting or None
         Time between triggers (``period``), and this timer as the trigger source; None if the channels share no timer.
     locks : tuple of Setting
@@ -142,10 +146,12 @@ class Commands:
     quiet: tuple[Setting, ...]
     burst: tuple[Setting, ...]
     continuous: tuple[Setting, ...]
+    triggered: tuple[Setting, ...]
     stopped: Setting
     wired: Setting
     triggers: tuple[str, ...]
     align: str
+    pulses: tuple[Setting, ...] = ()
     timer: Setting | None = None
     armed: Setting | None = None
     locks: tuple[Setting, ...] = ()
@@ -197,7 +203,7 @@ class Instrument:
 
     def burst_settings(self, channel: int, memory: str, burst: Burst, *, continuous: bool) -> tuple[Setting, ...]:
         """Return the settings for a channel to play a memory once per trigger, or to repeat it without triggers."""
-        table = self.commands.continuous if continuous else self.commands.burst
+        table = self.commands.continuous if continuous else (*self.commands.burst, *self.commands.triggered)
         whole = self.converter.max_points * burst.repetition_rate
         rates = {
             "burst_rate": 1 / burst.duration,

@@ -162,15 +162,6 @@ _SELECTED = (
 )
 """Settings to play a record sample by sample; the record is selected first, since its file may contain settings."""
 
-_BURST = (
-    Setting("SOUR{channel}:BURS:MODE", "TRIG", replies=("TRIG", "TRIGGERED")),
-    Setting("SOUR{channel}:BURS:NCYC", 1.0),
-    # 0 degrees is the first point of a record, where the output rests between bursts.
-    Setting("SOUR{channel}:BURS:PHAS", 0.0),
-    Setting("TRIG{channel}:DEL", 0.0),
-    Setting("SOUR{channel}:BURS:STAT", "ON"),
-)
-
 KEYSIGHT_33500B = Instrument(
     models=("33522B", "33512B"),
     converter=Converter(
@@ -203,13 +194,23 @@ KEYSIGHT_33500B = Instrument(
             Setting("SOUR{channel}:VOLT:LIM:LOW", "lowest", "V"),
             Setting("SOUR{channel}:VOLT:LIM:STAT", "ON"),
         ),
-        burst=(*_SELECTED, *_BURST),
+        burst=_SELECTED,
         continuous=(*_SELECTED, Setting("SOUR{channel}:BURS:STAT", "OFF")),
+        triggered=(
+            Setting("SOUR{channel}:BURS:MODE", "TRIG", replies=("TRIG", "TRIGGERED")),
+            Setting("SOUR{channel}:BURS:NCYC", 1.0),
+            # 0 degrees is the first point of a record, where the output rests between bursts.
+            Setting("SOUR{channel}:BURS:PHAS", 0.0),
+            Setting("TRIG{channel}:DEL", 0.0),
+            Setting("SOUR{channel}:BURS:STAT", "ON"),
+        ),
         stopped=Setting("TRIG{channel}:SOUR", "BUS"),
         wired=Setting("TRIG{channel}:SOUR", "EXT", replies=("EXT", "EXTERNAL")),
         # One command for both channels; unverified: the skew between them (`modaltouch rig check`, question 10).
         triggers=("*TRG",),
         align="FUNC:ARB:SYNC",
+        # The connector is also the trigger input: an external trigger source switches its pulses off.
+        pulses=(Setting("OUTP:TRIG", "ON"),),
         # No timer: each channel has a separate one, and no command is known to start them together.
     ),
     records=ChannelMemories(n_memories=4),

@@ -131,6 +131,7 @@ class Player:
             for channel, memory in zip(channels, memories[place * len(channels) :], strict=False):
                 settings += self._instrument.burst_settings(channel, memory, burst, continuous=self._continuous)
             settings += self._instrument.timer(burst) if self.repetition == "timer" else ()
+            settings += self._table.pulses if self.repetition == "single" else ()
         locks = [lock.filled(memory=memory) for lock in self._table.locks for memory in dict.fromkeys(memories)]
         mark = 2.0 * (500 + zlib.crc32("".join(self._controls.stored.values()).encode()) % MARKS)
         locks += [each.filled(mark=mark) for each in self._table.marks]

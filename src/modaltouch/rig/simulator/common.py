@@ -148,6 +148,11 @@ class GeneratorState(ABC, Generic[C]):
         """Whether pulses at the trigger input start bursts."""
         return self.tick() is None
 
+    @property
+    def shows_bursts(self) -> bool:
+        """Whether a pulse at the trigger output accompanies each burst."""
+        return True
+
     @contextlib.contextmanager
     def changing(self) -> Iterator[None]:
         """Context for changes of settings: the outputs follow the old settings up to now, and then the new ones."""
@@ -253,6 +258,7 @@ class GeneratorState(ABC, Generic[C]):
             in_burst=tuple(each.burst for each in channels),
             outputs=tuple(each.output for each in channels),
             tick=self.tick() or heard,
+            shows_bursts=self.shows_bursts,
         )
 
 

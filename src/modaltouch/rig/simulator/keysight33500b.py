@@ -127,6 +127,11 @@ class Trueform(GeneratorState[TrueformChannel]):
         """Whether pulses at the trigger input start bursts."""
         return self.waiting.source == "EXT"
 
+    @property
+    def shows_bursts(self) -> bool:
+        """Whether the trigger output is on, which shares its connector with the trigger input."""
+        return self.trigger_output and not self.takes_external_trigger
+
     def trigger(self, number: int = 0) -> None:
         """Trigger the channels that wait for ``*TRG``, or a single channel with any trigger source."""
         if not number and self.waiting.source != "BUS":
@@ -334,6 +339,9 @@ def _triggers(state: Trueform) -> dict[str, Command]:
         "TRIGger#:TIMer": common.number(state, "timer", {"S": 1.0}, 1e-6, 8000, NUMBER),
         "TRIGger#:DELay": common.number(state, "delay", {"S": 1.0}, 0, 1000, NUMBER),
         "TRIGger#[:IMMediate]": Command(set=common.bare(state.trigger)),
-        "OUTPut:TRIGger": common.switch(state, "trigger_output"),
+        "OUTPut:TRIGger": Command(
+            set=common.switch(state, "trigger_output").set,
+            get=common.bare(lambda _: scpi.flag(state.shows_bursts)),
+        ),
         "DISPlay:TEXT[:CLEar]": Command(set=lambda n, a: None),
     }

@@ -169,10 +169,11 @@ class SimulatedScope(Scope):
 
     def time_trigger(self, send: Callable[[], object]) -> tuple[float, float]:
         """Call `send` and return the earliest and latest onset of its burst, like a periodically polled scope."""
+        self._timeline.shown = None
         send()
-        began = self._timeline.commanded
+        began = self._timeline.shown
         if began is None:
-            raise RigError("no trigger came from the generator: it waits for none, or is switched off")
+            raise RigError("no trigger came from the generator: it waits for none, or its trigger output is off")
         empty = began - self._rng.uniform(0, ASKED_EVERY)
         return empty, empty + ASKED_EVERY
 

@@ -63,6 +63,7 @@ class Situation:
     in_burst: tuple[bool, ...] = ()  # whether each channel waits for triggers
     outputs: tuple[bool, ...] = ()  # whether each output is commanded on
     tick: float | None = None  # time between triggers without commands [s]; None if there are none
+    shows_bursts: bool = True  # whether a pulse at the trigger output accompanies each burst
 
 
 @dataclass(frozen=True)
@@ -99,8 +100,8 @@ class Timeline:
     `retrigger` is the effect of a trigger during a burst, `seed` that of the phase of timer and pulses, and of the
     latencies. `on_burst` is called with each burst when it ends; `triggers` are the onsets of the latest two triggered
     bursts since outputs or internal triggers were last changed [s]; `caught` is the output of each channel in the first
-    burst that began after this was set to None; `commanded` is the instant of the latest trigger command, whether or
-    not a burst began [s].
+    burst shown at the trigger output after this was set to None; `shown` is the instant of the latest pulse at the
+    trigger output after a command [s].
     """
 
     def __init__(self, delays: Delays, retrigger: Retrigger = "ignored", seed: int = 0) -> None:
@@ -111,7 +112,7 @@ class Timeline:
         self.on_burst: Callable[[PlayedBurst], None] | None = None
         self.triggers: tuple[float, ...] = ()
         self.caught: tuple[Playback | None, ...] | None = None
-        self.commanded: float | None = None
+        self.shown: float | None = None
         self._now = -math.inf
         self._situation = Situation()
         self._closed: dict[int, float] = {}
@@ -139,8 +140,10 @@ class Timeline:
     def trigger(self, now: float, link: int) -> None:
         """Execute a trigger command received over a link."""
         self.advance(now)
-        self.commanded = now + self._random.uniform(*self._delays.latency)
-        self._take(now, self.commanded, link)
+        begin = now + self._random.uniform(*self._delays.latency)
+        if self._situation.shows_bursts:
+            self.shown = begin
+        self._take(now, begin, link)
 
     def abort(self, now: float) -> None:
         """End a triggered burst."""
@@ -209,7 +212,7 @@ class Timeline:
             if sent is not None and situation.in_burst[channel] == in_burst:
                 first = begin + (sent.delay if in_burst else 0.0)
                 spans[channel] = first, first + (situation.length[channel] if in_burst else self._cycle_length)
-        if spans and self.caught is None and any(situation.outputs):
+        if spans and self.caught is None and any(situation.outputs) and (situation.shows_bursts or not in_burst):
             self.caught = tuple(s if on else None for s, on in zip(situation.sent, situation.outputs, strict=True))
         if spans:
             self._running[in_burst] = _Run(situation.sent, spans, link)
