@@ -374,7 +374,7 @@ def test_light_fingers_anywhere_are_met(design, beam, mass_g, damping, stiffness
 @pytest.mark.parametrize("options", [{}, {"maxwell": RELAXING}], ids=["plain", "relaxing"])
 @pytest.mark.parametrize("values", [FINGERS[0], FINGERS[4]], ids=str)
 def test_what_fingers_make_of_another_design_is_predicted(design, beam, zones, values, options, amplifier):
-    """Velocity at the focus, highest speed, over points of the beam, by stepping from sample to sample."""
+    """Velocity at the focus, highest speed, over points of the beam, by stepping through the samples in eighths."""
     fingers = pair("AC", *values, **options)
     free = design(beam, timing=COARSE, amplifier=amplifier)
     touched, unit = free.touched(fingers), free.volts_per_code(LEVEL)
@@ -383,7 +383,8 @@ def test_what_fingers_make_of_another_design_is_predicted(design, beam, zones, v
     voltage = free.voltage_played(LEVEL)
     velocity, _ = reference.at(voltage, COARSE, COARSE.focusing_instant)
     np.testing.assert_allclose(touched.velocity_at_focus(zones, unit), velocity @ shapes, rtol=0, atol=1e-6 * LEVEL)
-    history = reference.history(np.pad(voltage, ((0, 0), (0, 2500))), longer(COARSE, 15_000))[9:18]
+    fine = longer(replace(COARSE, n_samples=100_000), 120_000)
+    history = reference.history(np.pad(np.repeat(voltage, 8, axis=1), ((0, 0), (0, 20_000))), fine)[9:18]
     speed = np.abs(shapes.T @ history).max(axis=1)
     np.testing.assert_allclose(touched.peak_velocity(zones, unit), speed, rtol=1e-6)
 

@@ -1,5 +1,6 @@
 """The beam forward, against 80-bit steps and the invariants of a linear system."""
 
+import math
 import tracemalloc
 from dataclasses import replace
 
@@ -144,14 +145,40 @@ def test_resonance_gain_is_the_corrected_one():
 @pytest.mark.parametrize("amplifier", [None, Amplifier(gain=1.0, limit=1.0, bandwidth=20e3)])
 def test_peak_is_the_largest_of_the_whole_history(crossed_model, rng, amplifier):
     """Skipping blocks that cannot hold the peak changes nothing, nor does skipping none where nearly all may."""
-    timing = Timing(AFG3022B.converter, n_samples=70_001, duration=0.05)
-    fade = np.hanning(70_001)
-    noise, walk = rng.normal(size=(2, 70_001)), rng.normal(size=(2, 70_001)).cumsum(axis=1)
+    timing = Timing(AFG3022B.converter, n_samples=125_000, duration=0.05)
+    fade = np.hanning(125_000)
+    noise, walk = rng.normal(size=(2, 125_000)), rng.normal(size=(2, 125_000)).cumsum(axis=1)
     for voltage in (noise, noise * fade, walk * fade):
         places = [-0.04, 0.0, 0.02, 0.049]
         history = velocity_history(crossed_model, voltage, timing, places, amplifier)
         peak = peak_velocity(crossed_model, voltage, timing, places, amplifier)
         assert peak == pytest.approx(np.abs(history).max(axis=1), rel=1e-12)
+
+
+@pytest.mark.parametrize("n_samples", [62_500, 12_500, 11_000])
+def test_peaks_between_samples_are_found(crossed_model, rng, n_samples):
+    """With as few samples as a protocol may have, 2.5 a cycle, the peak is rarely at the start of one."""
+    timing, places = Timing(clocked(1e9), n_samples=n_samples), [-0.04, 0.0, 0.02]
+    voltage = rng.normal(size=(2, n_samples)).cumsum(axis=1) * np.hanning(n_samples)
+    times = math.ceil(2 * np.pi * crossed_model.natural_frequency.max() * timing.hold / 0.3)
+    fine = Timing(replace(clocked(1e9), max_points=10**6), n_samples=n_samples * times)
+    history = np.abs(velocity_history(crossed_model, np.repeat(voltage, times, axis=1), fine, places))
+    peak = peak_velocity(crossed_model, voltage, timing, places)
+    assert peak == pytest.approx(history.max(axis=1), rel=1e-12)
+    assert peak.max() > history[:, ::times].max() * 1.0001
+
+
+def test_peaks_between_samples_play_an_uneven_clock(crossed_model, rng):
+    """Samples of 178.6 clocks, against a history of the clocks: half-way between the edges of even samples."""
+    uneven, places = Timing(AFG3022B.converter, n_samples=1400, duration=1e-3, focusing_instant=1e-3), [-0.04, 0.02]
+    voltage = rng.normal(size=(2, 1400)).cumsum(axis=1) * np.hanning(1400)
+    by_clock = replace(uneven, converter=replace(AFG3022B.converter, max_points=10**6), n_samples=250_000)
+    played = voltage[:, np.arange(250_000) * 1400 // 250_000]
+    history = np.abs(velocity_history(crossed_model, played, by_clock, places))
+    halves = np.round(np.arange(2800) * 250_000 / 2800).astype(int)
+    assert peak_velocity(crossed_model, voltage, uneven, places) == pytest.approx(
+        history[:, halves].max(axis=1), rel=1e-4
+    )
 
 
 def test_peak_of_the_shipped_burst_is_exact(shipped, zones):

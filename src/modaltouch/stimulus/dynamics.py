@@ -192,17 +192,20 @@ class DiagonalSystem:
         """Return the contribution of one volt held for a time [s] to each state, (n_states, n_channels) array."""
         return np.asarray((np.expm1(self.exponent * hold) / self.exponent)[:, None] * self.input_gain)
 
-    def clock_gain(self, timing: Timing) -> ComplexArray:
-        """Return the contribution of unit `clock_inputs` to the states at the sample's end, (n_states, n_inputs)."""
-        return np.concatenate([self.held_gain(timing.hold), *self._late_gains(timing)], axis=1)
+    def clock_gain(self, timing: Timing, held: float) -> ComplexArray:
+        """Return the contribution of unit `clock_inputs` to the states after a time [s], (n_states, n_inputs) array.
 
-    def _late_gains(self, timing: Timing) -> list[ComplexArray]:
+        The time is measured from the start of the sample, is longer than its delay and ends by the end of the sample.
+        """
+        return np.concatenate([self.held_gain(held), *self._late_gains(timing, held)], axis=1)
+
+    def _late_gains(self, timing: Timing, held: float) -> list[ComplexArray]:
         """Return the gains of ``step * d**k``, k from 1, for steps late by d; empty if the clock is never late."""
         if timing.clock_error is None:
             return []
         s = self.exponent
         turn = float(np.abs(s).max() * timing.clock_error.max())
-        gain = (np.exp(s * timing.hold) / s)[:, None] * self.input_gain
+        gain = (np.exp(s * held) / s)[:, None] * self.input_gain
         gains: list[ComplexArray] = []
         left = 1.0
         while left > _SERIES_REST:
@@ -250,7 +253,7 @@ class DiagonalSystem:
         played = voltage[:, :n_whole]
         driven = self.input_gain.T != 0
         states = moments(played, self.exponent, hold, driven) * self.held_gain(hold).T
-        for gain, late in zip(self._late_gains(timing), timing.late_steps(played, 0, n_whole), strict=False):
+        for gain, late in zip(self._late_gains(timing, hold), timing.late_steps(played, 0, n_whole), strict=False):
             states += moments(late, self.exponent, hold, driven) * gain.T
         if remainder:
             states = states * np.exp(self.exponent * remainder)

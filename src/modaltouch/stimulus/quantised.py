@@ -197,11 +197,12 @@ class QuantisedStimulus:
         """
         if not self.model.fingers:
             return np.zeros(0)
-        rows = [_force(self.model, finger, self.system) for finger in self.model.fingers]
-        at_once, voltage = np.stack([direct for _, direct in rows]), self.codes * unit[:, None]
-        # The inertial force follows the acceleration, on which a voltage step acts immediately.
-        force = history(self.system, np.stack([row for row, _ in rows]), voltage, self.timing) + at_once @ voltage
-        return np.asarray(np.abs(force).max(axis=1))
+        response, _, scale = self._response(unit)
+        rows = [_force(self.model, finger, response.system) for finger in self.model.fingers]
+        # The inertial force follows the acceleration, on which a voltage acts immediately, however late its step.
+        at_once = np.zeros((len(rows), response.push.shape[1]))
+        at_once[:, : unit.size] = [direct for _, direct in rows]
+        return np.asarray(response.peak(np.stack([row for row, _ in rows]), at_once=at_once) * scale)
 
 
 def settle(

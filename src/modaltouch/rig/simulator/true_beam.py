@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from modaltouch.protocol import Apparatus
 from modaltouch.rig.simulator.timeline import CONVERTER
-from modaltouch.stimulus import Amplifier, BlockStates, Converter, DiagonalSystem, ModalModel, Timing, mode_shapes
+from modaltouch.stimulus import Amplifier, Converter, DiagonalSystem, ModalModel, Timing, mode_shapes
 
 if TYPE_CHECKING:
     from modaltouch.stimulus import Finger
@@ -182,18 +182,6 @@ class Held:
         if math.isinf(self.period):
             return time
         return time if time.min() >= 0 and time.max() < self.period else np.mod(time, self.period)
-
-
-def peak(system: DiagonalSystem, output: ComplexArray, held: Held) -> FloatArray:
-    """Return the largest magnitudes of the outputs ``Re(output @ state)``, (n_outputs,) array.
-
-    They are those during one burst from rest and the pause after it; `output` is an (n_outputs, n_states) array.
-    """
-    voltage, _ = refined(system, held)
-    n_samples = voltage.shape[1]
-    finer = replace(held.converter, any_rate=True, max_points=n_samples)
-    timing = replace(held.timing, converter=finer, n_samples=n_samples)
-    return BlockStates.of(system, voltage, timing).peak(output)
 
 
 def refined(system: DiagonalSystem, held: Held) -> tuple[FloatArray, float]:

@@ -16,12 +16,11 @@ from modaltouch.rig.simulator.true_beam import (
     FloatArray,
     Held,
     generator_gains,
-    peak,
     refined,
     true_amplifier,
     true_beam,
 )
-from modaltouch.stimulus import DiagonalSystem
+from modaltouch.stimulus import BlockStates, DiagonalSystem
 
 if TYPE_CHECKING:
     from modaltouch.rig.simulator.motion import StateHistory, TrueState
@@ -200,7 +199,8 @@ class Twin:
 
             return np.array([common_peak(system, row, parts) for row in output])
         # Bursts with different periods drift relative to each other, so that their peaks eventually coincide.
-        return sum((peak(system, output, held) for held in parts), np.zeros(len(positions)))
+        peaks = (BlockStates.of(system, held.voltage, held.timing).peak(output) for held in parts)
+        return sum(peaks, np.zeros(len(positions)))
 
 
 def _once(setting: Setting) -> Setting:
