@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import pyvisa
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymeasure.adapters import VISAAdapter
@@ -290,3 +291,14 @@ def test_high_and_low_levels_are_amplitude_and_offset(simulator: Simulator) -> N
     told = said(simulator, "SOUR1:VOLT?;VOLT:OFFS?;HIGH?;LOW?").split(";")
     assert [float(each) for each in told] == pytest.approx([1.5, 0.25, 1, -0.5])
     assert error_of(simulator, "SOUR1:FREQ:MODE FIX") == NO_ERROR
+
+
+@pytest.mark.parametrize("resource", ["address", "socket_address"])
+def test_a_record_as_long_as_the_memory_arrives(simulator: Simulator, resource: str) -> None:
+    """1,048,576 points without options: a message of 2 MiB, over either link."""
+    client: Any = pyvisa.ResourceManager("@py").open_resource(getattr(simulator, resource), read_termination="\n")
+    client.timeout = 20_000
+    client.query("SOUR1:DATA:VOL:CLE;*OPC?")
+    client.write_binary_values("SOUR1:DATA:ARB:DAC LONG,", np.ones(1 << 20, "i2"), datatype="h", is_big_endian=True)
+    assert client.query("SOUR1:DATA:ATTR:POIN? LONG;:SYST:ERR?") == f"+1048576;{NO_ERROR}"
+    client.close()

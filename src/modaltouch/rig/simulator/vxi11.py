@@ -92,8 +92,11 @@ def _padded(length: int) -> int:
     return (length + 3) // 4 * 4
 
 
-LARGEST_MESSAGE = 1 << 20
-"""Largest write, as announced to the client, and largest program message [bytes]."""
+LARGEST_WRITE = 1 << 20
+"""Largest write, as announced to the client [bytes]."""
+
+LARGEST_MESSAGE = 1 << 24
+"""Largest program message [bytes]: a Keysight's longest record, 1,048,576 points, written in up to 15 digits each."""
 
 LONGEST_WAIT = 30.0
 """Longest wait for a reply, even if a client requests a longer one [s]."""
@@ -197,7 +200,7 @@ class Links:
         if lock:
             raise _Refused(_NOT_SUPPORTED)
         link = self.open(own, panel=name == PANEL)
-        return struct.pack(">iII", link.number, 0, LARGEST_MESSAGE)
+        return struct.pack(">iII", link.number, 0, LARGEST_WRITE)
 
     def _write(self, link: _Link, parameters: bytes) -> bytes:
         *_, flags, length = struct.unpack_from(">iIIiI", parameters)
@@ -340,7 +343,7 @@ class Vxi11Server:
                 if b"\t" <= connection.recv(1, socket.MSG_PEEK) < b"\x80":
                     self._serve_text(connection, stream, self.links.open(own).number)
                 while True:
-                    call = read_record(stream, 4 * LARGEST_MESSAGE)
+                    call = read_record(stream, 4 * LARGEST_WRITE)
                     # A call over a connection being reset from either side is ignored.
                     was_reset = connection.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
                     if connection not in self._connections or was_reset:
