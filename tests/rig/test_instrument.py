@@ -210,6 +210,16 @@ def test_outputs_are_quiet_and_bounded_before_anything_is_loaded() -> None:
     )
 
 
+def test_only_the_amplitude_may_change_in_a_stimulus() -> None:
+    """Not every setting with its header: of an instrument that names the quantity after it, the offset stays."""
+    level, offset = (
+        Setting("APPL", value, of=f"{name}{{channel}}") for name, value in (("AMP", "amplitude"), ("OFF", 0.0))
+    )
+    table = replace(TABLE, level=level, quiet=(replace(level, value="quiet_amplitude"), offset))
+    limits = replace(WIDE, instrument=replace(AFG3022B, commands=table))
+    assert commands(*limits.guarded_settings()) == "APPL OFF1,0;APPL OFF2,0"
+
+
 def test_burst_is_played_once_at_each_trigger(burst: Burst) -> None:
     """One cycle of 50 ms from the first point, at once; the rate to a millionth, as 11 digits are kept of it."""
     settings = AFG3022B.burst_settings(2, 3, burst, continuous=False)

@@ -256,9 +256,9 @@ class Limits:
 
     def guarded_settings(self) -> tuple[Setting, ...]:
         """Return the quiet settings of all channels that remain valid during stimuli: all except the amplitude."""
-        levels = [level.header for level in self.instrument.on_all(self.instrument.commands.level)]
+        levels = [level.query for level in self.instrument.on_all(self.instrument.commands.level)]
         quiet = [setting for channel in self.instrument.channels for setting in self.quiet_settings(channel)]
-        return tuple(setting for setting in quiet if setting.header not in levels)
+        return tuple(setting for setting in quiet if setting.query not in levels)
 
     def amplitudes(self, burst: Burst, velocity: float) -> tuple[float, ...]:
         """Return the amplitude of each channel at a level [m/s], into an open circuit [V peak to peak].
