@@ -253,9 +253,9 @@ class Projection:
         at_centre = float(kept @ self.model.shapes([self.target_field.centre])[:, 0])
         if at_centre < _NOTHING:
             raise ValueError(
-                f"the field at {self.target_field.centre * 1e3:g} mm has a projection of only {at_centre:.2g} on "
-                f"the modes {', '.join(map(str, self.selected))}, which is zero within rounding: select modes that "
-                f"move there, or move the field"
+                f"the field at {self.target_field.centre * 1e3:g} mm has a projection of {at_centre:.2g} on the modes "
+                f"{', '.join(map(str, self.selected))}, which is not above zero within rounding: select modes that "
+                "move there with the field, or move the field"
             )
         return kept * (self.target_field.velocity / at_centre)
 
