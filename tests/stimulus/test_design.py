@@ -173,7 +173,10 @@ def test_impossible_wishes_are_refused(change, message):
         (TargetField(selection=10), r"10 modes are to be selected, but 9 are modelled"),
         (TargetField(centre=0.06), r"centred at 60 mm, off the beam, which spans -50 to 50 mm"),
         (TargetField(n_decomposed=10), r"mode 11 is modelled, but the field is decomposed on 10 modes only"),
-        (TargetField(centre=0.02, base=1e-12), r"has a projection of \S+e-11 on .* which is not above zero within rounding"),
+        (
+            TargetField(centre=0.02, base=1e-12),
+            r"has a projection of \S+e-11 on .* which is not above zero within rounding",
+        ),
         (
             TargetField(shape="box", base=0.05, selection=(7,)),
             r"a projection of -0\.\d+ on the modes 7, which is not above",

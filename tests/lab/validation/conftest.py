@@ -8,7 +8,8 @@ import pytest
 
 from modaltouch.lab.laboratory import open_laboratory
 from modaltouch.lab.validation import record_laws
-from modaltouch.lab.validation.evidence import Evidence, Observation, evaluate
+from modaltouch.lab.validation.evidence import Evidence, Observation
+from modaltouch.lab.validation.plausibility import evaluate
 from modaltouch.preflight import Preflight, examine
 from modaltouch.rig.simulator.motion import TrueState
 

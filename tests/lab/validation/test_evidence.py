@@ -2,14 +2,16 @@
 
 import json
 import shutil
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from modaltouch.lab.validation import read_laws
-from modaltouch.lab.validation.evidence import Observation, evaluate
+from modaltouch.lab.validation.evidence import Observation, Prediction
 from modaltouch.lab.validation.key_figures import key_figures
+from modaltouch.lab.validation.plausibility import evaluate
 from modaltouch.record.chain import RecordInputError
 
 
@@ -130,17 +132,105 @@ def test_a_zone_that_was_read_wrong_is_refused(evidences):
             evaluate([changed(observation, "velocity", times, "course")])
 
 
-def test_a_constant_velocity_is_refused(evidences):
-    """An output of the vibrometer that is not at zero adds to the field: 20 mm/s at every point."""
+def with_velocity(observation: Observation, change: Callable[[int, np.ndarray], np.ndarray], which: str) -> Observation:
+    """Return an observation with other velocities in one scan, by point and velocity over the samples."""
+    scan = getattr(observation, which)
+    arrays = tuple({**each, "velocity": change(point, each["velocity"])} for point, each in enumerate(scan.arrays))
+    return replace(observation, **{which: replace(scan, arrays=arrays)})
+
+
+@pytest.mark.parametrize(
+    ("which", "points", "where"),
+    [("field", range(41), ""), ("course", range(5), ""), ("field", [8], "at -30 mm "), ("course", [2], "at 0 mm ")],
+)
+def test_a_constant_velocity_is_refused(which, points, where, evidences):
+    """An output of the vibrometer that is not at zero adds 20 mm/s, throughout a scan or at one of its points."""
+    raised = with_velocity(evidences[0].observation, lambda point, each: each + 0.02 * (point in points), which)
+    with pytest.raises(RecordInputError, match=rf"^{where}the velocity has a constant offset of (19|20) mm/s: set the"):
+        evaluate([raised])
+
+
+def moved(observation: Observation, order: list[int]) -> Observation:
+    """Return an observation with the field of other points at each point."""
+    scan = observation.field
+    arrays = tuple(
+        {**scan.arrays[other], "position": each["position"]} for other, each in zip(order, scan.arrays, strict=True)
+    )
+    return replace(observation, field=replace(scan, arrays=arrays))
+
+
+def test_a_field_moved_by_one_point_is_refused(evidences):
+    """An index that is one too high: the field at the focus was 12 mm/s too small, without a word."""
+    for order, shift in (([0, *range(40)], r"-2\.5"), ([*range(1, 41), 40], r"\+2\.5")):
+        with pytest.raises(
+            RecordInputError, match=f"the beam moves as at points {shift} mm away: check the origin and"
+        ):
+            evaluate([moved(evidences[0].observation, order)])
+
+
+def test_two_points_exchanged_are_refused(evidences):
+    """Two neighbours on the flank of the focus: at one of them the rest is a tenth of the velocity."""
+    order = [*range(16), 17, 16, *range(18, 41)]
+    with pytest.raises(RecordInputError, match="^at -10 mm the velocity is not that of the beam there: check"):
+        evaluate([moved(evidences[0].observation, order)])
+
+
+def delayed(velocity: np.ndarray, by: float, step: float) -> np.ndarray:
+    """Return records delayed by a time [s], of the same length."""
+    n = velocity.shape[-1]
+    instants = np.arange(n) * step
+    return np.array([np.interp(instants - by, instants, each) for each in velocity])
+
+
+@pytest.mark.parametrize(
+    ("which", "points", "by", "said"),
+    [
+        (
+            "field",
+            [5, 12, 30],
+            2e-6,
+            r"^at -37\.5, -20, 25 mm the velocity is up to (1\.[89]|2\.[01]) us late or early",
+        ),
+        ("field", [20], 5e-6, r"^at 0 mm the velocity is up to 4\.\d us late or early"),
+        ("field", range(20), 2e-6, r"^at -50, .*, -2\.5 mm the velocity is up to (1\.\d|2\.[012]) us late or early"),
+        ("course", [2], 3e-6, r"^at 0 mm the velocity is up to (2\.\d|3\.[012]) us late or early"),
+        ("course", range(5), 5e-6, r"^the velocity is up to (4\.\d|5\.[012]) us late or early"),
+    ],
+)
+def test_records_that_are_late_at_some_points_are_refused(which, points, by, said, evidences):
+    """A trigger that fires late: 5 us at the focus are 8 mm/s there, and half a period of the highest mode."""
     observation = evidences[0].observation
-    with pytest.raises(RecordInputError, match="the velocity has a constant offset of 20 mm/s: set the offsets of vib"):
-        evaluate([replace(observation, field=raised(observation.field), course=raised(observation.course))])
+    time = getattr(observation, which).time
+    late = with_velocity(
+        observation, lambda point, each: delayed(each, by, time[1] - time[0]) if point in points else each, which
+    )
+    with pytest.raises(RecordInputError, match=said):
+        evaluate([late])
 
 
-def raised(scan):
-    """Return a scan with 20 mm/s added to every velocity."""
-    arrays = tuple({**each, "velocity": each["velocity"] + 0.02} for each in scan.arrays)
-    return replace(scan, arrays=arrays)
+def test_a_delay_that_changes_between_the_laws_is_refused(evidences):
+    """5 us more under the paper's law: its velocities were compared 2.5 us beside the focusing instant."""
+    one, other = (each.observation for each in evidences)
+    step = other.field.time[1] - other.field.time[0]
+    late = with_velocity(other, lambda _, each: delayed(each, 5e-6, step), "field")
+    with pytest.raises(
+        RecordInputError, match=r"the delay of the velocity differs between the laws \(6\.\d us, 11\.\d us"
+    ):
+        evaluate([one, late])
+
+
+def test_a_mirrored_field_is_refused(evidences):
+    """A prediction whose antisymmetric part has the other sign: positions were counted from the wrong end."""
+    observation = evidences[0].observation
+    model = observation.stimulus.model
+    label = tuple(each + (each == 5) for each in model.label)
+    uneven = replace(observation, stimulus=replace(observation.stimulus, model=replace(model, label=label)))
+    prediction = Prediction.of(uneven)
+    near = np.searchsorted(prediction.time, observation.field.time)
+    seen = [prediction.field[:, near][40 - point] for point in range(41)]
+    mirrored = with_velocity(uneven, lambda point, each: np.broadcast_to(seen[point], each.shape), "field")
+    with pytest.raises(RecordInputError, match="the field is the mirror image of the predicted one: count positions"):
+        evaluate([mirrored])
 
 
 def test_too_few_points_in_a_kept_scan_are_refused(preflight, kept, tmp_path, evidences):

@@ -14,9 +14,10 @@ from modaltouch.lab.identification.shapes import check_points
 from modaltouch.lab.laboratory import SILENT_PROGRESS, SIMULATED, Laboratory, MeasurementProgress, open_laboratory
 from modaltouch.lab.recorded_files import RecordedFiles
 from modaltouch.lab.scan import Scan, ScanPlan, kept_rows, read_scan, row_name, rows_over, take_scan
-from modaltouch.lab.validation.evidence import Evidence, Observation, evaluate
+from modaltouch.lab.validation.evidence import Evidence, Observation
 from modaltouch.lab.validation.figures import PAPER_WORST, draw_all
 from modaltouch.lab.validation.key_figures import AROUND, figure_tables, findings, key_figures, validation_table
+from modaltouch.lab.validation.plausibility import evaluate
 from modaltouch.preflight import DesignInputs, Preflight, design, examine
 from modaltouch.protocol import Source
 from modaltouch.record import RecordError, RecordInputError

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
 
 import numpy as np
 
 from modaltouch.lab.common import FloatArray
 from modaltouch.lab.scan import Scan
-from modaltouch.record import RecordInputError
 from modaltouch.stimulus import Stimulus, mode_shapes
 
 
@@ -86,10 +84,6 @@ def mean_velocity(scan: Scan) -> FloatArray:
     return np.asarray(scan.velocity.mean(axis=1))
 
 
-LAGS = np.arange(-5e-6, 25e-6, 0.25e-6)
-"""Trial delays of the measurement [s]."""
-
-
 @dataclass(frozen=True, eq=False)
 class Prediction:
     """Velocities predicted for the identified beam and the codes as played, over time since the start of a burst [s].
@@ -113,108 +107,13 @@ class Prediction:
         time = np.asarray(np.arange(timing.n_samples) * timing.hold + stimulus.amplifier.delay, dtype=float)
         return cls(time, played[: places.size], played[places.size :])
 
-    def around(
-        self, first: float, last: float, scan: Literal["field", "course"] = "field"
-    ) -> Callable[[FloatArray], FloatArray]:
-        """Return a function from instants in an interval [s] to a scan's velocities, (n_points, n_instants) [m/s]."""
+    def around(self, first: float, last: float) -> Callable[[FloatArray], FloatArray]:
+        """Return a function from instants in an interval [s] to the field, (n_points, n_instants) [m/s]."""
         from scipy.interpolate import CubicSpline
 
         near = (self.time >= first) & (self.time <= last)
-        velocity = self.field if scan == "field" else self.course
-        interpolated: Callable[[FloatArray], FloatArray] = CubicSpline(self.time[near], velocity[:, near], axis=1)
+        interpolated: Callable[[FloatArray], FloatArray] = CubicSpline(self.time[near], self.field[:, near], axis=1)
         return interpolated
-
-
-def measurement_delay(observations: Sequence[Observation], predictions: Sequence[Prediction]) -> float:
-    """Return the delay of the measurement with the least-squares fit to the prediction [s].
-
-    Vibrometer, amplifier and trigger each add microseconds, a large part of the period of the highest selected mode,
-    so the field at the focusing instant can only be determined once the delay is removed.
-    """
-    missed = np.zeros(LAGS.size)
-    for observation, prediction in zip(observations, predictions, strict=True):
-        scan = observation.field
-        # A delay has the largest effect around the focusing instant.
-        near = np.abs(scan.time - observation.stimulus.timing.focusing_instant) < 0.25e-3
-        if near.sum() < FEWEST_INSTANTS:
-            raise RecordInputError(
-                "the recordings do not cover the focusing instant: check trigger and unit of the time"
-            )
-        measured = mean_velocity(scan)[:, near]
-        predicted = prediction.around(scan.time[near][0] - 2 * LAGS[-1], scan.time[near][-1] - 2 * LAGS[0])
-        for place, lag in enumerate(LAGS):
-            missed[place] += float(np.square(measured - predicted(scan.time[near] - lag)).sum())
-    best = int(missed.argmin())
-    if best in (0, LAGS.size - 1):
-        raise RecordInputError(
-            f"the recordings do not match the predictions at any delay from {LAGS[0] * 1e6:g} to {LAGS[-1] * 1e6:g} "
-            "us: check wiring, trigger, sign and unit of the velocity, and the apparatus file"
-        )
-    before, at, after = missed[best - 1 : best + 2]
-    return float(LAGS[best] + (LAGS[1] - LAGS[0]) * (before - after) / (2 * (before - 2 * at + after)))
-
-
-PLAUSIBLE, ALIKE, OFFSET = 2.0, 1.25, 0.02
-"""Largest factor, up or down, between measured and predicted velocity, and between this factor at a point and its
-median over the points, and largest constant velocity relative to the level [1]; beyond, a setting differs from the
-apparatus file, or changed during the scan."""
-
-WRONG_DRIVE = 2.5
-"""Factor between measured and predicted peak of a drive above which it is that of another output, or none [1]."""
-
-FEWEST_INSTANTS = 64
-"""Minimum number of samples around the focusing instant."""
-
-
-def refuse_implausible_records(
-    observations: Sequence[Observation], predictions: Sequence[Prediction], delay: float
-) -> None:
-    """Refuse drives that were not recorded, and velocities unlike the predicted ones, at all points or at some."""
-    for observation, prediction in zip(observations, predictions, strict=True):
-        # A beam that rests before and after a burst has no mean velocity over it.
-        offset = float(mean_velocity(observation.course).mean())
-        if abs(offset) > OFFSET * observation.velocity:
-            raise RecordInputError(
-                f"the velocity has a constant offset of {offset * 1e3:.2g} mm/s: set the offsets of vibrometer and "
-                "scope to zero, or use a high-pass, and measure again"
-            )
-        expected = observation.stimulus.peak_drive(observation.velocity)
-        for scan in (observation.field, *observation.rows):
-            measured = np.abs(scan.drive).max(axis=(0, 1, 3), initial=0.0)
-            for output, (volts, predicted) in enumerate(zip(measured, expected, strict=False), start=1):
-                if not 1 / WRONG_DRIVE < max(volts, 1.0) / max(predicted, 1.0) < WRONG_DRIVE:
-                    raise RecordInputError(
-                        f"the drive of output {output} measures {volts:.2g} V, and {predicted:.0f} V are predicted: "
-                        "check which probe is at which output, and its attenuation, and measure again"
-                    )
-            _refuse_implausible_speeds(observation, scan, prediction, delay, "field")
-        _refuse_implausible_speeds(observation, observation.course, prediction, delay, "course")
-
-
-def _refuse_implausible_speeds(
-    observation: Observation, scan: Scan, prediction: Prediction, delay: float, which: Literal["field", "course"]
-) -> None:
-    near = np.abs(scan.time - observation.stimulus.timing.focusing_instant) < 0.25e-3
-    measured, instants = mean_velocity(scan)[:, near], scan.time[near] - delay
-    predicted = prediction.around(instants[0] - LAGS[-1], instants[-1] + LAGS[-1], which)(instants)
-    power = np.square(predicted).sum(axis=1)
-    factor = (measured * predicted).sum(axis=1) / power
-    # Near a node the velocity is mostly that of modes which are not predicted.
-    known = power > 0.25 * np.median(power)
-    common = float(np.median(factor[known]))
-    odd = known & ~((factor / common > 1 / ALIKE) & (factor / common < ALIKE))
-    # The findings state a common factor of the zones.
-    if odd.any() or (which == "field" and not 1 / PLAUSIBLE < common < PLAUSIBLE):
-        named = ", ".join(f"{place * 1e3:g}" for place in scan.positions[odd])
-        times = float(np.median(factor[odd])) if odd.any() else common
-        allowed = (
-            f"at the other points {common:.2f} times" if odd.any() else f"allowed {1 / PLAUSIBLE:g} to {PLAUSIBLE:g}"
-        )
-        raise RecordInputError(
-            f"{f'at {named} mm ' if named else ''}the beam moves {times:.2f} times as fast as predicted: {allowed}; "
-            "check the unit, the sensitivity, the range and the sign of the velocity there, and the gain of the "
-            "amplifier, and measure again"
-        )
 
 
 FINE = 401
@@ -433,17 +332,3 @@ def standard_error(records: FloatArray) -> FloatArray:
     """Return the standard error of the mean over the records; NaN for a single record."""
     n = records.shape[0]
     return np.asarray(records.std(axis=0, ddof=1) / np.sqrt(n)) if n > 1 else np.full(records.shape[1:], np.nan)
-
-
-def evaluate(observations: Sequence[Observation]) -> list[Evidence]:
-    """Evaluate recordings made with the same instruments, after removal of their common measurement delay.
-
-    Raises
-    ------
-    RecordInputError
-        If the recordings do not match the predictions at any delay, or are a multiple of them.
-    """
-    predictions = [Prediction.of(each) for each in observations]
-    lag = measurement_delay(observations, predictions)
-    refuse_implausible_records(observations, predictions, lag)
-    return [Evidence(each, its, lag) for each, its in zip(observations, predictions, strict=True)]

@@ -1,0 +1,251 @@
+"""Plausibility checks of the recordings of a validation, and their evaluation.
+
+A fault of the sensor, its positions or its trigger differs in pattern from an error of the identified beam: the checks
+allow each mode a gain and a delay of its own, and refuse what then remains at some points, or at all of them alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modaltouch.lab.common import FloatArray
+from modaltouch.lab.scan import Scan
+from modaltouch.lab.validation.evidence import Evidence, Observation, Prediction, mean_velocity
+from modaltouch.record import RecordInputError
+
+LAGS = np.arange(-5e-6, 25e-6, 0.25e-6)
+"""Trial delays of the measurement [s]."""
+
+
+def measurement_delay(observations: Sequence[Observation], predictions: Sequence[Prediction]) -> float:
+    """Return the delay of the measurement with the least-squares fit to the predictions of all laws [s].
+
+    Vibrometer, amplifier and trigger each add microseconds, a large part of the period of the highest selected mode,
+    so the field at the focusing instant can only be determined once the delay is removed.
+    """
+    missed = [_missed(each, its) for each, its in zip(observations, predictions, strict=True)]
+    for observation, prediction, as_given in zip(observations, predictions, missed, strict=True):
+        places, mirrored = observation.field.positions, replace(prediction, field=prediction.field[::-1])
+        if np.allclose(places, -places[::-1]) and _missed(observation, mirrored).min() < EXPLAINED * as_given.min():
+            raise RecordInputError(
+                "the field is the mirror image of the predicted one: count positions from mid-beam, positive to the "
+                "participant's right, check which output drives which patches, and measure again"
+            )
+    own = [_delay_of(each) for each in missed]
+    if np.ptp(own) > APART:
+        named = ", ".join(f"{each * 1e6:.1f} us" for each in own)
+        raise RecordInputError(
+            f"the delay of the velocity differs between the laws ({named}): use the same trigger, filters and range "
+            "throughout, and measure again"
+        )
+    return _delay_of(np.sum(missed, axis=0))
+
+
+def _delay_of(missed: FloatArray) -> float:
+    """Return the delay with the least difference between measured and predicted fields [s]."""
+    best = int(missed.argmin())
+    if best in (0, LAGS.size - 1):
+        raise RecordInputError(
+            f"the recordings do not match the predictions at any delay from {LAGS[0] * 1e6:g} to {LAGS[-1] * 1e6:g} "
+            "us: check wiring, trigger, sign and unit of the velocity, and the apparatus file"
+        )
+    before, at, after = missed[best - 1 : best + 2]
+    return float(LAGS[best] + (LAGS[1] - LAGS[0]) * (before - after) / (2 * (before - 2 * at + after)))
+
+
+def _missed(observation: Observation, prediction: Prediction) -> FloatArray:
+    """Return the squared difference between measured and predicted fields at each trial delay, (n_lags,) array."""
+    scan = observation.field
+    # A delay has the largest effect around the focusing instant.
+    near = np.abs(scan.time - observation.stimulus.timing.focusing_instant) < NEAR
+    if near.sum() < FEWEST_INSTANTS:
+        raise RecordInputError("the recordings do not cover the focusing instant: check trigger and unit of the time")
+    measured = mean_velocity(scan)[:, near]
+    predicted = prediction.around(scan.time[near][0] - 2 * LAGS[-1], scan.time[near][-1] - 2 * LAGS[0])
+    return np.array([np.square(measured - predicted(scan.time[near] - lag)).sum() for lag in LAGS])
+
+
+PLAUSIBLE, ALIKE, OFFSET = 2.0, 1.25, 0.02
+"""Largest factor, up or down, between measured and predicted velocity, and between this factor at a point and that at
+the others, and largest constant velocity relative to the level [1]; beyond, a setting differs from the apparatus file,
+or changed during the scan."""
+
+LATE, APART = 1e-6, 2e-6
+"""Largest delay of a point relative to the others, and largest difference between the delays of the laws [s]."""
+
+EXPLAINED = 0.25
+"""Fraction of the squared difference from the prediction below which another cause must reduce it [1]."""
+
+UNLIKE, STANDS_OUT = 0.01, 9.0
+"""Mean square of a point's residual, relative to that of the velocity and to the median residual, above which the point
+does not move with the modes [1]."""
+
+AWAY, FARTHEST, N_SHIFTS = 0.005, 0.1, 81
+"""Smallest shift of all points that is refused, and largest that is tried, relative to the length of the beam [1], and
+the number of those tried, odd to include none."""
+
+NEAR, AROUND = 0.25e-3, 1e-3
+"""Time before and after the focusing instant in which delays and modes are fitted [s]."""
+
+WRONG_DRIVE = 2.5
+"""Factor between measured and predicted peak of a drive above which it is that of another output, or none [1]."""
+
+FEWEST_INSTANTS = 64
+"""Minimum number of samples around the focusing instant."""
+
+
+def refuse_implausible_records(
+    observations: Sequence[Observation], predictions: Sequence[Prediction], delay: float
+) -> None:
+    """Refuse drives that were not recorded, and velocities unlike the predicted ones, at all points or at some."""
+    for observation, prediction in zip(observations, predictions, strict=True):
+        expected = observation.stimulus.peak_drive(observation.velocity)
+        for scan in (observation.field, *observation.rows):
+            measured = np.abs(scan.drive).max(axis=(0, 1, 3), initial=0.0)
+            for output, (volts, predicted) in enumerate(zip(measured, expected, strict=False), start=1):
+                if not 1 / WRONG_DRIVE < max(volts, 1.0) / max(predicted, 1.0) < WRONG_DRIVE:
+                    raise RecordInputError(
+                        f"the drive of output {output} measures {volts:.2g} V, and {predicted:.0f} V are predicted: "
+                        "check which probe is at which output, and its attenuation, and measure again"
+                    )
+        fit = ModalFit(observation, prediction, delay)
+        fit.refuse_shifted_points()
+        for scan in (observation.field, *observation.rows, observation.course):
+            fit.refuse_odd_points(scan)
+
+
+def _fault_at(scan: Scan, odd: NDArray[np.bool_], fault: str) -> RecordInputError:
+    """Return the error for a fault of some points of a scan, with their positions unless all points have it."""
+    where = ", ".join(f"{place * 1e3:g}" for place in scan.positions[odd])
+    return RecordInputError(f"{'' if odd.all() else f'at {where} mm '}{fault}, and measure again")
+
+
+@dataclass(frozen=True, eq=False)
+class ModalFit:
+    """The field around the focusing instant, with a gain and a delay of its own for each mode.
+
+    An identified beam may be wrong by these; a fault of a sensor or of its positions is not absorbed by them.
+
+    Attributes
+    ----------
+    observation, prediction, delay
+        Recordings of a law, their prediction, and the delay of the measurement [s].
+    """
+
+    observation: Observation
+    prediction: Prediction
+    delay: float
+
+    @cached_property
+    def _factor(self) -> FloatArray:
+        """Factors of the modes' predicted velocities, of their derivatives, and of a constant, (2 n_modes + 1,)."""
+        field = self.observation.field
+        measured, histories = self._measured(field)
+        return _fit(measured, self._shapes(field.positions), histories)[0]
+
+    def _measured(self, scan: Scan) -> tuple[FloatArray, FloatArray]:
+        """Return the measured velocities of a scan around the focusing instant, and the histories of the modes."""
+        near = np.abs(scan.time - self.observation.stimulus.timing.focusing_instant) < AROUND
+        instants, model = scan.time[near] - self.delay, self.observation.stimulus.model
+        predicted = self.prediction.around(instants[0] - LAGS[-1], instants[-1] + LAGS[-1])(instants)
+        velocity = np.linalg.lstsq(model.shapes(self.observation.field.positions).T, predicted)[0]
+        turned = np.gradient(velocity, instants, axis=1) / (2 * np.pi * model.natural_frequency[:, None])
+        return mean_velocity(scan)[:, near], np.concatenate([velocity, turned, np.ones((1, instants.size))])
+
+    def _shapes(self, positions: FloatArray) -> FloatArray:
+        shapes = self.observation.stimulus.model.shapes(positions)
+        return np.concatenate([shapes, shapes, np.ones((1, positions.size))])
+
+    def refuse_shifted_points(self) -> None:
+        """Refuse points whose velocities are those of the beam at positions which all lie the same distance away."""
+        positions, length = self.observation.field.positions, self.observation.stimulus.model.length
+        measured, histories = self._measured(self.observation.field)
+        shifts = np.linspace(-FARTHEST, FARTHEST, N_SHIFTS) * length
+        places = [np.clip(positions + shift, -length / 2, length / 2) for shift in shifts]
+        left = np.array([_fit(measured, self._shapes(each), histories)[1] for each in places])
+        best = int(left.argmin())
+        if abs(shifts[best]) > AWAY * length and left[best] < EXPLAINED * left[N_SHIFTS // 2]:
+            raise RecordInputError(
+                f"the beam moves as at points {shifts[best] * 1e3:+.2g} mm away: check the origin and the order of "
+                "the positions, and the length of the beam in the apparatus file, and measure again"
+            )
+
+    def refuse_odd_points(self, scan: Scan) -> None:
+        """Refuse points with an offset, another factor than the field, a delay, or a velocity unlike the modes there.
+
+        The velocity of each point is fitted by that of the modes there, its derivative, and a constant.
+        """
+        (measured, histories), shapes = self._measured(scan), self._shapes(scan.positions)
+        n_modes = len(histories) // 2
+        predicted = shapes[:n_modes].T @ histories[:n_modes]
+        expected = (shapes * self._factor[:, None])[:-1].T @ histories[:-1]
+        slope = np.gradient(expected, float(np.ptp(scan.time)) / (scan.time.size - 1), axis=1)
+        columns = np.stack([expected, -slope, np.ones_like(expected)], axis=1)
+        fits = [np.linalg.lstsq(each.T, velocity)[0] for each, velocity in zip(columns, measured, strict=True)]
+        factor, late, offset = np.array(fits).T
+        rest = measured - np.einsum("pc,pct->pt", fits, columns)
+        left, power = np.square(rest).mean(axis=1), np.square(expected).mean(axis=1)
+        # A point that moves unlike the modes there seems to have an offset, too.
+        odd = (np.abs(factor - 1) < ALIKE - 1) & (offset**2 > 4 * left)
+        odd &= np.abs(offset) > OFFSET * self.observation.velocity
+        if odd.any():
+            fault = f"the velocity has a constant offset of {np.median(offset[odd]) * 1e3:.2g} mm/s"
+            raise _fault_at(scan, odd, f"{fault}: set the offsets of vibrometer and scope to zero, or use a high-pass")
+        self._refuse_odd_factors(scan, factor * (expected * predicted).sum() / np.square(predicted).sum(), power)
+        delay = late / factor
+        if scan is self.observation.field:
+            delay -= np.median(delay)
+        by_delay = np.square(late[:, None] * slope).mean(axis=1)
+        odd = (np.abs(delay) > LATE) & (by_delay > EXPLAINED * left)
+        if odd.any():
+            fault = (
+                f"the velocity is up to {np.abs(delay[odd]).max() * 1e6:.1f} us late or early, relative to the other"
+            )
+            raise _fault_at(scan, odd, f"{fault} points: use the same trigger, filters and range at all points")
+        odd = (left > UNLIKE * np.median(power)) & (left > STANDS_OUT * np.median(left))
+        # Off the mid-line there is torsion, which is not predicted.
+        if odd.any() and not scan.across:
+            fault = "the velocity is not that of the beam there: check the positions and their order, and focus and"
+            raise _fault_at(scan, odd, f"{fault} fastening of the sensor")
+
+    def _refuse_odd_factors(self, scan: Scan, times: FloatArray, power: FloatArray) -> None:
+        """Refuse points that move by another factor of the prediction than the others, or a field that does."""
+        # Near a node the velocity is mostly that of modes which are not predicted.
+        known = power > 0.25 * np.median(power)
+        common = float(np.median(times[known]))
+        odd = known & ~((times / common > 1 / ALIKE) & (times / common < ALIKE))
+        allowed = f"at the other points {common:.2f} times"
+        # The findings state a common factor of the zones.
+        if scan is self.observation.field and not odd.any() and not 1 / PLAUSIBLE < common < PLAUSIBLE:
+            odd, allowed = np.ones_like(odd), f"allowed {1 / PLAUSIBLE:g} to {PLAUSIBLE:g}"
+        if odd.any():
+            ends = dict.fromkeys(f"{each:.2f}" for each in (times[odd].min(), times[odd].max()))
+            fault = f"the beam moves {' to '.join(ends)} times as fast as predicted: {allowed}; check the unit, the"
+            remedy = "sensitivity, the range and the sign of the velocity, the positions, and the gain of the amplifier"
+            raise _fault_at(scan, odd, f"{fault} {remedy}")
+
+
+def _fit(measured: FloatArray, shapes: FloatArray, histories: FloatArray) -> tuple[FloatArray, float]:
+    """Return the factors of products of shapes and histories, and the squared difference that they leave."""
+    overlap = ((shapes @ measured) * histories).sum(axis=1)
+    factor = np.linalg.lstsq((shapes @ shapes.T) * (histories @ histories.T), overlap, rcond=1e-12)[0]
+    return factor, float(np.square(measured).sum() - factor @ overlap)
+
+
+def evaluate(observations: Sequence[Observation]) -> list[Evidence]:
+    """Evaluate recordings made with the same instruments, after removal of their common measurement delay.
+
+    Raises
+    ------
+    RecordInputError
+        If the recordings do not match the predictions at any delay, or are a multiple of them.
+    """
+    predictions = [Prediction.of(each) for each in observations]
+    lag = measurement_delay(observations, predictions)
+    refuse_implausible_records(observations, predictions, lag)
+    return [Evidence(each, its, lag) for each, its in zip(observations, predictions, strict=True)]
