@@ -258,7 +258,7 @@ def read_tree(place: Path, *further: Path, mode: str | None = None, stimulus: st
     is_crossed = levels == "adaptive" or _is_crossed(taken, stimulus)
     for kind in dict.fromkeys(item.kind for item in taken):
         zones = [", ".join(item.foci.values()) or item.focus for item in taken if item.kind == kind]
-        _only(place, "zones", foci, _ONE_NAMED)
+        _only(place, "foci", zones, _ONE_NAMED)
     answers = _one_list(place, taken)
     whole = _join(place, taken, levels, answers, stimulus, is_crossed=is_crossed)
     asked = int(answers_per_cell(whole).to_numpy().max()) if levels != "adaptive" else None
