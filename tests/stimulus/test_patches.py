@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from modaltouch.stimulus.shapes import characteristic_root, mode_shapes, patch_gains
+from modaltouch.stimulus.other_shapes import patch_gains
+from modaltouch.stimulus.shapes import characteristic_root, mode_shapes
 
 LABELS = [1, 2, 3, 4, 5, 12, 17]
 

@@ -187,12 +187,7 @@ class Findings:
     def generator_problem(self, identity: str) -> Problem | None:
         """Return a problem if the calibration was made with a generator other than the open one, else None.
 
-        Manufacturer, model and serial number must agree; the firmware may differ.
-
-        Parameters
-        ----------
-        identity : str
-            Reply of the open generator to ``*IDN?``.
+        Manufacturer, model and serial number of the reply to ``*IDN?`` must agree; the firmware may differ.
         """
         made_with = None if self.calibration is None else self.calibration.sound("instruments", "generator")
         if self.calibration is None or made_with is None or _serial(made_with) == _serial(identity):
@@ -246,12 +241,7 @@ class Findings:
     def restored(cls, sources: Sources, occasion: tuple[str, str] = ("", "")) -> Findings:
         """Return the findings for the copies in a record, independent of the original files.
 
-        Parameters
-        ----------
-        sources : Sources
-            The copies, read by `Sources.from_dict`.
-        occasion : (str, str)
-            The group and the kind of session.
+        The occasion is the group and the kind of session.
         """
         own, problems = Occasion(*occasion), list[Problem]()
         protocol = _read_protocol(sources.protocol, own, sources.table)

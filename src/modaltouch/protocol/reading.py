@@ -129,8 +129,10 @@ class Reading(Generic[Model]):
         self, path: Iterable[Step], given: str, allowed: str, remedy: str = "", *, at_key: bool = False
     ) -> Problem:
         """Return a problem at the value (or key) at a path, or at its nearest existing parent."""
+        from modaltouch.protocol.wording import place_of
+
         steps = tuple(path)
-        (file, line, column), written = self._place(steps, at_key=at_key)
+        (file, line, column), written = place_of(self.root, steps, at_key=at_key)
         return Problem(
             file or str(self.source.path), line, column, format_path(steps),
             given, allowed, remedy, format_path(written),
@@ -142,7 +144,9 @@ class Reading(Generic[Model]):
 
     def defaults(self) -> list[dict[str, Any]]:
         """Return the keys that the file omits with their defaults, in the order of the schema."""
-        return [] if self.root is None else list(_absent(self.model, self.root, ""))
+        from modaltouch.protocol.wording import absent_keys
+
+        return [] if self.root is None else list(absent_keys(self.model, self.root, ""))
 
     def load_named(self, key: tuple[str, ...], problems: list[Problem]) -> Source | None:
         """Return the file that a key names relative to this one, if any; add its problems to `problems`."""
@@ -161,25 +165,6 @@ class Reading(Generic[Model]):
             allowed = f"{wanted}, as a path relative to this file" if found.allowed == YAML_FILE else found.allowed
             problems.append(self.problem(key, f"{name!r}, {found.given} ({path})", allowed, found.remedy))
         return None
-
-    def _place(self, path: tuple[Step, ...], *, at_key: bool) -> tuple[tuple[str, int, int], tuple[Step, ...]]:
-        """Return file, line and column of the value (or key) at a path, and its path as written in the file."""
-        if self.root is None:
-            return ("", 1, 1), path
-        node = self.root
-        place, depth = (node.line, node.column), 0
-        while depth < len(path) and (child := node.child(path[depth])) is not None:
-            step = path[depth]
-            key_place = node.keys.get(step, place) if isinstance(step, str) else (child.line, child.column)
-            # A block mapping begins on the line after its key, but users look at the key.
-            is_section = isinstance(child.content, dict) or (at_key and depth == len(path) - 1)
-            place = key_place if is_section else (child.line, child.column)
-            node, depth = child, depth + 1
-        if node.file and node.keys:
-            return (node.file, *place), ("row" if isinstance(node.content, dict) else ", ".join(node.keys),)
-        # A missing key is reported at the key of its section.
-        # A value of a group or cell is in the tree twice: below its group or cell, and where it applies.
-        return (node.file, *place), (*max(self.root.paths_of(node), key=len, default=path[:depth]), *path[depth:])
 
 
 def repeats(entries: Iterable[tuple[Entry, Hashable]]) -> Iterator[tuple[Entry, Any, Entry]]:
@@ -211,19 +196,6 @@ def read_tree(source: Source, model: type[Model], root: Node | None, problems: I
 
         problems += problems_of(bare, error)
     return Reading(source, model, root, None if problems else value, tuple(problems))
-
-
-def _absent(section: type[BaseModel], node: Node | None, prefix: str) -> Iterator[dict[str, Any]]:
-    for name, info in section.model_fields.items():
-        child = node.child(name) if node is not None else None
-        if child is None and (info.is_required() or info.exclude_if is not None):
-            continue
-        inner = info.annotation
-        if isinstance(inner, type) and issubclass(inner, BaseModel):
-            yield from _absent(inner, child, f"{prefix}{name}.")
-        elif child is None:
-            value = info.get_default(call_default_factory=True)
-            yield {"key": f"{prefix}{name}", "value": list(value) if isinstance(value, tuple) else value}
 
 
 def _descend(value: Any, path: Iterable[Step]) -> Any:

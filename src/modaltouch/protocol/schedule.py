@@ -54,13 +54,6 @@ class Turn:
 
         Each further session of a participant takes the next turn. Groups alternate between participants; the turn
         advances after each cycle of groups.
-
-        Parameters
-        ----------
-        participant, seed, session
-            As in `Schedule.draw`.
-        groups : iterable of str
-            Groups of the protocol.
         """
         names = list(groups) or [""]
         ending = re.search(r"[0-9]+$", participant)

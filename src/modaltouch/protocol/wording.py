@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 from pydantic import BaseModel, ValidationError
@@ -271,3 +271,39 @@ def suggest_number(word: str) -> tuple[str, str]:
     """
     match = _WITH_UNIT.fullmatch(word)
     return (match.group(1).replace(",", "."), match.group(2).strip()) if match else ("", "")
+
+
+def place_of(
+    root: Node | None, path: tuple[Step, ...], *, at_key: bool
+) -> tuple[tuple[str, int, int], tuple[Step, ...]]:
+    """Return file, line and column of the value (or key) at a path, and its path as written in the file."""
+    if root is None:
+        return ("", 1, 1), path
+    node = root
+    place, depth = (node.line, node.column), 0
+    while depth < len(path) and (child := node.child(path[depth])) is not None:
+        step = path[depth]
+        key_place = node.keys.get(step, place) if isinstance(step, str) else (child.line, child.column)
+        # A block mapping begins on the line after its key, but users look at the key.
+        is_section = isinstance(child.content, dict) or (at_key and depth == len(path) - 1)
+        place = key_place if is_section else (child.line, child.column)
+        node, depth = child, depth + 1
+    if node.file and node.keys:
+        return (node.file, *place), ("row" if isinstance(node.content, dict) else ", ".join(node.keys),)
+    # A missing key is reported at the key of its section.
+    # A value of a group or cell is in the tree twice: below its group or cell, and where it applies.
+    return (node.file, *place), (*max(root.paths_of(node), key=len, default=path[:depth]), *path[depth:])
+
+
+def absent_keys(section: type[BaseModel], node: Node | None, prefix: str) -> Iterator[dict[str, Any]]:
+    """Yield the keys that a section omits, with their defaults."""
+    for name, info in section.model_fields.items():
+        child = node.child(name) if node is not None else None
+        if child is None and (info.is_required() or info.exclude_if is not None):
+            continue
+        inner = info.annotation
+        if isinstance(inner, type) and issubclass(inner, BaseModel):
+            yield from absent_keys(inner, child, f"{prefix}{name}.")
+        elif child is None:
+            value = info.get_default(call_default_factory=True)
+            yield {"key": f"{prefix}{name}", "value": list(value) if isinstance(value, tuple) else value}

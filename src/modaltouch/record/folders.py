@@ -224,19 +224,10 @@ class SessionFolder:
         return hold(self.dataset)
 
     def list_participants(self, start: Mapping[str, Any] | None = None) -> None:
-        """Add missing participants to ``participants.tsv``, and this one's answers to the protocol's questions.
+        """Add missing participants to ``participants.tsv``, and the answers in this one's start record to questions.
 
-        Entries made by the lab, in the list or in the file that describes its columns, are kept.
-
-        Parameters
-        ----------
-        start : mapping, optional
-            Start record of the participant's session.
-
-        Raises
-        ------
-        RecordError
-            If the list cannot be read or written.
+        Entries made by the lab, in the list or in the file that describes its columns, are kept. Raises RecordError if
+        the list cannot be read or written.
         """
         fields = (start or {}).get("design", {}).get("people", {})
         answers = (start or {}).get("people", {})

@@ -49,24 +49,8 @@ class SessionLog(AbstractContextManager["SessionLog"]):
     def create(cls, path: Path, event: str, *, timed_by: Clock = SYSTEM_CLOCK, **facts: Any) -> Self:
         """Create a new log with its first event, accessible to its owner only.
 
-        The file is renamed into place once it contains the first event, so that an interruption leaves either no
-        session or one that can be resumed.
-
-        Parameters
-        ----------
-        path : Path
-            Path of the log.
-        event : str
-            Kind of the first event.
-        timed_by : Clock
-            Clock of the session.
-        **facts
-            Members of the event, plain values.
-
-        Raises
-        ------
-        RecordError
-            If the log exists or the folder cannot be written.
+        The file is renamed into place once it contains the first event, with its `facts`, so that an interruption
+        leaves either no session or one that can be resumed. Raises RecordError if the log exists or cannot be written.
         """
         draft = path.with_name(f".{path.name}.{os.getpid()}.tmp")
         try:
@@ -140,19 +124,9 @@ class SessionLog(AbstractContextManager["SessionLog"]):
         self._table = session.trials, write_view(place, session, self.head, self._table)
 
     def append(self, event: str, **facts: Any) -> dict[str, Any]:
-        """Write an event and return it once it is on disk.
+        """Write an event with its `facts`, plain values, and return it once it is on disk.
 
-        Parameters
-        ----------
-        event : str
-            Kind of event.
-        **facts
-            Members of the event, plain values.
-
-        Raises
-        ------
-        RecordError
-            If writing fails; the log then refuses further events.
+        Raises RecordError if writing fails; the log then refuses further events.
         """
         if self._failure:
             raise RecordError(self._failure)

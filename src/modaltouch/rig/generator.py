@@ -119,18 +119,8 @@ class Generator(contextlib.AbstractContextManager["Generator"]):
     def load(self, burst: Burst, *further: Burst, repetition: Repetition | None = None) -> None:
         """Upload and verify the records of both channels, and apply every setting except the amplitudes.
 
-        Parameters
-        ----------
-        burst, *further : Burst
-            Bursts with one record for each of the two outputs. If the memories cannot hold all records, each burst is
-            uploaded when it is fired.
-        repetition : str, optional
-            Repetition of these bursts, until others are loaded; by default the usual one.
-
-        Raises
-        ------
-        RigError
-            If the instrument does not confirm the upload; the outputs are off.
+        If the memories cannot hold all records, each burst is uploaded when it is fired. `repetition` holds until other
+        bursts are loaded. Raises RigError, with the outputs off, if the instrument does not confirm the upload.
         """
         self.stop()
         self._player.take((burst, *further), repetition)
@@ -146,21 +136,11 @@ class Generator(contextlib.AbstractContextManager["Generator"]):
         which: int = 0,
         due: float = -math.inf,
     ) -> Firing:
-        """Set the level, switch the outputs on and play bursts until `end` or `stop`.
+        """Set the level, switch the outputs on and play bursts until `end` or `stop`; see `Rig.fire`.
 
-        Its parameters are those of `Rig.fire`.
-
-        Returns
-        -------
-        Firing
-            Not started, with the outputs off, if the instrument did not confirm a setting, or the connection was lost
-            and restored; the trial must then be presented again.
-
-        Raises
-        ------
-        RigError
-            If nothing is loaded, the level exceeds a limit, or the connection to the instrument is lost; the outputs
-            are off.
+        The stimulus has not started, with the outputs off, if the instrument did not confirm a setting, or the
+        connection was lost and restored; the trial must then be presented again. Raises RigError, with the outputs off,
+        if nothing is loaded, the level exceeds a limit, or the connection to the instrument is lost.
         """
         commanded = self._player.amplitudes(velocity, which)
         if self._on:
@@ -266,16 +246,8 @@ class Generator(contextlib.AbstractContextManager["Generator"]):
     def stop(self, *, at_once: bool = False) -> None:
         """Switch both outputs off with confirmation, and update `firing`: bursts played, and unchanged settings.
 
-        Parameters
-        ----------
-        at_once : bool
-            Whether to truncate a burst in progress; otherwise it is completed first, if bursts are triggered one by
-            one.
-
-        Raises
-        ------
-        RigError
-            If the instrument does not confirm that the outputs are off.
+        A burst in progress is completed first, if bursts are triggered one by one, unless `at_once`. Raises RigError if
+        the instrument does not confirm that the outputs are off.
         """
         was_on, firing = self._on, self.firing
         if not was_on or firing is None or not firing.started:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from modaltouch.stimulus.quantities import EXTREME, FloatArray, require_positive
-from modaltouch.stimulus.shapes import mode_shapes, patch_gains
+from modaltouch.stimulus.shapes import mode_shapes
 
 if TYPE_CHECKING:
     from modaltouch.stimulus.fingers import Finger, Load
@@ -152,7 +152,9 @@ class ModalModel:
         return tuple((finger.contact(self.shapes, self.length) / mass, finger) for finger in ordered)
 
     def patch_gains(self, patches: Sequence[tuple[float, float]]) -> FloatArray:
-        """Return the theoretical relative modal gains of patches wired together; see `modaltouch.stimulus.shapes`."""
+        """Return the theoretical relative modal gains of patches wired together; see `stimulus.other_shapes`."""
+        from modaltouch.stimulus.other_shapes import patch_gains
+
         return patch_gains(self.label, patches, self.length)
 
     def touched(self, fingers: tuple[Finger, ...]) -> ModalModel:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from functools import cache, lru_cache
 
 import numpy as np
@@ -101,26 +100,6 @@ def mode_shapes(label: ArrayLike, position: ArrayLike, length: float, derivative
         elif rows.size:
             shapes[rows] = _bending(labels[rows].tolist(), y, derivative)
     return shapes / length**derivative
-
-
-def patch_gains(label: ArrayLike, patches: Sequence[tuple[float, float]], length: float) -> FloatArray:
-    """Return the theoretical relative modal gains of piezoelectric patches wired together, (n_modes,) array.
-
-    A patch bends the beam by opposite moments at its two ends and drives a mode in proportion to the difference of the
-    mode's slopes there. Theory gives the ratios between modes; their common factor must be measured on one of them. A
-    moment pair does not drive the rigid modes; in practice the tape under the beam does, which is not modelled. The
-    ends of each patch are from mid-beam [m]; raises ValueError if one extends beyond the beam or has no length.
-    """
-    if not patches:
-        raise ValueError("no patch is given; give at least one as (left end, right end)")
-    for left, right in patches:
-        if not left < right:
-            raise ValueError(
-                f"a patch runs from {left * 1e3:g} to {right * 1e3:g} mm; its left end must lie left of its right end"
-            )
-    ends = np.asarray(patches, dtype=float)
-    slopes = mode_shapes(label, ends.ravel(), length, derivative=1).reshape(-1, *ends.shape)
-    return np.asarray((slopes[:, :, 1] - slopes[:, :, 0]).sum(axis=1))
 
 
 def scaled_position(position: ArrayLike, length: float) -> FloatArray:

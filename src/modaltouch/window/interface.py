@@ -151,19 +151,8 @@ class AnswerWindow(AbstractContextManager["AnswerWindow"]):
     def settle(self, trial: Trial, progress: tuple[int, int], lead: float = 0.0) -> float:
         """Let hands and fingers come to rest before each stimulus: the pause since the last answer or key.
 
-        A countdown is shown if a finger was lifted from the beam to press.
-
-        Parameters
-        ----------
-        trial, progress
-            As for `ask`.
-        lead : float
-            Time before the end of the pause at which to return [s].
-
-        Returns
-        -------
-        float
-            End of the pause, by the session's clock [s].
+        A countdown is shown if a finger was lifted from the beam to press. Return `lead` seconds before the end of the
+        pause, with the time of that end, by the session's clock [s].
         """
 
     def show_stall(self) -> None:
@@ -177,21 +166,9 @@ class AnswerWindow(AbstractContextManager["AnswerWindow"]):
 
     @abstractmethod
     def feel(self, trial: Trial, progress: tuple[int, int], presentation: Presentation, until: float) -> None:
-        """Show an interval before the last one, call `presentation.stop` at its end, and wait.
+        """Show an interval before the last one, call `presentation.stop` at its end, and wait until a time [s].
 
-        Parameters
-        ----------
-        trial : Trial
-            Trial with the condition of this interval; `ask` gets that of the last interval.
-        progress, presentation
-            As for `ask`.
-        until : float
-            Time at which to return, by the session's clock [s].
-
-        Raises
-        ------
-        TrialInterrupted, SessionStopped
-            As for `ask`.
+        The trial has the condition of this interval; `ask` gets that of the last one. Raises as `ask` does.
         """
 
     @abstractmethod
@@ -216,21 +193,10 @@ class AnswerWindow(AbstractContextManager["AnswerWindow"]):
 
     @abstractmethod
     def ask_further(self, name: str, asked: AnswersSection, trial: Trial | None = None) -> Response:
-        """Ask a further question and return its answer; ask again after a pause.
+        """Ask a further question, named in the protocol, and return its answer; ask again after a pause.
 
-        Parameters
-        ----------
-        name : str
-            Name of the question in the protocol.
-        asked : AnswersSection
-            The question.
-        trial : Trial, optional
-            The completed trial; None for a question of the closing form.
-
-        Raises
-        ------
-        SessionStopped
-            If the session was ended.
+        `trial` is the completed trial; None for a question of the closing form. Raises SessionStopped if the session
+        was ended.
         """
 
     def give_feedback(self, response: Response, expected: str) -> None:

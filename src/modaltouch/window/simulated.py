@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 import time
 import zlib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -19,37 +19,14 @@ Rated = tuple[str, float | None, float]
 """An answer, its number on a scale, and its reaction time [s]."""
 
 
-class Observing(Protocol):
-    """Decision rule of a participant, such as those in `modaltouch.planning`."""
-
-    def answer(
-        self,
-        speed_left: float,
-        speed_right: float,
-        finger_condition: str,
-        rng: np.random.Generator,
-        answers: AnswerList,
-        *speed_between: float,
-    ) -> tuple[str, float]:
-        """Return the answer to two or three peak speeds [m/s] and its reaction time [s]."""
-
-    def rate(self, speeds: Sequence[float], rng: np.random.Generator) -> tuple[float, float]:
-        """Return the perceived strength of peak speeds [m/s] as a share of a scale [1], and the reaction time [s]."""
-
-    def compare(
-        self, speeds: Sequence[tuple[float, ...]], rng: np.random.Generator, answers: AnswerList
-    ) -> tuple[str, float]:
-        """Return the answer to the peak speeds of each interval [m/s] and its reaction time [s]."""
-
-
 @dataclass(frozen=True)
 class Answerer:
     """A simulated observer that answers according to the felt speeds.
 
     Attributes
     ----------
-    participant : Observing
-        Participant drawn from an observer model.
+    participant : Participant of modaltouch.planning
+        Decides on answers, ratings and comparisons; planning is above this package.
     felt : callable
         Peak speeds under the fingers in a trial, from left to right [m/s].
     generator : numpy.random.Generator
@@ -57,7 +34,7 @@ class Answerer:
         repeated trials get the same answers as an uninterrupted session.
     """
 
-    participant: Observing
+    participant: Any
     felt: Callable[[Trial], tuple[float, ...]]
     generator: np.random.Generator
     answers: AnswerList = field(default_factory=lambda: AnswerList.of({}))
@@ -73,10 +50,12 @@ class Answerer:
         """Return the answer to a trial and its reaction time [s], given the currently felt stimulus."""
         speeds, stream = self._feel(trial), self._stream(int(trial.practice), trial.index)
         if self._intervals and any(answer.interval for answer in self.answers):
-            return self.participant.compare([*self._intervals, speeds], stream, self.answers)
+            compared: tuple[str, float] = self.participant.compare([*self._intervals, speeds], stream, self.answers)
+            return compared
         # A single finger counts as two that feel the same, and can only detect a stimulus.
         of = speeds[0], speeds[-1], trial.condition.finger_condition
-        return self.participant.answer(*of, stream, self.answers, *speeds[1:-1])
+        answered: tuple[str, float] = self.participant.answer(*of, stream, self.answers, *speeds[1:-1])
+        return answered
 
     def first(self, trial: Trial) -> Rated:
         """Return the answer to the first question of a trial, in the form of `rate`."""
@@ -88,19 +67,8 @@ class Answerer:
     def rate(self, trial: Trial | None, scale: ScaleSection | None, names: Iterable[str], name: str = "") -> Rated:
         """Return the answer to a question about strength, its number on a scale, and the reaction time [s].
 
-        A stronger vibration gives a larger number, or a later answer in the list. Without a trial, all are equally
-        likely.
-
-        Parameters
-        ----------
-        trial : Trial or None
-            The presented trial, if any.
-        scale : ScaleSection or None
-            The scale; None for a list of answers.
-        names : iterable of str
-            The answers.
-        name : str
-            Name of a further question; empty for the first.
+        A stronger vibration gives a larger number, or a later answer in the list `names`. Without a trial, all are
+        equally likely. `name` is that of a further question.
         """
         number, listed = zlib.crc32(name.encode()), list(names)
         if trial is None:

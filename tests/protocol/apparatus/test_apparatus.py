@@ -10,7 +10,7 @@ import pytest
 
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.source import InputError
-from modaltouch.stimulus.shapes import patch_gains
+from modaltouch.stimulus.other_shapes import patch_gains
 
 Edit = Callable[..., Path]
 FILE = "apparatus/beam_100x6x2.yaml"
