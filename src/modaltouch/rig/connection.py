@@ -5,14 +5,21 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypeAlias
 
 from modaltouch.protocol import Apparatus
 from modaltouch.rig.catalogue import instrument_of, instruments
 from modaltouch.rig.controls import Controls, Log
 from modaltouch.rig.instrument import Setting
 from modaltouch.rig.interface import InUse, LinkError, RigError, Unconfirmed
-from modaltouch.rig.pacing import BurstPlayer
+from modaltouch.rig.pacing import LocalClient
 from modaltouch.system import SYSTEM_CLOCK, Clock
+
+if TYPE_CHECKING:
+    from modaltouch.rig.watchdog_client import WatchdogClient
+
+BurstPlayer: TypeAlias = "WatchdogClient | LocalClient"
+"""The watchdog: holds the transport, plays bursts, and switches the outputs off if the driver cannot."""
 
 
 def start_watchdog(address: str, off: str) -> BurstPlayer:

@@ -17,10 +17,10 @@ from typing import Any
 
 from modaltouch.protocol import Apparatus
 from modaltouch.rig.catalogue import instrument_of
-from modaltouch.rig.connection import Connection, OutputState, Patience, start_watchdog
+from modaltouch.rig.connection import BurstPlayer, Connection, OutputState, Patience, start_watchdog
 from modaltouch.rig.controls import Log
 from modaltouch.rig.interface import MANY, Bursts, Firing, LinkError, Repetition, RigError, StimulusLost, Unconfirmed
-from modaltouch.rig.pacing import HELD_UP, PATIENCE, BurstPlayer, Report
+from modaltouch.rig.pacing import HELD_UP, PATIENCE, Report
 from modaltouch.rig.player import RELAYS_SETTLE, Player, numbers
 from modaltouch.stimulus import Burst
 from modaltouch.system import SYSTEM_CLOCK, Clock

@@ -72,37 +72,6 @@ class Report:
         return f"{self.ended}: {self.reason}" if self.ended in ("stalled", "failed") else ""
 
 
-class BurstPlayer(Transport, typing.Protocol):
-    """The watchdog: holds the transport, plays bursts, and switches the outputs off if the driver cannot."""
-
-    def arm(self, *, free_running: bool) -> None:
-        """Note that outputs may be on from now on; if `free_running`, they play until switched off."""
-
-    def beat(self) -> str:
-        """Note that the session is alive; return the reason if the bursts ended without a request, else empty."""
-
-    def play(self, order: Order) -> Report:
-        """Start to play bursts; return the report when it is known whether the first was played."""
-
-    def look(self) -> Report:
-        """Return the report so far."""
-
-    def end(self) -> None:
-        """Trigger no further burst."""
-
-    def report(self, *, wait: bool) -> Report:
-        """Trigger no further burst and return the report; with `wait`, after the end of the last burst."""
-
-    def held_up(self) -> float:
-        """Return the longest stall of this process or of the pacing process since `arm` [s]."""
-
-    def disarm(self) -> None:
-        """Note that the outputs are off."""
-
-    def release(self, *, clean: bool) -> None:
-        """Release the watchdog, which first switches the outputs off unless `clean`."""
-
-
 class Pacer:
     """Trigger bursts one by one; late bursts are dropped and never caught up.
 

@@ -5,18 +5,7 @@ from __future__ import annotations
 import heapq
 import itertools
 import time
-import typing
 from collections.abc import Callable
-
-
-class Clock(typing.Protocol):
-    """Interface of a clock, an argument of window, session, generator driver and twin."""
-
-    def now(self) -> float:
-        """Return the time since an arbitrary zero [s]."""
-
-    def sleep(self, seconds: float) -> None:
-        """Wait for a duration [s]."""
 
 
 class SystemClock:
@@ -62,6 +51,9 @@ class VirtualClock:
         """Schedule a call at an instant [s]."""
         heapq.heappush(self._due, (instant, next(self._numbers), call))
 
+
+Clock = SystemClock | VirtualClock
+"""A clock, an argument of window, session, generator driver and twin."""
 
 SYSTEM_CLOCK = SystemClock()
 """Clock of all sessions except those simulated in virtual time."""
