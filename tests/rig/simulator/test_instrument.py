@@ -34,7 +34,7 @@ class Bench:
 
     def upload(self, codes: list[int], user: int = 1) -> None:
         """Store a record."""
-        self.instrument.perform(block(codes))
+        self.instrument.run(block(codes), 0)
         self.ask(f"DATA:COPY USER{user},EMEM")
 
 

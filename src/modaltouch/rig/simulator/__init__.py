@@ -217,7 +217,7 @@ class Simulator(AbstractContextManager["Simulator"]):
 
     def front_panel(self, command: str) -> str:
         """Execute a command as if entered at the front panel, and return the reply to a query."""
-        return self._instrument.perform(command.encode()).data.decode("latin1").removesuffix("\n")
+        return self._instrument.run(command.encode(), 0).data.decode("latin1").removesuffix("\n")
 
     def power_cycle(self) -> None:
         """Power-cycle the generator: connections and settings are lost, outputs off, USER memories kept."""

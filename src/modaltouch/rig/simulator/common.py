@@ -91,7 +91,7 @@ C = TypeVar("C", bound=OutputChannel)
 class GeneratorState(ABC, Generic[C]):
     """Base class of all simulated two-channel generators."""
 
-    SETTINGS: ClassVar[tuple[str, ...]]  # their names
+    SETTINGS: ClassVar[tuple[str, ...]]  # names of what `settings` returns
 
     # behaviour of the real instrument that is not publicly known
     behaviour: Behaviour = field(default_factory=Behaviour)

@@ -115,7 +115,7 @@ class Faults:
             if "scpi_error" in met:
                 instrument.afg.fail(ScpiError(int(float(met["scpi_error"].value))))
             if "front_panel" in met:
-                instrument.perform(str(met["front_panel"].value).encode())
+                instrument.run(str(met["front_panel"].value).encode(), 0)
         return _spoil_reply(reply.data, met)
 
 

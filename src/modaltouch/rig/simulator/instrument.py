@@ -31,20 +31,12 @@ class SimulatedInstrument:
         """Executes a message that a fault affects; None for one that no fault affects."""
         self._table = table
 
-    def trigger(self, link: int) -> None:
-        """Execute a group execute trigger, like ``*TRG``."""
-        self.run(b"*TRG", link)
-
-    def perform(self, message: bytes) -> Reply:
-        """Execute a message as if entered at the front panel, without faults."""
-        return self.run(message, 0)
-
     def execute(self, message: bytes, link: int = 1) -> Reply:
         """Execute a message received over a link."""
         return self.intercept(message, link) or self.run(message, link)
 
     def run(self, message: bytes, link: int) -> Reply:
-        """Execute a message without faults."""
+        """Execute a message without faults; link 0 is the front panel."""
         with self.busy:
             self.afg.link = link
             replies = self._table.run(message, fail=self.afg.fail)

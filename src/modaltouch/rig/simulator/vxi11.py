@@ -150,7 +150,7 @@ class Links:
             _WRITE: (self._write, 4),
             _READ: (self._read, 8),
             _READ_STATUS: (lambda link, _: struct.pack(">I", device.afg.status_byte | (16 if link.leaving else 0)), 4),
-            _TRIGGER: (lambda link, _: device.trigger(0 if link.panel else link.number), 0),
+            _TRIGGER: (lambda link, _: device.run(b"*TRG", 0 if link.panel else link.number).data, 0),
             _CLEAR: (self._clear, 0),
             **dict.fromkeys((_REMOTE, _LOCAL, _ENABLE_SERVICE), (lambda link, _: None, 0)),
             _DESTROY_LINK: (lambda link, _: self.forget([link.number]), 0),
@@ -218,7 +218,7 @@ class Links:
         if link.leaving:
             self._device.afg.fail(ScpiError(-410))
             link.leaving = b""
-        reply = self._device.perform(message) if link.panel else self._device.execute(message, link.number)
+        reply = self._device.run(message, 0) if link.panel else self._device.execute(message, link.number)
         if reply.hang_up:
             raise HangUp
         link.leaving, link.ready_at = reply.data, time.monotonic() + reply.delay
