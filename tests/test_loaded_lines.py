@@ -46,16 +46,22 @@ def results(tmp_path_factory):
 
 
 def test_a_simulated_session_loads_neither_lab_nor_analysis_nor_screen(tmp_path):
-    """Nor a watchdog process, a scope, a keyboard, or what only a resumed or an adaptive session needs."""
+    """Nor a network, a watchdog process, a scope, a keyboard, or what few protocols, resumption or faults need."""
     loaded, lines = load("simulate", DEMO, "-n", 1, "--results", tmp_path, "--json")
     assert not rooms(loaded) & {"lab", "analysis", "report"}
     assert not loaded & {
         "planning.power",
+        "preflight.designs",
+        "preflight.results",
         "protocol.calibration",
+        "protocol.catch_trials",
         "protocol.levels",
         "protocol.wording",
         "record.audit",
         "rig.scope",
+        "rig.simulator.faults",
+        "rig.simulator.vxi11",
+        "rig.visa",
         "rig.watchdog_client",
         "session.console.__main__",
         "session.resumption",
@@ -63,7 +69,7 @@ def test_a_simulated_session_loads_neither_lab_nor_analysis_nor_screen(tmp_path)
         "window.masking",
         "window.screen",
     }
-    assert lines <= 22_800
+    assert lines <= 19_950
 
 
 def test_an_analysis_of_sessions_loads_what_reads_and_audits_them(results, tmp_path):
@@ -71,7 +77,7 @@ def test_an_analysis_of_sessions_loads_what_reads_and_audits_them(results, tmp_p
     loaded, lines = load("analyse", results, "--out", tmp_path / "out", "--json")
     assert not rooms(loaded) & {"lab", "planning", "session", "window"}
     assert not loaded & {"rig.generator", "rig.simulator", "analysis.tidy", "analysis.runs", "record.recovery"}
-    assert lines <= 21_450
+    assert lines <= 20_300
 
 
 def test_a_check_loads_no_library_that_it_does_not_use():
@@ -107,7 +113,7 @@ def test_an_analysis_of_a_table_designs_nothing(tmp_path):
     loaded, lines = load("analyse", tmp_path / "answers.csv", "--out", tmp_path / "out", "--json")
     assert not rooms(loaded) & {"lab", "planning", "preflight", "rig", "session", "stimulus", "window"}
     assert not loaded & {"record.folders", "record.session"}
-    assert lines <= 10_200
+    assert lines <= 9_800
 
 
 @pytest.mark.parametrize("command", ["analyse", "verify", "rig", "new"])
