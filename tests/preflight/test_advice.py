@@ -11,8 +11,8 @@ from modaltouch.analysis import ALPHA
 from modaltouch.analysis.statistics import STATISTICS
 from modaltouch.planning import Observer, designs_for
 from modaltouch.planning.power import find_floor
-from modaltouch.preflight import advice, examine
-from modaltouch.preflight.advice import design_warnings
+from modaltouch.preflight import examine, results
+from modaltouch.preflight.results import design_warnings
 from modaltouch.protocol import Protocol
 
 Edit = Callable[..., Path]
@@ -78,7 +78,7 @@ def test_what_no_test_can_tell_is_what_the_analysis_cannot_reach(
     named = {"b": "one level", "c": "one finger condition", "d": "one pair of zones"}
     assert {name for name, words in named.items() if words in said} == silent
     assert f"with fewer than {floors['a2'].least_participants} participants no test" in said
-    assert advice._ALPHA == ALPHA
+    assert results._ALPHA == ALPHA
 
 
 def test_a_session_longer_than_an_hour_is_told(edit: Edit) -> None:

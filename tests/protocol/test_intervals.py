@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from modaltouch.preflight import estimated_duration
-from modaltouch.preflight.advice import interval_warnings
+from modaltouch.preflight.results import interval_warnings
 from modaltouch.protocol import Findings, Protocol, Schedule, Trial
 from modaltouch.protocol.intervals import draw_intervals
 from modaltouch.protocol.stimulus_sections import IntervalsSection, StandardSection

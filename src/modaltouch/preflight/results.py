@@ -1,33 +1,47 @@
-"""Results of a check as plain values, as printed by ``modaltouch check --json``."""
+"""Results of a check as plain values, as printed by ``modaltouch check --json``, with its warnings."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+from collections import Counter
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
-from modaltouch.preflight import advice
+from modaltouch.preflight.design_inputs import DesignInputs
 from modaltouch.preflight.exploration import continuous_figures, touched_figures
 from modaltouch.preflight.figures import estimated_duration, finite, stimulus_figures
-from modaltouch.protocol import Findings, Protocol
-from modaltouch.stimulus import Law
+from modaltouch.protocol import Apparatus, Findings, Protocol
+from modaltouch.rig import instrument_of
+from modaltouch.stimulus import Law, Stimulus
 
 if TYPE_CHECKING:
     from modaltouch.preflight import Preflight
 
 DESIGN_FIGURES = ("sensation_levels", "n_trials", "n_catch_trials", "n_practice_trials", "estimated_duration_min")
 
+_FASTER = 1 + 2e-3
+"""Ratio to the focus zone's speed above which another zone counts as faster, beyond rounding of the codes [1]."""
+
+_UNREACHED = 0.25
+"""Relative RMS error above which the target field counts as missed; the paper's six modes have 0.06 [1]."""
+
+LOUD = 80.0
+"""Level above which exposure for hours may harm hearing (2003/10/EC, lower action value) [dB SPL]."""
+
+_ALPHA = 0.05
+"""Significance level of the analysis [1]."""
+
+_LONG = 60.0
+"""Duration of a session beyond which attention and skin tire [min]."""
+
+_PRESENTED = ("stimulus.", "conditions.", "schedule.order")
+"""Keys whose defaults `check` reports."""
+
 
 def check_results(preflight: Preflight, *, compare: bool = False, fingers: str | None = None) -> dict[str, Any]:
-    """Return all results of a check.
+    """Return all results of a check; with `compare`, also those of the other drive law.
 
-    Parameters
-    ----------
-    preflight : Preflight
-        The examined protocol.
-    compare : bool
-        Whether to include the other drive law.
-    fingers : str, optional
-        Fingers of a file, or shipped ones, or ``none``; those of the protocol if not given.
+    `fingers` are those of a file, or shipped ones, or ``none``; those of the protocol if not given.
     """
     findings, reading = preflight.findings, preflight.findings.protocol
     values: dict[str, Any] = {
@@ -105,14 +119,14 @@ def _warnings(preflight: Preflight, fingers: str | None, defaults: list[dict[str
     return [
         *([f"the calibration misses its limits: {preflight.calibration_mark}"] if preflight.calibration_mark else []),
         *_stimulus_warnings(preflight),
-        *advice.placement_warnings({name: part.sound[0] for name, part in preflight.designs.items()}),
-        *advice.contact_warnings(findings if fingers in (None, "none") else findings.under(fingers)),
-        *advice.design_warnings(protocol),
-        *advice.answer_warnings(protocol),
-        *advice.interval_warnings(protocol),
-        *advice.generator_warnings(apparatus),
-        *advice.sound_warnings(protocol, apparatus),
-        *advice.default_warnings(defaults),
+        *placement_warnings({name: part.sound[0] for name, part in preflight.designs.items()}),
+        *contact_warnings(findings if fingers in (None, "none") else findings.under(fingers)),
+        *design_warnings(protocol),
+        *answer_warnings(protocol),
+        *interval_warnings(protocol),
+        *generator_warnings(apparatus),
+        *sound_warnings(protocol, apparatus),
+        *default_warnings(defaults),
     ]
 
 
@@ -121,8 +135,8 @@ def _stimulus_warnings(preflight: Preflight) -> list[str]:
     for name, part in preflight.parts.items():
         inputs, stimulus = part.sound
         own = [
-            *advice.field_warnings(inputs, stimulus, part.stimuli),
-            *advice.stimulus_warnings(inputs, stimulus, part.stimuli),
+            *field_warnings(inputs, stimulus, part.stimuli),
+            *stimulus_warnings(inputs, stimulus, part.stimuli),
         ]
         warnings.append((name, own))
     shared = [each for each in warnings[0][1] if all(each in own for _, own in warnings)]
@@ -198,3 +212,233 @@ def occasion_figures(findings: Findings) -> dict[str, Any]:
         "peak_velocities_mm_s": None if protocol is None else list(protocol.conditions.peak_velocities_mm_s),
         **{name: known.get(name) for name in ("n_trials", "n_practice_trials", "estimated_duration_min")},
     }
+
+
+def field_warnings(inputs: DesignInputs, stimulus: Stimulus, figures: list[dict[str, Any]]) -> Iterator[str]:
+    """Yield warnings about a field that is fastest outside the focus or misses its target."""
+    top = max(figures, key=lambda each: float(each["velocity_mm_s"]), default=None)
+    if top is not None:
+        peaks, focus = top["zone_peak_mm_s"], inputs.section.focus
+        at_focus = peaks[focus] or 0.0
+        faster = {name: peak for name, peak in peaks.items() if peak is not None and peak > _FASTER * at_focus}
+        if faster:
+            others = ", ".join(f"zone {name} at up to {peak:.0f} mm/s" for name, peak in faster.items())
+            yield (
+                f"at {top['velocity_mm_s']:g} mm/s the focus {focus} is not where the beam moves fastest: zone "
+                f"{focus} moves at up to {at_focus:.0f} mm/s, {others}"
+            )
+    if stimulus.projection.reconstruction_error > _UNREACHED:
+        yield f"at {stimulus.target_field.velocity * 1e3:g} mm/s {stimulus.projection.unreached()}"
+
+
+def placement_warnings(designs: Mapping[str, DesignInputs]) -> list[str]:
+    """Return a warning with the factors on the levels if placements are equalised in a band."""
+    band = next(iter(designs.values())).section.equalise_band_Hz
+    if band is None:
+        return []
+    shares = ", ".join(f"{name} {inputs.share:g}" for name, inputs in designs.items())
+    return [
+        f"the velocity from {band[0]:g} to {band[1]:g} Hz at the focus is made the same at every placement: levels are "
+        f"multiplied by {shares}"
+    ]
+
+
+def contact_warnings(findings: Findings) -> list[str]:
+    """Return a warning if a contact is wider than a zone, which is probably a typing error."""
+    placed = {} if findings.placements is None else findings.placements.all()
+    widest = max((finger.width * 1e3 for laid in placed.values() for finger in laid), default=0.0)
+    narrowest = min(zone.width_mm for zone in findings.experiment().apparatus.zones.values())
+    warning = f"a finger's contact is {widest:g} mm wide, a zone only {narrowest:g}; a fingertip touches about 10 mm"
+    return [f"{warning}: check contact_width_mm"] if widest > narrowest else []
+
+
+def stimulus_warnings(inputs: DesignInputs, stimulus: Stimulus, figures: list[dict[str, Any]]) -> Iterator[str]:
+    """Yield warnings about clock jitter, unmeasured gains, ill-conditioned modes and modal errors."""
+    clocks = stimulus.timing.duration * stimulus.timing.clock_rate / stimulus.timing.n_samples
+    if not stimulus.timing.converter.any_rate and not math.isclose(clocks, round(clocks), rel_tol=1e-9):
+        yield (
+            f"{stimulus.timing.n_samples} samples are held {clocks:.2f} clocks each, so their edges jitter; "
+            f"125000 samples in 50 ms are held exactly 100"
+        )
+    if inputs.apparatus.assumed_gains():
+        modes = ", ".join(f"{label} ({name})" for label, name in inputs.apparatus.assumed_gains())
+        yield f"the gains of these modes are assumed, not measured: {modes}"
+    if offered := inputs.apparatus.offered_gains():
+        gains = ", ".join(f"{label} ({name}) {gain:.4g}" for label, name, gain in offered)
+        yield f"unmeasured gains, computed from the patches, in mm/s^2 per V by mode and set: {gains}"
+    if stimulus.drive.condition_number > 1e6:
+        yield f"the condition number is {stimulus.drive.condition_number:.1e}: two modes are nearly alike"
+    worst = max(figures, key=lambda each: each["worst_modal_error_mm_s"] / each["velocity_mm_s"], default=None)
+    short = worst and worst["worst_modal_error_mm_s"] > 1e-3 * worst["velocity_mm_s"]
+    if worst and short and stimulus.priority == "level":
+        yield (
+            f"priority level: at {worst['velocity_mm_s']:g} mm/s the level is exact and a mode misses the field by "
+            f"{worst['worst_modal_error_mm_s']:.2g} mm/s, so the spectrum is different; do not compare it with "
+            f"sessions that have priority field"
+        )
+    elif worst and short:
+        yield (
+            f"at {worst['velocity_mm_s']:g} mm/s the law `{stimulus.law}` misses a mode by "
+            f"{worst['worst_modal_error_mm_s']:.2g} mm/s on the identified beam"
+        )
+
+
+_UNPROMISED = {
+    "timer": "with the generator's free timer, the first burst is known to within a period and no burst is counted",
+    "continuous": "with a continuous record, the first burst is known by its command and no burst is counted",
+    "wired": "the pulse source at the trigger input counts the bursts; this program neither counts nor times them",
+}
+
+
+def generator_warnings(apparatus: Apparatus) -> Iterator[str]:
+    """Yield warnings about a generator without a driver, and about a repetition other than ``single``."""
+    section, instrument = apparatus.generator, instrument_of(apparatus)
+    if section.model not in instrument.models:
+        yield (
+            f"there is no driver for the generator {section.model}: that of the {instrument.models[0]} will be used; "
+            "`rig check` says whether it works"
+        )
+    if section.repeats != "single":
+        former = " (`burst` is its former name)" if section.repetition == "burst" else ""
+        yield (
+            f"generator.repetition is {section.repeats}{former}: {_UNPROMISED[section.repeats]}, and only the watchdog "
+            "process ends it if this program dies; `single` promises all three"
+        )
+
+
+_PARTS = {
+    "conditions": "the design is not crossed ({}): each crossed part is tested separately",
+    "groups": "each group is tested separately; groups are compared by one value per participant",
+    "schedule": "each kind of session is tested separately; kinds are compared within each participant",
+}
+
+
+def design_warnings(protocol: Protocol) -> Iterator[str]:
+    """Yield warnings about pairs without a finger on the focus, tests that are impossible, and long sessions."""
+    conditions = protocol.conditions
+    for name in protocol.stimulus_names:
+        section = protocol.stimulus_of(name)
+        foci = dict.fromkeys((section.focus, *section.further_foci))
+        without = ["-".join(zones) for zones in conditions.contacts if not foci.keys() & set(zones)]
+        noun = "any pair" if conditions.zone_pairs else "any zones"
+        where = noun if len(without) == len(conditions.contacts) else ", ".join(without)
+        if without:
+            yield (f"{f'stimulus {name}: ' if name else ''}no finger touches the focus {', '.join(foci)} on {where}")
+    kinds = protocol.schedule.session_kinds
+    is_analysed = not kinds or any(each.analysed for each in kinds)
+    if not is_analysed:
+        yield "no kind of session is analysed (schedule.sessions): there will be nothing for `analyse`"
+    if len(protocol.groups) == 1:
+        yield "there is only one group: nothing can be compared between groups; add another, or leave it out"
+    pairs, levels, _ = map(set, zip(*protocol.cells(conditions.finger_conditions[0]), strict=True))
+    n_pairs, n_fingers = len(pairs), len(conditions.finger_conditions)
+    is_fixed = is_analysed and protocol.adaptive is None  # runs are compared with each other, and have no parts
+    by = () if protocol.uncrossed_by[:1] == ("conditions",) and _is_crossed(protocol) else protocol.uncrossed_by
+    if is_fixed and by:
+        yield _PARTS[by[0]].format(".".join(by))
+    elif is_fixed and not kinds:  # the protocol may be that of a training
+        numbers = {"level": len(levels), "finger condition": n_fingers, "pair of zones": n_pairs}
+        alone = " and one ".join(noun for noun, number in numbers.items() if number == 1)
+        if alone:
+            yield f"there is only one {alone}: no test can show whether that matters"
+        # If all participants agree, p is 2/2^n; Holm's method multiplies the smallest p by the number of tests.
+        fewest = 1 + math.ceil(math.log2(n_pairs * n_fingers / _ALPHA))
+        if protocol.answers.offered.compares:
+            yield f"with fewer than {fewest} participants no test can tell which zone of a pair is chosen more"
+    idle = [key for key in ("practice_feedback", "practice_criterion") if getattr(protocol.schedule, key)]
+    if idle and not (protocol.schedule.practice_trials or kinds):
+        yield f"schedule.{idle[0]} has no effect, since practice_trials is 0: there is no practice"
+    minutes = estimated_duration(protocol)
+    if minutes > _LONG:
+        yield (
+            f"a session takes about {minutes:.0f} min, longer than an hour: use fewer repetitions, or several sessions"
+        )
+
+
+def _is_crossed(protocol: Protocol) -> bool:
+    """Test whether the listed cells, without those left out, are every pair at every level, all equally often."""
+    first, *others = (Counter(protocol.cells(name)) for name in protocol.conditions.finger_conditions)
+    n_crossed = math.prod(len(set(parts)) for parts in zip(*first, strict=True))
+    return len(first) == n_crossed and len(set(first.values())) == 1 and all(each == first for each in others)
+
+
+def answer_warnings(protocol: Protocol) -> Iterator[str]:
+    """Yield warnings about catch trials without the answer none, answers that name no finger, and an unknown task."""
+    n_catches, offered, scale = protocol.schedule.catch_trials, protocol.answers.offered, protocol.answers.scale
+    if n_catches and not protocol.answers.has_none_answer and scale is None:
+        yield (
+            f"the {n_catches} catch trials of a block cannot be answered correctly, since there is no answer none: "
+            "they show what is guessed, not how often; add `none` to answers.keys"
+        )
+    if not offered.refers and scale is None:
+        nothing = offered.naming()
+        which = "whatever it feels" if nothing is None else f"but {nothing.name} where it feels nothing"
+        yield (
+            f"no answer names a finger ({', '.join(offered.names)}): a simulated participant answers at random, {which}"
+        )
+    if protocol.task == "other":
+        yield "the question is that of the texts, which must suit these answers; else write answers.question"
+
+
+def interval_warnings(protocol: Protocol) -> list[str]:
+    """Return warnings about interval trials without a right answer, and answers that are never right."""
+    section, answers = protocol.intervals, protocol.answers
+    if section is None or answers.scale is not None or protocol.adaptive is not None:
+        return []
+    meanings = {answer.interval for answer in answers.offered}
+    if meanings == {None}:
+        return ["no answer refers to an interval, so none is right; write answers.intervals, such as {first: 1}"]
+    cells = [cell for name in protocol.conditions.finger_conditions for cell in protocol.cells(name)]
+    given = section.standard
+    alike = sum(given.velocity_mm_s in (None, level) and given.stimulus in (None, own) for _, level, own in cells)
+    if alike and "same" not in meanings and section.asked == "comparison":
+        return [
+            f"the comparison is the standard in {alike} of {len(cells)} cells: all intervals are alike there and "
+            "no answer is right; leave these out (conditions.exclude), or offer `same` (answers.intervals)"
+        ]
+    if "same" in meanings and alike in (0, len(cells)):
+        never = "different" if alike else "same"
+        return [
+            f"the comparison is the standard in {alike} of {len(cells)} cells: `{never}` is right in no trial, "
+            "and there is no d'; let the standard's level or stimulus be one of several of the conditions"
+        ]
+    return []
+
+
+def default_warnings(taken: list[dict[str, Any]]) -> list[str]:
+    """Return one line with the defaults of what is presented, except those that leave a feature off.
+
+    The schema and the list of all defaults contain the others.
+    """
+    listed = ", ".join(
+        f"{each['key']} {_in_words(each['value'])}"
+        for each in taken
+        # The priority matters only at the amplifier's limit.
+        if each["key"].startswith(_PRESENTED) and each["key"] != "stimulus.priority"
+        if each["value"] not in (None, False, "", "none", {}, [])
+    )
+    return [f"taken by default: {listed}"] if listed else []
+
+
+def _in_words(value: Any) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, list):
+        return "/".join(map(str, value))
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def sound_warnings(protocol: Protocol, apparatus: Apparatus) -> list[str]:
+    """Return warnings about masking noise at an unknown or harmful level."""
+    section, sound = protocol.masking, apparatus.sound
+    level = None if section is None else section.level(sound)
+    if level is None:
+        return []
+    if sound.full_scale_dB_SPL is None:
+        return [f"masking noise at {level:g} dB FS: its level at the ear is unknown, as the device is not calibrated"]
+    if level + sound.full_scale_dB_SPL > LOUD:
+        return [
+            f"masking noise at {level + sound.full_scale_dB_SPL:g} dB SPL: above {LOUD:g} dB it may harm hearing "
+            "within hours; keep sessions short and the total of a day in mind"
+        ]
+    return []

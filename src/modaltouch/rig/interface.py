@@ -122,21 +122,10 @@ class Firing:
 class Rig(typing.Protocol):
     """A generator with a beam behind it, real or simulated."""
 
-    @property
-    def identity(self) -> str:
-        """Reply to ``*IDN?``."""
-
-    @property
-    def address(self) -> str:
-        """VISA address."""
-
-    @property
-    def firing(self) -> Firing | None:
-        """The latest stimulus; `stop` confirms it or states why not."""
-
-    @property
-    def lead(self) -> float:
-        """Time by which `fire` should precede a stimulus that is to begin on time [s]."""
+    identity: str  # reply to ``*IDN?``
+    address: str  # VISA address
+    firing: Firing | None  # the latest stimulus; `stop` confirms it or states why not
+    lead: float  # time by which `fire` should precede a stimulus that is to begin on time [s]
 
     def load(self, burst: Burst, *further: Burst, repetition: Repetition | None = None) -> None:
         """Upload and verify the records of each burst, outputs off; `repetition` replaces the usual one."""

@@ -7,7 +7,7 @@ import time
 import zlib
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -50,12 +50,11 @@ class Answerer:
         """Return the answer to a trial and its reaction time [s], given the currently felt stimulus."""
         speeds, stream = self._feel(trial), self._stream(int(trial.practice), trial.index)
         if self._intervals and any(answer.interval for answer in self.answers):
-            compared: tuple[str, float] = self.participant.compare([*self._intervals, speeds], stream, self.answers)
-            return compared
+            intervals = [*self._intervals, speeds]
+            return cast("tuple[str, float]", self.participant.compare(intervals, stream, self.answers))
         # A single finger counts as two that feel the same, and can only detect a stimulus.
         of = speeds[0], speeds[-1], trial.condition.finger_condition
-        answered: tuple[str, float] = self.participant.answer(*of, stream, self.answers, *speeds[1:-1])
-        return answered
+        return cast("tuple[str, float]", self.participant.answer(*of, stream, self.answers, *speeds[1:-1]))
 
     def first(self, trial: Trial) -> Rated:
         """Return the answer to the first question of a trial, in the form of `rate`."""

@@ -25,10 +25,9 @@ class SimulatedInstrument:
 
     def __init__(self, afg: GeneratorState[Any], table: CommandTable) -> None:
         self.afg = afg
-        self.busy = threading.RLock()
-        """Held while a message is executed."""
+        self.busy = threading.RLock()  # held while a message is executed
+        # Executes a message that a fault affects; returns None for one that no fault affects.
         self.intercept: Callable[[bytes, int], Reply | None] = lambda message, link: None
-        """Executes a message that a fault affects; None for one that no fault affects."""
         self._table = table
 
     def execute(self, message: bytes, link: int = 1) -> Reply:

@@ -39,11 +39,6 @@ class TrueBeam:
     width: float  # width of the beam, for its torsion modes [m]
     mass: float  # moving mass of the beam [kg]
 
-    @property
-    def n_channels(self) -> int:
-        """Number of generator outputs."""
-        return self.table.n_channels
-
     @cached_property
     def natural_frequency(self) -> FloatArray:
         """Undamped natural frequency of each mode, without fingers, (n_modes,) array [Hz]."""

@@ -44,8 +44,8 @@ class Twin:
     seed: int  # seed of the differences between true and identified beam
     tripped: bool = False  # whether the amplifier's protection has disabled its output
     n_measured: int = field(default=0, init=False)  # number of measurements so far; the beam drifts with each
+    # states of the beam for the latest measurement, with what they depend on
     histories: tuple[object, list[StateHistory]] | None = field(default=None, init=False, repr=False)
-    """States of the beam for the latest measurement, with what they depend on."""
 
     def __post_init__(self) -> None:
         self.beam = true_beam(self.apparatus, self.seed)
@@ -153,9 +153,9 @@ class Twin:
     def _held(self, together: Sequence[Playback | None]) -> Held:
         first = next(playback for playback in together if playback is not None)
         n_samples = len(first.record) // 2
-        voltage, rest = np.zeros((self.beam.n_channels, n_samples)), np.zeros(self.beam.n_channels)
+        voltage, rest = np.zeros((self.beam.table.n_channels, n_samples)), np.zeros(self.beam.table.n_channels)
         limit = self.amplifier.limit
-        for channel, playback in enumerate(together[: self.beam.n_channels]):
+        for channel, playback in enumerate(together[: self.beam.table.n_channels]):
             if playback is not None:
                 zero, gain = playback.converter.mid_code, float(self._gains[channel])
                 scale, shift = gain * playback.amplitude / (2 * zero), gain * playback.offset
