@@ -33,27 +33,13 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True)
 class Criterion:
-    """A criterion by which methods are compared.
+    """A criterion by which methods are compared."""
 
-    Attributes
-    ----------
-    key : str
-        Key of the value in a method's row.
-    name : str
-        Printed name, without the unit.
-    unit : str
-        Empty for a dimensionless number.
-    best : str
-        The best value: ``low``, ``high``, ``level`` (close to the level) or ``none``.
-    digits : int
-        Number of decimals printed.
-    """
-
-    key: str
-    name: str
-    unit: str
-    best: str
-    digits: int = 1
+    key: str  # key of the value in a method's row
+    name: str  # printed name, without the unit
+    unit: str  # empty for a dimensionless number
+    best: str  # the best value: ``low``, ``high``, ``level`` (close to the level) or ``none``
+    digits: int = 1  # number of decimals printed
 
     def winners(self, rows: Sequence[Row], level: float) -> list[Row]:
         """Return the rows with the best printed value."""

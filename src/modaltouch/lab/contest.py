@@ -34,19 +34,12 @@ PLACES = 41
 
 @dataclass(frozen=True, eq=False)
 class DriveAssessment:
-    """The effect of a drive.
+    """The effect of a drive."""
 
-    Attributes
-    ----------
-    position, field : (POINTS,) arrays
-        The true field at the focusing instant [m, m/s].
-    row : dict
-        Plain key figures by their names in the tables.
-    """
-
+    # position, field, (POINTS,): the true field at the focusing instant [m, m/s]
     position: FloatArray
     field: FloatArray
-    row: dict[str, Any]
+    row: dict[str, Any]  # plain key figures by their names in the tables
 
 
 def assess(rig: Simulator, preflight: Preflight, *, everywhere: bool = True) -> DriveAssessment:
@@ -104,32 +97,15 @@ VOLTAGE = 10.0
 
 @dataclass(frozen=True, eq=False)
 class Contest:
-    """Results of the methods on one beam, and on others that differ from it.
+    """Results of the methods on one beam, and on others that differ from it."""
 
-    Attributes
-    ----------
-    preflight : Preflight
-        The protocol.
-    known : TrainingData
-        The data available to each method.
-    delay : float
-        Identified delay of the recordings, removed from the responses for the other methods [s].
-    identification : tuple of str
-        Quality of the identified modes, a sentence each.
-    designed : tuple of MethodDrive
-        Drives of the methods.
-    verdicts : tuple of DriveAssessment
-        Effect of each drive on the measured beam.
-    changed : tuple of tuple of DriveAssessment
-        Effect of each drive on every other beam, drawn at random around the measured one.
-    """
-
-    preflight: Preflight
-    known: TrainingData
-    delay: float
-    identification: tuple[str, ...]
-    designed: tuple[MethodDrive, ...]
-    verdicts: tuple[DriveAssessment, ...]
+    preflight: Preflight  # the protocol
+    known: TrainingData  # the data available to each method
+    delay: float  # identified delay of the recordings, removed from the responses for the other methods [s]
+    identification: tuple[str, ...]  # quality of the identified modes, a sentence each
+    designed: tuple[MethodDrive, ...]  # drives of the methods
+    verdicts: tuple[DriveAssessment, ...]  # effect of each drive on the measured beam
+    # effect of each drive on every other beam, drawn at random around the measured one
     changed: tuple[tuple[DriveAssessment, ...], ...]
 
 

@@ -54,21 +54,12 @@ def _transform(n_bins: int, n: int, begin: float, turn: float) -> CZT:
 
 @dataclass(frozen=True, eq=False)
 class TransferFunctions:
-    """Frequency responses at points of the beam to each generator output.
+    """Frequency responses at points of the beam to each generator output."""
 
-    Attributes
-    ----------
-    frequency : (n_bins,) array
-        Evenly spaced, increasing [Hz].
-    response : (n_channels, n_points, n_bins) complex array
-        Velocity per volt at the beam, 0 outside the band of the modes [m/s per V].
-    position : (n_points,) array
-        Control points, origin at mid-beam [m].
-    """
-
-    frequency: FloatArray
+    frequency: FloatArray  # (n_bins,): evenly spaced, increasing [Hz]
+    # (n_channels, n_points, n_bins): velocity per volt at the beam, 0 outside the band of the modes [m/s per V]
     response: ComplexArray
-    position: FloatArray
+    position: FloatArray  # (n_points,): control points, origin at mid-beam [m]
 
     @property
     def spacing(self) -> float:
@@ -94,33 +85,16 @@ class TransferFunctions:
 
 @dataclass(frozen=True, eq=False)
 class TrainingData:
-    """All data available to a method.
+    """All data available to a method."""
 
-    Attributes
-    ----------
-    model : ModalModel
-        The modes, identified from the same recordings as `responses`.
-    responses : TransferFunctions
-        The recordings.
-    target_field : TargetField
-        The target field; its velocity is the level.
-    timing : Timing
-        Clock of the burst.
-    amplifier : Amplifier
-        The amplifier, whose limit applies to all methods.
-    release : str
-        Behaviour of the drive laws after the focusing instant; it does not affect the other methods.
-    load_factor : float
-        Fraction of the generator's open-circuit voltage that reaches the amplifier's input [1].
-    """
-
-    model: ModalModel
-    responses: TransferFunctions
-    target_field: TargetField
-    timing: Timing
-    amplifier: Amplifier
+    model: ModalModel  # the modes, identified from the same recordings as `responses`
+    responses: TransferFunctions  # the recordings
+    target_field: TargetField  # the target field; its velocity is the level
+    timing: Timing  # clock of the burst
+    amplifier: Amplifier  # the amplifier, whose limit applies to all methods
+    # behaviour of the drive laws after the focusing instant; it does not affect the other methods
     release: Release = "braked"
-    load_factor: float = 1.0
+    load_factor: float = 1.0  # fraction of the generator's open-circuit voltage that reaches the amplifier's input [1]
 
     @property
     def stride(self) -> int:
@@ -260,28 +234,15 @@ def regularised_inverse(response: ComplexArray, target: ComplexArray, strength: 
 
 @dataclass(frozen=True)
 class Method:
-    """A method of computing the voltages from the training data.
+    """A method of computing the voltages from the training data."""
 
-    Attributes
-    ----------
-    key : str
-        Short name for tables and JSON.
-    name : str
-        Printed name.
-    idea : str
-        Principle and origin, in a sentence.
-    needs : str
-        Required data: ``modes`` (one identification for all focuses), ``focus`` (recordings at each focus) or
-        ``field`` (recordings at all control points).
-    design : callable
-        Returns the voltages at the beam, (n_channels, n_samples) array [V].
-    """
-
-    key: str
-    name: str
-    idea: str
+    key: str  # short name for tables and JSON
+    name: str  # printed name
+    idea: str  # principle and origin, in a sentence
+    # required data: ``modes`` (one identification for all focuses), ``focus`` (recordings at each focus) or ``field``
+    # (recordings at all control points)
     needs: str
-    design: Callable[[TrainingData], FloatArray]
+    design: Callable[[TrainingData], FloatArray]  # returns the voltages at the beam, (n_channels, n_samples) array [V]
 
 
 def _by_law(law: Law, known: TrainingData) -> FloatArray:
@@ -330,22 +291,12 @@ METHODS = (
 
 @dataclass(frozen=True, eq=False)
 class MethodDrive:
-    """The drive of a method.
-
-    Attributes
-    ----------
-    voltage : (n_channels, n_samples) array
-        Voltages at the beam, before rounding [V].
-    burst : Burst
-        The burst as the generator plays it.
-    computing_time : float
-        Time to compute the voltages from the training data [s].
-    """
+    """The drive of a method."""
 
     method: Method
-    voltage: FloatArray
-    burst: Burst
-    computing_time: float
+    voltage: FloatArray  # (n_channels, n_samples): voltages at the beam, before rounding [V]
+    burst: Burst  # the burst as the generator plays it
+    computing_time: float  # time to compute the voltages from the training data [s]
 
     @property
     def peak_voltage(self) -> float:

@@ -56,24 +56,12 @@ ROOM = 0.8
 
 @dataclass(frozen=True, eq=False)
 class Excitation:
-    """The sines of a probe.
+    """The sines of a probe."""
 
-    Attributes
-    ----------
-    burst : Burst
-        One period of the excitation.
-    bins : (n_lines,) array of int
-        Frequencies in units of `SPACING`, increasing.
-    channel : (n_lines,) array of int
-        Output that plays each frequency, counted from 0.
-    line : (n_lines,) complex array
-        Voltage at the beam at each frequency, as half the complex amplitude [V].
-    """
-
-    burst: Burst
-    bins: NDArray[np.intp]
-    channel: NDArray[np.intp]
-    line: ComplexArray
+    burst: Burst  # one period of the excitation
+    bins: NDArray[np.intp]  # (n_lines,): frequencies in units of `SPACING`, increasing
+    channel: NDArray[np.intp]  # (n_lines,): output that plays each frequency, counted from 0
+    line: ComplexArray  # (n_lines,): voltage at the beam at each frequency, as half the complex amplitude [V]
 
     @classmethod
     def of(
@@ -223,21 +211,11 @@ RINGS, LISTENS = 0.3, 0.9
 
 @dataclass(frozen=True, eq=False)
 class BurstRecord:
-    """A recording of the first burst of a trial.
+    """A recording of the first burst of a trial."""
 
-    Attributes
-    ----------
-    stimulus : Stimulus
-        The stimulus of the burst.
-    velocity : float
-        Level at which it is played [m/s].
-    near : (n_modes,) array
-        Natural frequencies near which its spectrum is evaluated [Hz].
-    """
-
-    stimulus: Stimulus
-    velocity: float
-    near: FloatArray
+    stimulus: Stimulus  # the stimulus of the burst
+    velocity: float  # level at which it is played [m/s]
+    near: FloatArray  # (n_modes,): natural frequencies near which its spectrum is evaluated [Hz]
 
     def acquisition(self, fastest: float) -> Acquisition:
         """Return the scope settings for the highest expected speed [m/s]."""

@@ -46,48 +46,25 @@ LARGEST_SHIFT = 20e-9
 
 @dataclass(frozen=True, eq=False)
 class ScanPlan:
-    """The burst, positions and scope settings of a scan.
+    """The burst, positions and scope settings of a scan."""
 
-    Attributes
-    ----------
-    burst : Burst
-        The burst that the generator repeats.
-    velocity : float
-        Level at which it is played [m/s].
-    positions : sequence of float
-        Measurement positions, in the order of recording, origin at mid-beam [m].
-    acquisition : Acquisition
-        Settings of the scope at each position.
-    about : mapping
-        Further metadata as plain values: name of the stimulus, actuator set, ...
-    across : float
-        Distance of the row of positions from the beam's mid-line [m].
-    """
-
-    burst: Burst
-    velocity: float
-    positions: Sequence[float]
-    acquisition: Acquisition
+    burst: Burst  # the burst that the generator repeats
+    velocity: float  # level at which it is played [m/s]
+    positions: Sequence[float]  # measurement positions, in the order of recording, origin at mid-beam [m]
+    acquisition: Acquisition  # settings of the scope at each position
+    # further metadata as plain values: name of the stimulus, actuator set, ...
     about: Mapping[str, Any] = field(default_factory=dict)
-    across: float = 0.0
+    across: float = 0.0  # distance of the row of positions from the beam's mid-line [m]
 
 
 @dataclass(frozen=True, eq=False)
 class Scan:
-    """Velocity and drive at the positions of a scan, in SI units.
+    """Velocity and drive at the positions of a scan, in SI units."""
 
-    Attributes
-    ----------
-    facts : dict
-        Contents of ``scan.json``: what was played, apparatus, instruments, acquisition, mode.
-    positions : (n_positions,) array
-        Recorded positions, origin at mid-beam [m]; fewer than planned if the scan was interrupted.
-    arrays : tuple of dict
-        Arrays kept for each position; ``time``, ``velocity`` and ``drive`` if whole records are kept.
-    """
-
-    facts: Mapping[str, Any]
+    facts: Mapping[str, Any]  # contents of ``scan.json``: what was played, apparatus, instruments, acquisition, mode
+    # (n_positions,): recorded positions, origin at mid-beam [m]; fewer than planned if the scan was interrupted
     positions: FloatArray
+    # arrays kept for each position; ``time``, ``velocity`` and ``drive`` if whole records are kept
     arrays: tuple[Mapping[str, NDArray[Any]], ...]
 
     @property

@@ -25,26 +25,13 @@ DEVICES = {"key": "key", "click": "mouse", "answer": "console", "continue": "con
 
 @dataclass(frozen=True)
 class Reader:
-    """Interpretation of events, according to the protocol's keys and the window's layout.
+    """Interpretation of events, according to the protocol's keys and the window's layout."""
 
-    Attributes
-    ----------
-    layout : Layout
-        Layout with the answer buttons.
-    keys : dict of str to str
-        Answer by key.
-    continue_keys : frozenset of str
-        Keys that continue to the next screen.
-    needs_focus : bool
-        Whether answers come from the window only; the experimenter can also use the console.
-    rates : bool
-        Whether a number is entered on a scale, so that releases count and continuing at the console confirms it.
-    """
-
-    layout: Layout
-    keys: dict[str, str]
-    continue_keys: frozenset[str]
-    needs_focus: bool = True
+    layout: Layout  # layout with the answer buttons
+    keys: dict[str, str]  # answer by key
+    continue_keys: frozenset[str]  # keys that continue to the next screen
+    needs_focus: bool = True  # whether answers come from the window only; the experimenter can also use the console
+    # whether a number is entered on a scale, so that releases count and continuing at the console confirms it
     rates: bool = False
 
     @classmethod

@@ -22,31 +22,15 @@ POLL_INTERVAL = 1e-3
 
 @dataclass(frozen=True)
 class Moment:
-    """State of the display as presented to a robot.
+    """State of the display as presented to a robot."""
 
-    Attributes
-    ----------
-    wants : str
-        Expected action: ``go_on``, ``feel`` (a stimulus plays), ``answer``, ``confirm`` (the answer again) or
-        ``nothing``.
-    trial : Trial or None
-        The current trial.
-    onset : float
-        Onset of its stimulus, by the window's clock [s].
-    interval : int
-        Number of the interval, from 1; 0 if the question follows it.
-    asked : str
-        Name of the further question; empty for the first question of a trial.
-    entered : str
-        Number entered on a scale so far.
-    """
-
+    # expected action: ``go_on``, ``feel`` (a stimulus plays), ``answer``, ``confirm`` (the answer again) or ``nothing``
     wants: Literal["go_on", "feel", "answer", "confirm", "nothing"] = "nothing"
-    trial: Trial | None = None
-    onset: float = 0.0
-    interval: int = 0
-    asked: str = ""
-    entered: str = ""
+    trial: Trial | None = None  # the current trial
+    onset: float = 0.0  # onset of its stimulus, by the window's clock [s]
+    interval: int = 0  # number of the interval, from 1; 0 if the question follows it
+    asked: str = ""  # name of the further question; empty for the first question of a trial
+    entered: str = ""  # number entered on a scale so far
 
 
 class DisplayLoop:

@@ -18,36 +18,17 @@ _FULL_ASPECT = 1.32
 
 @dataclass(frozen=True)
 class Layout:
-    """Positions and sizes in a window [window heights].
+    """Positions and sizes in a window [window heights]."""
 
-    Attributes
-    ----------
-    width : float
-        Width of the window; its height is 1.
-    unit : float
-        Scale of parts that must fit the width of the window, relative to a wide window [1].
-    type_scale : float
-        Scale of type, relative to a wide window [1].
-    beam : Box
-        The whole beam.
-    zones : dict of str to Box
-        Zones from the left, by name, to scale.
-    buttons : dict of str to Box
-        Answer buttons, by answer; or the parts of a scale.
-    answer_width : float
-        Width of the buttons in the row.
-    headline, body, page, go_on, label, bar, note : Box
-        Question or title; text under a title; text of a screen without a beam; button to continue; progress as text;
-        progress bar; line under the answer buttons.
-    """
-
-    width: float
-    unit: float
-    type_scale: float
-    beam: Box
-    zones: dict[str, Box]
-    buttons: dict[str, Box]
-    answer_width: float
+    width: float  # width of the window; its height is 1
+    unit: float  # scale of parts that must fit the width of the window, relative to a wide window [1]
+    type_scale: float  # scale of type, relative to a wide window [1]
+    beam: Box  # the whole beam
+    zones: dict[str, Box]  # zones from the left, by name, to scale
+    buttons: dict[str, Box]  # answer buttons, by answer; or the parts of a scale
+    answer_width: float  # width of the buttons in the row
+    # headline, body, page, go_on, label, bar, note: question or title; text under a title; text of a screen without a
+    # beam; button to continue; progress as text; progress bar; line under the answer buttons
     headline: Box
     body: Box
     page: Box
@@ -153,33 +134,25 @@ class Theme:
 
     The colours of fingers are the blue, purple and orange of Okabe and Ito (Color Universal Design, 2008), which remain
     distinguishable under all common colour vision deficiencies; colour is never the only cue.
-
-    Attributes
-    ----------
-    ground, text, dim : str
-        Background, text, and secondary text.
-    beam, beam_edge, zone : str
-        The beam, its outline and divisions, and the fill of all touched zones.
-    left, between, right : str
-        Fingers on the left and right zone and between them, with their labels.
-    hand, hand_edge, nail : str
-        Hands except the touching fingers, and the tint of a nail.
-    button, button_edge, pressed, pressed_text : str
-        Answer buttons, and the chosen one.
     """
 
+    # ground, text, dim: background, text, and secondary text
     ground: str
     text: str
     dim: str
+    # beam, beam_edge, zone: the beam, its outline and divisions, and the fill of all touched zones
     beam: str
     beam_edge: str
     zone: str
+    # left, between, right: fingers on the left and right zone and between them, with their labels
     left: str
     between: str
     right: str
+    # hand, hand_edge, nail: hands except the touching fingers, and the tint of a nail
     hand: str
     hand_edge: str
     nail: str
+    # button, button_edge, pressed, pressed_text: answer buttons, and the chosen one
     button: str
     button_edge: str
     pressed: str

@@ -29,27 +29,14 @@ _TIMEOUT = 0.5
 
 
 class MachineCheck(NamedTuple):
-    """Result of one check of a machine.
+    """Result of one check of a machine."""
 
-    Attributes
-    ----------
-    subject : str
-        Subject of the check.
-    state : str
-        ``ok``, ``warning`` (something optional is missing) or ``fault`` (a session cannot run).
-    found : str
-        What was found.
-    remedy : str
-        What to do; empty if nothing.
-    packages : list of str
-        Missing Debian packages.
-    """
-
-    subject: str
+    subject: str  # subject of the check
+    # ``ok``, ``warning`` (something optional is missing) or ``fault`` (a session cannot run)
     state: Literal["ok", "warning", "fault"]
-    found: str
-    remedy: str = ""
-    packages: Sequence[str] = ()
+    found: str  # what was found
+    remedy: str = ""  # what to do; empty if nothing
+    packages: Sequence[str] = ()  # missing Debian packages
 
 
 def examine_machine(results: Path = Path("results"), *, quick: bool = False) -> tuple[MachineCheck, ...]:

@@ -167,28 +167,14 @@ class Illustrator:
 
     Pictures do not depend on the stimulus: trials with the same fingers on the same zones look the same at every
     level.
-
-    Attributes
-    ----------
-    layout : Layout
-        Positions and sizes.
-    theme : Theme
-        Colours.
-    texts : Texts
-        Texts.
-    answers : AnswersSection
-        Keys and ways of answering.
-    hand : str
-        Hand used in ``one_hand``.
-    fingers : mapping
-        Fingers of the finger conditions named in the protocol.
     """
 
-    layout: Layout
-    theme: Theme
-    texts: Texts
-    answers: AnswersSection
-    hand: str
+    layout: Layout  # positions and sizes
+    theme: Theme  # colours
+    texts: Texts  # texts
+    answers: AnswersSection  # keys and ways of answering
+    hand: str  # hand used in ``one_hand``
+    # fingers of the finger conditions named in the protocol
     fingers: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def welcome(self, trial: Trial) -> Picture:

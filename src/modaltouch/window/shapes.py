@@ -55,43 +55,21 @@ class Box:
 
 @dataclass(frozen=True)
 class Shape:
-    """A filled convex polygon.
+    """A filled convex polygon."""
 
-    Attributes
-    ----------
-    corners : tuple of (x, y)
-        Corners in order [window heights].
-    fill : str
-        Colour as ``#RRGGBB``.
-    """
-
-    corners: tuple[Point, ...]
-    fill: str
+    corners: tuple[Point, ...]  # corners in order [window heights]
+    fill: str  # colour as ``#RRGGBB``
 
 
 @dataclass(frozen=True)
 class Words:
-    """A text centred in its box, made smaller if it does not fit.
+    """A text centred in its box, made smaller if it does not fit."""
 
-    Attributes
-    ----------
-    text : str
-        The text; a line break starts a new line.
-    box : Box
-        Box that the text must fit.
-    size : float
-        Intended type size, em [window heights].
-    fill : str
-        Colour as ``#RRGGBB``.
-    bold : bool
-        Whether the type is bold.
-    """
-
-    text: str
-    box: Box
-    size: float
-    fill: str
-    bold: bool = False
+    text: str  # the text; a line break starts a new line
+    box: Box  # box that the text must fit
+    size: float  # intended type size, em [window heights]
+    fill: str  # colour as ``#RRGGBB``
+    bold: bool = False  # whether the type is bold
 
 
 Mark = Shape | Words
@@ -99,18 +77,10 @@ Mark = Shape | Words
 
 @dataclass(frozen=True)
 class Picture:
-    """A screen, with its marks in drawing order.
+    """A screen, with its marks in drawing order."""
 
-    Attributes
-    ----------
-    name : str
-        Name, used for screenshots, such as ``question_one_hand_AC``.
-    marks : tuple of Shape or Words
-        Marks in drawing order.
-    """
-
-    name: str
-    marks: tuple[Mark, ...]
+    name: str  # name, used for screenshots, such as ``question_one_hand_AC``
+    marks: tuple[Mark, ...]  # marks in drawing order
 
     @property
     def texts(self) -> tuple[str, ...]:
@@ -176,19 +146,12 @@ def triangle(direction: str, x: float, y: float, radius: float, fill: str) -> Sh
 
 @dataclass(frozen=True, eq=False)
 class Coverage:
-    """Covered share of each pixel.
+    """Covered share of each pixel."""
 
-    Attributes
-    ----------
-    left, bottom : int
-        Position of the first pixel [pixels].
-    alpha : (n_rows, n_columns) array
-        Covered share of each pixel, the lowest row first [1].
-    """
-
+    # left, bottom: position of the first pixel [pixels]
     left: int
     bottom: int
-    alpha: NDArray[np.float32]
+    alpha: NDArray[np.float32]  # (n_rows, n_columns): covered share of each pixel, the lowest row first [1]
 
 
 def cover(corners: NDArray[np.float64]) -> Coverage:

@@ -37,18 +37,10 @@ _COME_ALONG = {"NotoSans": ("psychopy", "assets/fonts"), "DejaVuSans": ("matplot
 
 @dataclass(frozen=True)
 class Font:
-    """A font file.
+    """A font file."""
 
-    Attributes
-    ----------
-    path : str
-        Path of the file.
-    is_emboldened : bool
-        Whether it lacks a bold companion and must be drawn with thicker strokes.
-    """
-
-    path: str
-    is_emboldened: bool = False
+    path: str  # path of the file
+    is_emboldened: bool = False  # whether it lacks a bold companion and must be drawn with thicker strokes
 
     def has(self, character: str) -> bool:
         """Return whether the font has a glyph for a character; True for spaces and invisible characters."""
@@ -123,36 +115,19 @@ _NEVER_FIRST = frozenset("ぁぃぅぇぉっゃゅょゎァィゥェォッャュ
 
 @dataclass(frozen=True)
 class GlyphRun:
-    """Characters of one font and direction.
+    """Characters of one font and direction."""
 
-    Attributes
-    ----------
-    text : str
-        The characters in reading order.
-    font : Font
-        Their font.
-    is_rtl : bool
-        Whether they run from right to left.
-    """
-
-    text: str
-    font: Font
-    is_rtl: bool
+    text: str  # the characters in reading order
+    font: Font  # their font
+    is_rtl: bool  # whether they run from right to left
 
 
 @dataclass(frozen=True)
 class Line:
-    """A line of text.
+    """A line of text."""
 
-    Attributes
-    ----------
-    runs : tuple of GlyphRun
-        Runs from left to right.
-    width, ascent, descent : float
-        Extent [pixels].
-    """
-
-    runs: tuple[GlyphRun, ...]
+    runs: tuple[GlyphRun, ...]  # runs from left to right
+    # width, ascent, descent: extent [pixels]
     width: float
     ascent: float = 0.0
     descent: float = 0.0
@@ -160,21 +135,11 @@ class Line:
 
 @dataclass(frozen=True)
 class TypeBlock:
-    """A text broken into lines at a type size.
+    """A text broken into lines at a type size."""
 
-    Attributes
-    ----------
-    lines : tuple of Line
-        Lines from the top.
-    size : float
-        Type size, em [pixels].
-    share : float
-        Type size relative to the intended one [1].
-    """
-
-    lines: tuple[Line, ...]
-    size: float
-    share: float
+    lines: tuple[Line, ...]  # lines from the top
+    size: float  # type size, em [pixels]
+    share: float  # type size relative to the intended one [1]
 
     @property
     def width(self) -> float:
@@ -194,18 +159,10 @@ class TypeBlock:
 
 @dataclass(frozen=True)
 class Typesetter:
-    """Typesetter of the texts of one language.
+    """Typesetter of the texts of one language."""
 
-    Attributes
-    ----------
-    font : str
-        File name or absolute path of an installed font to try first; empty to choose fonts by script.
-    language : str
-        BCP 47 code, for which a font may have specific glyphs; empty if unknown.
-    """
-
-    font: str = ""
-    language: str = ""
+    font: str = ""  # file name or absolute path of an installed font to try first; empty to choose fonts by script
+    language: str = ""  # BCP 47 code, for which a font may have specific glyphs; empty if unknown
 
     def choose_fonts(self, text: str, *, bold: bool = False) -> list[Font]:
         """Return the font of each character: one that has it, else that of a hyphen.

@@ -148,40 +148,21 @@ def measuring_points(model: ModalModel) -> FloatArray:
 
 @dataclass
 class DecayRecorder:
-    """Recorder of free decays in suitable input ranges, with progress reports.
+    """Recorder of free decays in suitable input ranges, with progress reports."""
 
-    Attributes
-    ----------
-    bench : Laboratory
-        Generator and scope; each record is reported to its progress callbacks.
-    model : ModalModel
-        Approximate modes, which determine the sampling rate and the length of a record.
-    timing : Timing
-        Clock of the burst.
-    highest_velocity : float
-        Upper end of the vibrometer's range [m/s].
-    latency : float
-        Trigger latency, from the generator's first sample to the scope's [s].
-    name : str
-        Name of the stimulus, if there are several.
-    margin : float
-        Time from the focusing instant to the first sample of a decay [s].
-    n_taken : int
-        Number of records taken so far.
-    """
-
-    bench: Laboratory
-    model: ModalModel
-    timing: Timing
-    highest_velocity: float
-    latency: float
-    name: str = ""
+    bench: Laboratory  # generator and scope; each record is reported to its progress callbacks
+    model: ModalModel  # approximate modes, which determine the sampling rate and the length of a record
+    timing: Timing  # clock of the burst
+    highest_velocity: float  # upper end of the vibrometer's range [m/s]
+    latency: float  # trigger latency, from the generator's first sample to the scope's [s]
+    name: str = ""  # name of the stimulus, if there are several
+    # time from the focusing instant to the first sample of a decay [s]
     margin: float = field(default=MARGIN, init=False)
     _forth: bool = field(default=False, init=False)
     _step: str = field(default="", init=False)
     _done: int = field(default=0, init=False)
     _total: int = field(default=0, init=False)
-    n_taken: int = field(default=0, init=False)
+    n_taken: int = field(default=0, init=False)  # number of records taken so far
 
     def begin(self, step: str, n_records: int) -> None:
         """Start a step of the progress report with its number of records."""

@@ -30,26 +30,13 @@ SLIP_NOISE = 5.0
 
 @dataclass(frozen=True, eq=False)
 class Decay:
-    """Fitted decays.
+    """Fitted decays."""
 
-    Attributes
-    ----------
-    pole : (n_poles,) complex array
-        Poles, listed modes first [1/s].
-    residue : (n_poles, n_records) complex array
-        Residues at time 0 [m/s].
-    spread : (n_poles,) array
-        Standard error of the real or imaginary part of each residue [m/s].
-    noise : float
-        Standard deviation of the residual [m/s].
-    pole_error : (n_poles,) complex array
-        Deviation of the records' poles from the given ones, to first order; 0 where the poles were fitted [1/s].
-    """
-
-    pole: ComplexArray
-    residue: ComplexArray
-    spread: FloatArray
-    noise: float
+    pole: ComplexArray  # (n_poles,): poles, listed modes first [1/s]
+    residue: ComplexArray  # (n_poles, n_records): residues at time 0 [m/s]
+    spread: FloatArray  # (n_poles,): standard error of the real or imaginary part of each residue [m/s]
+    noise: float  # standard deviation of the residual [m/s]
+    # (n_poles,): first-order deviation of the records' poles from the given ones; 0 where they were fitted [1/s]
     pole_error: ComplexArray
 
 

@@ -21,27 +21,13 @@ from modaltouch.system import commit, versions
 
 @dataclass(frozen=True)
 class Iteration:
-    """Measurements of one iteration of the loop.
+    """Measurements of one iteration of the loop."""
 
-    Attributes
-    ----------
-    number : int
-        Number of the iteration; 0 for the stimulus designed from the apparatus file.
-    state : ModalState
-        State of the modes at the focusing instant.
-    errors : (float, float)
-        Largest error of velocity, and of w eta [m/s].
-    peak_voltage : float
-        Highest voltage at the beam [V].
-    n_taken : int
-        Number of records taken since the calibration began.
-    """
-
-    number: int
-    state: ModalState
-    errors: tuple[float, float]
-    peak_voltage: float
-    n_taken: int
+    number: int  # number of the iteration; 0 for the stimulus designed from the apparatus file
+    state: ModalState  # state of the modes at the focusing instant
+    errors: tuple[float, float]  # largest error of velocity, and of w eta [m/s]
+    peak_voltage: float  # highest voltage at the beam [V]
+    n_taken: int  # number of records taken since the calibration began
 
     @property
     def worst(self) -> float:
@@ -60,36 +46,17 @@ class Iteration:
 
 @dataclass(frozen=True)
 class Level:
-    """A level as measured at the centre of the focus zone.
+    """A level as measured at the centre of the focus zone."""
 
-    Attributes
-    ----------
-    velocity : float
-        The level [m/s].
-    factor : float
-        Correction factor of its amplitude [1].
-    amplitude : tuple of float
-        Amplitude of each output [V peak to peak, open circuit].
-    at_focus : float
-        Velocity at the focusing instant [m/s].
-    excess : float
-        Relative excess of the listed modes' part of it over the velocity expected from the points along the beam [1].
-    spread : float
-        Standard error of `at_focus`, excluding the vibrometer's sensitivity [m/s].
-    highest : float
-        Highest speed during the burst [m/s].
-    sensitivity_doubt : float
-        Relative half-width of the 95 % interval of the vibrometer's sensitivity [1].
-    """
-
-    velocity: float
-    factor: float
-    amplitude: tuple[float, ...]
-    at_focus: float
+    velocity: float  # the level [m/s]
+    factor: float  # correction factor of its amplitude [1]
+    amplitude: tuple[float, ...]  # amplitude of each output [V peak to peak, open circuit]
+    at_focus: float  # velocity at the focusing instant [m/s]
+    # relative excess of the listed modes' part of it over the velocity expected from the points along the beam [1]
     excess: float
-    spread: float
-    highest: float
-    sensitivity_doubt: float = 0.0
+    spread: float  # standard error of `at_focus`, excluding the vibrometer's sensitivity [m/s]
+    highest: float  # highest speed during the burst [m/s]
+    sensitivity_doubt: float = 0.0  # relative half-width of the 95 % interval of the vibrometer's sensitivity [1]
 
     @property
     def true_half_width(self) -> float:
@@ -102,51 +69,21 @@ class Level:
 
 @dataclass(frozen=True, eq=False)
 class CalibrationResult:
-    """A finished calibration.
+    """A finished calibration."""
 
-    Attributes
-    ----------
-    inputs : DesignInputs
-        The stimulus, as designed without a calibration.
-    plant : Plant
-        The identified rig.
-    refined : Apparatus
-        The apparatus with identified modes and amplifier, in the units and digits of its file.
-    target : (n_modes,) array
-        Target modal velocities at the reference level [m/s].
-    correction : Correction
-        Corrected targets, and correction factors of the levels.
-    points : (n_points,) array
-        Positions at which the beam was measured [m].
-    turns : tuple of Iteration
-        All iterations, the first without correction.
-    best : Iteration
-        The iteration whose targets are kept.
-    levels : tuple of Level
-        The verified levels.
-    halfway : Iteration
-        The same measurement at about half the reference level.
-    halfway_level : float
-        That level [m/s].
-    drive_peak : (n_channels,) array
-        Highest drive predicted for each output at the highest level [V].
-    drive_shortfall : (n_channels,) array
-        Relative shortfall of the measured drive's peaks at that level [1].
-    """
-
-    inputs: DesignInputs
-    plant: Plant
-    refined: Apparatus
-    target: FloatArray
-    correction: Correction
-    points: FloatArray
-    turns: tuple[Iteration, ...]
-    best: Iteration
-    levels: tuple[Level, ...]
-    halfway: Iteration
-    halfway_level: float
-    drive_peak: FloatArray
-    drive_shortfall: FloatArray
+    inputs: DesignInputs  # the stimulus, as designed without a calibration
+    plant: Plant  # the identified rig
+    refined: Apparatus  # the apparatus with identified modes and amplifier, in the units and digits of its file
+    target: FloatArray  # (n_modes,): target modal velocities at the reference level [m/s]
+    correction: Correction  # corrected targets, and correction factors of the levels
+    points: FloatArray  # (n_points,): positions at which the beam was measured [m]
+    turns: tuple[Iteration, ...]  # all iterations, the first without correction
+    best: Iteration  # the iteration whose targets are kept
+    levels: tuple[Level, ...]  # the verified levels
+    halfway: Iteration  # the same measurement at about half the reference level
+    halfway_level: float  # that level [m/s]
+    drive_peak: FloatArray  # (n_channels,): highest drive predicted for each output at the highest level [V]
+    drive_shortfall: FloatArray  # (n_channels,): relative shortfall of the measured drive's peaks at that level [1]
 
     @property
     def reading_change(self) -> float:

@@ -30,27 +30,13 @@ SHORTEST_LAG = 20e-9
 
 @dataclass(frozen=True)
 class DriveDelay:
-    """Gain, delay, lag and clock of the measured drive relative to the commanded one.
+    """Gain, delay, lag and clock of the measured drive relative to the commanded one."""
 
-    Attributes
-    ----------
-    gain : tuple of float
-        Gain of each channel, relative to that in the apparatus file [1].
-    delay : float
-        Delay from the generator's output to the beam [s].
-    lag : float
-        Time constant of the amplifier [s].
-    clock : float
-        Relative amount by which the scope's clock runs faster than the generator's [1].
-    rest : float
-        Root mean square of measured minus predicted drive, relative to that of the measured drive [1].
-    """
-
-    gain: tuple[float, ...]
-    delay: float
-    lag: float
-    clock: float
-    rest: float
+    gain: tuple[float, ...]  # gain of each channel, relative to that in the apparatus file [1]
+    delay: float  # delay from the generator's output to the beam [s]
+    lag: float  # time constant of the amplifier [s]
+    clock: float  # relative amount by which the scope's clock runs faster than the generator's [1]
+    rest: float  # root mean square of measured minus predicted drive, relative to that of the measured drive [1]
 
     @property
     def bandwidth(self) -> float | None:
@@ -144,23 +130,12 @@ class _Lagged:
 
 @dataclass(frozen=True)
 class VibrometerDelay:
-    """Delay and low-pass of the vibrometer.
+    """Delay and low-pass of the vibrometer."""
 
-    Attributes
-    ----------
-    delay : float
-        Pure delay [s].
-    lag : float
-        Time constant of its low-pass [s].
-    rest : float
-        Weighted root mean square of the phases not explained by delay and lag [rad].
-    covariance : (2, 2) array
-        Covariance of delay and lag, from the fit and its residual [s^2].
-    """
-
-    delay: float
-    lag: float
-    rest: float
+    delay: float  # pure delay [s]
+    lag: float  # time constant of its low-pass [s]
+    rest: float  # weighted root mean square of the phases not explained by delay and lag [rad]
+    # (2, 2): covariance of delay and lag, from the fit and its residual [s^2]
     covariance: FloatArray = field(default_factory=lambda: np.zeros((2, 2)), compare=False)
 
     def response(self, pole: ComplexArray) -> ComplexArray:
@@ -235,39 +210,23 @@ def fit_vibrometer(
 
 @dataclass(frozen=True, eq=False)
 class ModalState:
-    """The state of the modelled modes at an instant.
+    """The state of the modelled modes at an instant."""
 
-    Attributes
-    ----------
-    velocity : (n_modes,) array
-        Modal velocities [m/s].
-    displacement : (n_modes,) array
-        Modal displacements times natural angular frequency, w eta [m/s].
-    spread : (n_modes,) array
-        Standard error of each, from the noise of the records [m/s].
-    half_width : (n_modes,) array
-        Half-width of the 95 % interval of each, excluding the vibrometer's sensitivity: noise, or the disagreement of
-        the points where noise does not explain it, in quadrature with the uncertainties of vibrometer, trigger and
-        natural frequencies [m/s].
-    change : (n_modes,) array
-        Relative deviation of the natural frequencies from the identified ones [1].
-    disagreement : (n_modes,) array
-        Standard error of each, from the disagreement of the points [m/s].
-    slip : (n_modes,) array
-        Effect of a changed natural frequency and damping on each: amplitude times error of the pole, divided by the
-        decay rate [m/s].
-    sensitivity_doubt : float
-        Relative half-width of the 95 % interval of the vibrometer's sensitivity [1].
-    """
-
-    velocity: FloatArray
-    displacement: FloatArray
-    spread: FloatArray
+    velocity: FloatArray  # (n_modes,): modal velocities [m/s]
+    displacement: FloatArray  # (n_modes,): modal displacements times natural angular frequency, w eta [m/s]
+    spread: FloatArray  # (n_modes,): standard error of each, from the noise of the records [m/s]
+    # (n_modes,): half-width of the 95 % interval of each, excluding the vibrometer's sensitivity: noise, or the
+    # disagreement of the points where noise does not explain it, in quadrature with the uncertainties of vibrometer,
+    # trigger and natural frequencies [m/s]
     half_width: FloatArray = field(default_factory=lambda: np.zeros(1))
+    # (n_modes,): relative deviation of the natural frequencies from the identified ones [1]
     change: FloatArray = field(default_factory=lambda: np.zeros(1))
+    # (n_modes,): standard error of each, from the disagreement of the points [m/s]
     disagreement: FloatArray = field(default_factory=lambda: np.zeros(1))
+    # (n_modes,): effect of a changed natural frequency and damping on each: amplitude times error of the pole, divided
+    # by the decay rate [m/s]
     slip: FloatArray = field(default_factory=lambda: np.zeros(1))
-    sensitivity_doubt: float = 0.0
+    sensitivity_doubt: float = 0.0  # relative half-width of the 95 % interval of the vibrometer's sensitivity [1]
 
     @property
     def true_half_width(self) -> FloatArray:
@@ -286,36 +245,16 @@ class ModalState:
 
 @dataclass(frozen=True, eq=False)
 class Plant:
-    """An identified rig.
+    """An identified rig."""
 
-    Attributes
-    ----------
-    model : ModalModel
-        Modes, with gains per volt at the beam, referred to the amplifier gain of the strongest channel.
-    amplifier : Amplifier
-        The identified amplifier; its limit applies to the actual voltage at the beam.
-    drive : DriveDelay
-        Gain, delay, lag and clock of the drive.
-    vibrometer : VibrometerDelay
-        Delay and low-pass of the vibrometer.
-    unlisted : (n_unlisted,) complex array
-        Poles of modes that are not in the table [1/s].
-    certainty : (n_modes,) array
-        Amplitude of each mode relative to its standard error at identification [1].
-    latency_doubt : float
-        Half-width of the 95 % interval of the trigger latency [s].
-    sensitivity_doubt : float
-        Relative half-width of the 95 % interval of the vibrometer's sensitivity [1].
-    """
-
-    model: ModalModel
-    amplifier: Amplifier
-    drive: DriveDelay
-    vibrometer: VibrometerDelay
-    unlisted: ComplexArray
-    certainty: FloatArray
-    latency_doubt: float = 0.0
-    sensitivity_doubt: float = 0.0
+    model: ModalModel  # modes, with gains per volt at the beam, referred to the amplifier gain of the strongest channel
+    amplifier: Amplifier  # the identified amplifier; its limit applies to the actual voltage at the beam
+    drive: DriveDelay  # gain, delay, lag and clock of the drive
+    vibrometer: VibrometerDelay  # delay and low-pass of the vibrometer
+    unlisted: ComplexArray  # (n_unlisted,): poles of modes that are not in the table [1/s]
+    certainty: FloatArray  # (n_modes,): amplitude of each mode relative to its standard error at identification [1]
+    latency_doubt: float = 0.0  # half-width of the 95 % interval of the trigger latency [s]
+    sensitivity_doubt: float = 0.0  # relative half-width of the 95 % interval of the vibrometer's sensitivity [1]
 
     @property
     def pole(self) -> ComplexArray:

@@ -169,33 +169,15 @@ class Spectra:
 
 @dataclass(frozen=True)
 class IdentificationPlan:
-    """Measurement plan of an identification.
+    """Measurement plan of an identification."""
 
-    Attributes
-    ----------
-    positions : tuple of float
-        Positions along the beam, origin at mid-beam [m].
-    averages : int
-        Records at each position.
-    voltage : float
-        Peak of the excitation at the beam [V].
-    highest : float
-        Upper end of the excitation's band [Hz].
-    sets : tuple of str
-        Actuator sets, one after the other.
-    excitation : str
-        ``multisine`` or ``chirp``.
-    across : float
-        Offset of the row of positions from the beam's mid-line [m].
-    """
-
-    positions: tuple[float, ...]
-    averages: int
-    voltage: float
-    highest: float
-    sets: tuple[str, ...]
-    excitation: Excitation = "multisine"
-    across: float = 0.0
+    positions: tuple[float, ...]  # positions along the beam, origin at mid-beam [m]
+    averages: int  # records at each position
+    voltage: float  # peak of the excitation at the beam [V]
+    highest: float  # upper end of the excitation's band [Hz]
+    sets: tuple[str, ...]  # actuator sets, one after the other
+    excitation: Excitation = "multisine"  # ``multisine`` or ``chirp``
+    across: float = 0.0  # offset of the row of positions from the beam's mid-line [m]
 
     def scan(self, laboratory: Laboratory, source: Source, folder: Path | None) -> dict[str, Scan]:
         """Take the scans of all sets, resuming interrupted ones.

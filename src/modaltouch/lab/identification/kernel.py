@@ -27,18 +27,10 @@ N_REST = 4
 
 @dataclass(frozen=True)
 class Bins:
-    """Groups of neighbouring bins over which responses and model are averaged, wider where the responses are smooth.
+    """Groups of neighbouring bins over which responses and model are averaged, wider where the responses are smooth."""
 
-    Attributes
-    ----------
-    frequency : (n_bins,) array
-        Frequency of every bin [Hz].
-    start : (n_groups,) array
-        First bin of each group.
-    """
-
-    frequency: FloatArray
-    start: NDArray[np.intp]
+    frequency: FloatArray  # (n_bins,): frequency of every bin [Hz]
+    start: NDArray[np.intp]  # (n_groups,): first bin of each group
 
     @classmethod
     def near(cls, frequency: FloatArray, natural_frequency: FloatArray, damping_ratio: FloatArray) -> Bins:
@@ -95,19 +87,12 @@ class Bins:
 
 @dataclass(frozen=True, eq=False)
 class Poles:
-    """Natural frequencies, damping ratios and the common delay.
+    """Natural frequencies, damping ratios and the common delay."""
 
-    Attributes
-    ----------
-    natural_frequency, damping_ratio : (n_modes,) array
-        In order of frequency [Hz, 1].
-    delay : float
-        Delay common to all responses [s].
-    """
-
+    # natural_frequency, damping_ratio, (n_modes,): in order of frequency [Hz, 1]
     natural_frequency: FloatArray
     damping_ratio: FloatArray
-    delay: float
+    delay: float  # delay common to all responses [s]
 
     def sorted(self) -> Poles:
         """Return the poles in order of frequency."""
@@ -121,26 +106,16 @@ class Poles:
 
 @dataclass(frozen=True, eq=False)
 class LeastSquaresProblem:
-    """Responses to fit.
+    """Responses to fit."""
 
-    Attributes
-    ----------
-    bins : Bins
-        Groups of bins at which they are fitted.
-    response : (n_groups, n_responses) complex array
-        Responses divided by their standard deviation, times the square root of the number of bins in the group.
-    weight : (n_groups,) array
-        The same factor for the model's columns; each set's own noise level is absorbed by its residues.
-    bandwidth : float or None
-        Corner of the known low-pass [Hz].
-    phase_at : float or None
-        Frequency that turns the delay into a phase equal at all frequencies [Hz]; None for a true delay.
-    """
-
-    bins: Bins
+    bins: Bins  # groups of bins at which they are fitted
+    # (n_groups, n_responses): responses divided by their standard deviation, times the square root of the number of
+    # bins in the group
     response: ComplexArray
+    # (n_groups,): the same factor for the model's columns; each set's own noise level is absorbed by its residues
     weight: FloatArray
-    bandwidth: float | None
+    bandwidth: float | None  # corner of the known low-pass [Hz]
+    # frequency that turns the delay into a phase equal at all frequencies [Hz]; None for a true delay
     phase_at: float | None = None
 
     @cached_property
@@ -171,41 +146,27 @@ class LeastSquaresProblem:
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """A fit at given poles and delay.
+    """A fit at given poles and delay."""
 
-    Attributes
-    ----------
-    problem : LeastSquaresProblem
-        The responses.
-    poles : Poles
-        Poles and delay.
-    residue : (n_modes + 4, n_responses) array
-        Residues of the modes, then coefficients of the background, in the scale of the problem's responses.
-    rest : (2 n_groups, n_responses) array
-        Residual, in standard deviations.
-    slope : (2 n_groups, 2 n_modes) array
-        Derivatives of the modes' columns with respect to natural frequency in units of its damping, then to the
-        logarithm of the damping ratio, minus their projection on all columns.
-    turned : (2 n_groups, n_modes + 4) array
-        Derivatives of all columns with respect to the delay, minus their projection.
-    basis, factor : (2 n_groups, n_modes + 4) and (n_modes + 4, n_modes + 4) array
-        Orthonormal and upper triangular factor of the columns.
-    lost : (n_modes + 4, 2 n_modes) array
-        Coefficients of the derivatives' projection on the columns, hence the change of the residues with the poles.
-    lost_turned : (n_modes + 4, n_modes + 4) array
-        The same for the delay.
-    """
-
-    problem: LeastSquaresProblem
-    poles: Poles
+    problem: LeastSquaresProblem  # the responses
+    poles: Poles  # poles and delay
+    # (n_modes + 4, n_responses): residues of the modes, then coefficients of the background, in the scale of the
+    # problem's responses
     residue: FloatArray
-    rest: FloatArray
+    rest: FloatArray  # (2 n_groups, n_responses): residual, in standard deviations
+    # (2 n_groups, 2 n_modes): derivatives of the modes' columns with respect to natural frequency in units of its
+    # damping, then to the logarithm of the damping ratio, minus their projection on all columns
     slope: FloatArray
+    # (2 n_groups, n_modes + 4): derivatives of all columns with respect to the delay, minus their projection
     turned: FloatArray
+    # basis, factor, (2 n_groups, n_modes + 4) and (n_modes + 4, n_modes + 4): orthonormal and upper triangular factor
+    # of the columns
     basis: FloatArray
     factor: FloatArray
+    # (n_modes + 4, 2 n_modes): coefficients of the derivatives' projection on the columns, hence the change of the
+    # residues with the poles
     lost: FloatArray
-    lost_turned: FloatArray
+    lost_turned: FloatArray  # (n_modes + 4, n_modes + 4): the same for the delay
 
     @property
     def n_modes(self) -> int:

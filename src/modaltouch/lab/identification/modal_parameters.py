@@ -27,14 +27,9 @@ from modaltouch.lab.identification.shapes import (
 
 @dataclass(frozen=True)
 class Estimate:
-    """A number with its 95 % interval.
+    """A number with its 95 % interval."""
 
-    Attributes
-    ----------
-    value, low, high : float
-        Value and bounds of the interval, in the unit of the quantity.
-    """
-
+    # value, low, high: value and bounds of the interval, in the unit of the quantity
     value: float
     low: float
     high: float
@@ -81,69 +76,38 @@ REMEDIES = {
 
 @dataclass(frozen=True)
 class Rest:
-    """The residual of a fit within one half-power bandwidth of a mode on either side.
+    """The residual of a fit within one half-power bandwidth of a mode on either side."""
 
-    Attributes
-    ----------
-    share : float
-        Amplitude in excess of the noise, relative to that of the responses [1].
-    smooth : float
-        The same for the part that is smooth over frequency, unlike noise [1].
-    cause : str
-        The most probable cause, a key of `REMEDIES`.
-    """
-
-    share: float
-    smooth: float
-    cause: str
+    share: float  # amplitude in excess of the noise, relative to that of the responses [1]
+    smooth: float  # the same for the part that is smooth over frequency, unlike noise [1]
+    cause: str  # the most probable cause, a key of `REMEDIES`
 
 
 @dataclass(frozen=True, eq=False)
 class IdentifiedMode:
-    """The estimates for one mode, in SI units.
+    """The estimates for one mode, in SI units."""
 
-    Attributes
-    ----------
-    label : int or None
-        Number as in the paper; None for torsion and other motions, or if no shape was measured.
-    natural_frequency, damping_ratio : Estimate
-        Undamped natural frequency [Hz], damping ratio [1].
-    gain : tuple of Estimate
-        Modal acceleration per unit of each excitation [m/s^2 per V]; empty if no shape was measured.
-    shape : (n_points,) array or None
-        Mode shape of unit mean square, positive at the right end; for torsion, at the right end on the positive side
-        [1].
-    mac : float
-        MAC of the shape with that of a uniform free-free beam [1]; NaN if no shape was measured.
-    half_power : HalfPower
-        Half-power estimates from the largest response.
-    half_power_gain : float
-        Signed gain from the peak and its half-power bandwidth [m/s^2 per V]; NaN without a shape.
-    coherence : float
-        Median over the points at the peak, for the excitation that drives the mode most [1]; NaN if unknown.
-    rest : Rest
-        Residual of the fit near the mode.
-    residue : (n,) complex array
-        Complex residues at the points for the excitation that drives the mode most, or of all responses if the points
-        are unknown [m/s^2 per V].
-    n_repeats : int
-        Number of measurements whose scatter is included in the intervals; with one, repeatability is unknown.
-    torsion : int or None
-        Number of the torsional mode, identified from rows across the width; None for other modes.
-    """
-
-    label: int | None
+    label: int | None  # number as in the paper; None for torsion and other motions, or if no shape was measured
+    # natural_frequency, damping_ratio: undamped natural frequency [Hz], damping ratio [1]
     natural_frequency: Estimate
     damping_ratio: Estimate
+    # modal acceleration per unit of each excitation [m/s^2 per V]; empty if no shape was measured
     gain: tuple[Estimate, ...]
+    # (n_points,): mode shape of unit mean square, positive at the right end; for torsion, at the right end on the
+    # positive side [1]
     shape: FloatArray | None
-    mac: float
-    half_power: HalfPower
-    half_power_gain: float
+    mac: float  # MAC of the shape with that of a uniform free-free beam [1]; NaN if no shape was measured
+    half_power: HalfPower  # half-power estimates from the largest response
+    half_power_gain: float  # signed gain from the peak and its half-power bandwidth [m/s^2 per V]; NaN without a shape
+    # median over the points at the peak, for the excitation that drives the mode most [1]; NaN if unknown
     coherence: float
-    rest: Rest
+    rest: Rest  # residual of the fit near the mode
+    # (n,): complex residues at the points for the excitation that drives the mode most, or of all responses if the
+    # points are unknown [m/s^2 per V]
     residue: ComplexArray
+    # number of measurements whose scatter is included in the intervals; with one, repeatability is unknown
     n_repeats: int = 1
+    # number of the torsional mode, identified from rows across the width; None for other modes
     torsion: int | None = None
 
     @property
@@ -155,32 +119,15 @@ class IdentifiedMode:
 
 @dataclass(frozen=True, eq=False)
 class Identification:
-    """The modes of a beam, identified from responses.
+    """The modes of a beam, identified from responses."""
 
-    Attributes
-    ----------
-    modes : tuple of IdentifiedMode
-        In order of frequency.
-    delay : Estimate
-        Delay of the velocity relative to the drive, in addition to that of the known low-pass [s].
-    misfit : float
-        Mean square of the residual divided by that of the noise [1].
-    responses : FrequencyResponses
-        The responses that were fitted.
-    length : float or None
-        Length of the beam [m].
-    fitted : (n_sets, n_points, n_bins) complex array
-        The fitted responses; NaN where nothing was fitted.
-    poles : Poles or None
-        Poles of the joint fit, including those beyond the band; None if each mode was fitted separately.
-    """
-
-    modes: tuple[IdentifiedMode, ...]
-    delay: Estimate
-    misfit: float
-    responses: FrequencyResponses
-    length: float | None
-    fitted: ComplexArray
+    modes: tuple[IdentifiedMode, ...]  # in order of frequency
+    delay: Estimate  # delay of the velocity relative to the drive, in addition to that of the known low-pass [s]
+    misfit: float  # mean square of the residual divided by that of the noise [1]
+    responses: FrequencyResponses  # the responses that were fitted
+    length: float | None  # length of the beam [m]
+    fitted: ComplexArray  # (n_sets, n_points, n_bins): the fitted responses; NaN where nothing was fitted
+    # poles of the joint fit, including those beyond the band; None if each mode was fitted separately
     poles: Poles | None = None
 
     @property

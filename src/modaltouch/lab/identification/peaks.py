@@ -20,25 +20,14 @@ FEWEST_BINS = 5.0
 
 @dataclass(frozen=True)
 class HalfPower:
-    """Estimates from a single peak by the half-power method.
+    """Estimates from a single peak by the half-power method."""
 
-    Attributes
-    ----------
-    peak_frequency : float
-        Frequency of the highest bin [Hz].
-    height : float
-        Magnitude of the response there [m/s per unit of excitation].
-    damping_ratio : float
-        Half-power bandwidth divided by twice the frequency [1]; NaN if the response does not fall to half its power on
-        both sides before it rises again.
-    n_bins : float
-        Half-power bandwidth divided by the bin spacing [1].
-    """
-
-    peak_frequency: float
-    height: float
+    peak_frequency: float  # frequency of the highest bin [Hz]
+    height: float  # magnitude of the response there [m/s per unit of excitation]
+    # half-power bandwidth divided by twice the frequency [1]; NaN if the response does not fall to half its power on
+    # both sides before it rises again
     damping_ratio: float
-    n_bins: float
+    n_bins: float  # half-power bandwidth divided by the bin spacing [1]
 
     @property
     def verdict(self) -> str:

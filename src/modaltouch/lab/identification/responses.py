@@ -95,45 +95,23 @@ class Part(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class FrequencyResponses:
-    """Velocity responses at points of a beam to one or more excitations.
+    """Velocity responses at points of a beam to one or more excitations."""
 
-    Attributes
-    ----------
-    frequency : (n_bins,) array
-        Evenly spaced, increasing [Hz].
-    response : (n_sets, n_points, n_bins) complex array
-        Velocity per unit of excitation [m/s per V, or per N for a hammer].
-    positions : (n_points,) array or None
-        Measurement points, origin at mid-beam [m]; None if unknown.
-    sets : tuple of str
-        Excitations of the beam: actuator sets, or the references of a file.
-    coherence : (n_sets, n_points, n_bins) array or None
-        Ordinary coherence [1]; None for a single record, or if unknown.
-    n_averages : int
-        Number of records averaged.
-    bandwidth : float or None
-        Corner of the vibrometer's first-order low-pass, which is not removed from the responses [Hz].
-    offset : float
-        Time offset between excitation and response that has been removed [s].
-    marks : tuple of str
-        Warnings that apply to any result from these responses, a sentence each.
-    repeats : tuple of FrequencyResponses
-        The measurements of which these are the mean, or the responses of each file; empty for a single one.
-    across : (n_points,) array or float
-        Distance of each point from the beam's mid-line [m].
-    """
-
-    frequency: FloatArray
+    frequency: FloatArray  # (n_bins,): evenly spaced, increasing [Hz]
+    # (n_sets, n_points, n_bins): velocity per unit of excitation [m/s per V, or per N for a hammer]
     response: ComplexArray
-    positions: FloatArray | None
-    sets: tuple[str, ...]
+    positions: FloatArray | None  # (n_points,): measurement points, origin at mid-beam [m]; None if unknown
+    sets: tuple[str, ...]  # excitations of the beam: actuator sets, or the references of a file
+    # (n_sets, n_points, n_bins): ordinary coherence [1]; None for a single record, or if unknown
     coherence: FloatArray | None = None
-    n_averages: int = 1
+    n_averages: int = 1  # number of records averaged
+    # corner of the vibrometer's first-order low-pass, which is not removed from the responses [Hz]
     bandwidth: float | None = None
-    offset: float = 0.0
-    marks: tuple[str, ...] = ()
+    offset: float = 0.0  # time offset between excitation and response that has been removed [s]
+    marks: tuple[str, ...] = ()  # warnings that apply to any result from these responses, a sentence each
+    # the measurements of which these are the mean, or the responses of each file; empty for a single one
     repeats: tuple[FrequencyResponses, ...] = ()
-    across: FloatArray | float = 0.0
+    across: FloatArray | float = 0.0  # (n_points,): distance of each point from the beam's mid-line [m]
 
     @classmethod
     def of_rows(cls, rows: Sequence[FrequencyResponses]) -> FrequencyResponses:

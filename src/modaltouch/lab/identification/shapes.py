@@ -367,24 +367,13 @@ FEWEST = 3
 
 @dataclass(frozen=True)
 class FreeFree:
-    """The free-free beam with the best fit to given natural frequencies.
+    """The free-free beam with the best fit to given natural frequencies."""
 
-    Attributes
-    ----------
-    recognised : bool
-        Whether the natural frequencies are those of a free-free beam.
-    bending_modes : tuple of (int or None)
-        Bending mode of each natural frequency, from 1; None for other motions.
-    shear : float
-        Parameter of shear and rotary inertia, which lower natural frequencies, ~(h/L)^2; 0 for Euler-Bernoulli [1].
-    deviation : float
-        Largest relative deviation of the natural frequencies of bending modes [1].
-    """
-
-    recognised: bool
-    bending_modes: tuple[int | None, ...]
+    recognised: bool  # whether the natural frequencies are those of a free-free beam
+    bending_modes: tuple[int | None, ...]  # bending mode of each natural frequency, from 1; None for other motions
+    # parameter of shear and rotary inertia, which lower natural frequencies, ~(h/L)^2; 0 for Euler-Bernoulli [1]
     shear: float
-    deviation: float
+    deviation: float  # largest relative deviation of the natural frequencies of bending modes [1]
 
 
 def recognise(natural_frequency: Sequence[float]) -> FreeFree | None:
