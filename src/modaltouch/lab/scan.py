@@ -117,28 +117,20 @@ class Scan:
             )
         return self
 
-    def refuse_overloaded(self) -> Scan:
-        """Return the scan itself; refuse one in which an input reached the end of its range."""
-        for position, each in zip(self.positions, self.arrays, strict=True):
-            if each["overloaded"].size:
-                raise RecordInputError(
-                    f"{' and '.join(each['overloaded'])} reached the end of the range at {position * 1e3:g} mm, so "
-                    "the record is clipped: widen the range and continue, or scan again into another folder with a "
-                    "lower drive"
-                )
-        return self
 
-    def refuse_other_instants(self) -> Scan:
-        """Return the scan itself; refuse one whose positions differ in their sampling instants."""
-        first = np.asarray(self.arrays[0].get("time", 0.0))
-        for position, each in zip(self.positions, self.arrays, strict=True):
-            own = np.asarray(each.get("time", 0.0))
-            if own.shape != first.shape or np.abs(own - first).max() > LARGEST_SHIFT:
-                raise RecordInputError(
-                    f"the sampling instants at {position * 1e3:g} mm differ from those of the positions before: "
-                    "set the scope as it was and continue, or scan again into another folder"
-                )
-        return self
+def _refuse_unusable(position: float, own: Mapping[str, NDArray[Any]], first: Mapping[str, NDArray[Any]]) -> None:
+    """Refuse arrays of a position that are clipped, or whose sampling instants differ from those of the first one."""
+    if own["overloaded"].size:
+        raise RecordInputError(
+            f"{' and '.join(own['overloaded'])} reached the end of the range at {position * 1e3:g} mm, so the record "
+            "is clipped: widen the range and continue, or scan again into another folder with a lower drive"
+        )
+    instants, before = (np.asarray(each.get("time", 0.0)) for each in (own, first))
+    if instants.shape != before.shape or np.abs(instants - before).max() > LARGEST_SHIFT:
+        raise RecordInputError(
+            f"the sampling instants at {position * 1e3:g} mm differ from those of the positions before: set the scope "
+            "as it was and continue, or scan again into another folder"
+        )
 
 
 def position_file(folder: Path, index: int) -> Path:
@@ -209,7 +201,7 @@ def read_scan(folder: Path) -> Scan:
     Raises
     ------
     RecordError
-        If the folder holds no scan, or a damaged one.
+        If the folder holds no scan, a damaged one, or one with a clipped record or other sampling instants.
     """
     facts = read_facts(folder)
     return assemble(facts, _recorded(folder, facts))
@@ -291,7 +283,7 @@ def take_scan(
             laboratory.progress.check()
             recording = laboratory.record(float(places[index]), plan.velocity, plan.acquisition, plan.across)
             kept.append(_arrays(recording, reduction))
-            assemble(facts, kept).refuse_overloaded().refuse_other_instants()
+            _refuse_unusable(float(places[index]), kept[-1], kept[0])
             if folder is not None:
                 save_arrays(position_file(folder, index), kept[-1])
             laboratory.progress.show(step, len(kept), len(places))
@@ -360,13 +352,14 @@ def _begin(folder: Path, facts: dict[str, Any], plan: ScanPlan) -> list[dict[str
 
 
 def _recorded(folder: Path, facts: Mapping[str, Any]) -> list[dict[str, NDArray[Any]]]:
-    """Return the arrays kept at the first positions of a scan."""
-    kept = []
+    """Return the arrays kept at the first positions of a scan; refuse one that cannot be used."""
+    kept: list[dict[str, NDArray[Any]]] = []
     for index, place in enumerate(facts["settings"]["positions_mm"]):
         path = position_file(folder, index)
         if not path.exists():
             break
         kept.append(read_position(path, place * 1e-3))
+        _refuse_unusable(place * 1e-3, kept[-1], kept[0])
     return kept
 
 

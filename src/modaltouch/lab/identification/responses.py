@@ -327,15 +327,15 @@ def responses_of(scans: Mapping[str, Scan], bandwidth: float | None = None) -> F
     Raises
     ------
     RecordInputError
-        If a scan is incomplete, contains overloaded records or no drive, or has different positions, frequencies or
-        numbers of records from the first.
+        If a scan is incomplete, contains no drive, or has different positions, frequencies or numbers of records from
+        the first.
     """
     response: list[ComplexArray] = []
     coherence: list[FloatArray] = []
     positions, across = next(iter(scans.values())).positions, next(iter(scans.values())).across
     first = next(iter(scans.values())).arrays[0]
     for name, scan in scans.items():
-        scan.require_complete().refuse_overloaded()
+        scan.require_complete()
         if (
             scan.positions.shape != positions.shape
             or not np.allclose(scan.positions, positions)

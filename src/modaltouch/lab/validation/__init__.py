@@ -263,14 +263,8 @@ def record_laws(
         field, course = plans(inputs, stimulus, velocity, n_points, n_records)
         for plan in (field, course, *(replace(field, across=across) for across in rows)):
             name = row_name(f"{law}_{plan.about['what']}", plan.across)
-            scan = take_scan(
-                laboratory,
-                plan,
-                None if folder is None else folder / name,
-                source=source,
-                step=name,
-            )
-            scans.append(scan.refuse_overloaded())
+            place = None if folder is None else folder / name
+            scans.append(take_scan(laboratory, plan, place, source=source, step=name))
         observed.append(_observation(inputs, stimulus, velocity, scans))
     return observed
 
@@ -289,7 +283,7 @@ def read_laws(inputs: DesignInputs, folder: Path) -> list[Observation]:
         stimulus = design(inputs, law=law)
         scans = []
         for place in _folders(folder, law, beside):
-            scan = read_scan(place).require_complete().refuse_overloaded().refuse_other_instants()
+            scan = read_scan(place).require_complete()
             played = scan.facts["settings"]["burst"].get("sha256")
             if played != stimulus.burst.content_hash:
                 raise RecordInputError(
