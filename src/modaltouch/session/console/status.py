@@ -5,7 +5,7 @@ from __future__ import annotations
 import statistics
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from string import ascii_lowercase
 from typing import Any
 
@@ -82,14 +82,11 @@ class Status:
     ----------
     seconds_per_trial : float
         Assumed duration of a trial until three have been timed [s].
-    clock : callable
-        Monotonic clock [s].
     """
 
-    def __init__(self, seconds_per_trial: float = 5.0, clock: Callable[[], float] = time.perf_counter) -> None:
-        self._clock = clock
+    def __init__(self, seconds_per_trial: float = 5.0) -> None:
         self._guess = seconds_per_trial
-        self._began = clock()
+        self._began = time.perf_counter()
         self._facts: SessionState = {
             "event": "",
             "line": None,
@@ -215,7 +212,7 @@ class Status:
             "n_answered": len(self._trials),
             "n_trials": self._total,
             "answers": dict(+self._answers),
-            "elapsed_s": round(self._clock() - self._began, 1),
+            "elapsed_s": round(time.perf_counter() - self._began, 1),
             "time_left_s": round(left * pace, 1),
             "warnings": list(filter(None, (self._unmasked, *self._describe_signs()))),
         }
