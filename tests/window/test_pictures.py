@@ -411,7 +411,7 @@ def test_four_answers_are_shown_with_their_words_and_keys(experiment: Experiment
     assert texts[0] == "Each time, choose one of these four answers."
     assert "then choose “Nowhere”" in texts[1]
     chosen = pictures.question(make_trial(), PROGRESS, chosen="none")
-    assert find_words(chosen, "Nowhere").fill == DARK.pressed_text
+    assert find_words(chosen, "Nowhere").fill == DARK.ground
 
 
 @pytest.mark.parametrize(
@@ -451,7 +451,7 @@ def test_answers_of_any_names_are_shown_in_the_order_of_the_file(experiment: Exp
     row = [find_words(question, name.title()).box.x for name in names[:3]]
     assert row == sorted(row)
     assert find_words(question, "Unsure").box.top < layout.buttons["alike"].bottom
-    assert find_words(question, "Alike").fill == DARK.pressed_text
+    assert find_words(question, "Alike").fill == DARK.ground
     assert layout.answer_at(layout.buttons["weaker"].x, layout.buttons["weaker"].y) == "weaker"
     side = pictures.question(make_trial(), PROGRESS).marks
     assert not {DARK.left, DARK.right} & {getattr(mark, "fill", "") for mark in side if getattr(mark, "y", 0) < 0}

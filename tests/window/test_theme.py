@@ -27,7 +27,6 @@ def test_words_are_readable(theme: Theme) -> None:
     """Expected ratios: 7 (AAA) for words, 4.5 (AA) for words of second rank and fingers' names."""
     assert contrast(theme.text, theme.ground) > 7
     assert contrast(theme.text, theme.button) > 7
-    assert contrast(theme.pressed_text, theme.pressed) > 7
     for colour in (theme.dim, theme.left, theme.right):
         assert contrast(colour, theme.ground) > 4.5
 

@@ -53,7 +53,7 @@ class Buttons:
     def _low_button(self, answer: str, box: Box, *, pressed: bool, with_keys: bool) -> tuple[Mark, ...]:
         """Return a button too low for two lines, with its label in the middle and its key beside it."""
         theme, unit = self.theme, self.layout.unit
-        fill, ink = (theme.pressed, theme.pressed_text) if pressed else (theme.button, theme.text)
+        fill, ink = (theme.text, theme.ground) if pressed else (theme.button, theme.text)
         middle = Box(box.x, box.y, box.width * 0.5, box.height * 0.9)
         labels = tuple(self.texts.label(each.name) for each in self.answers.offered if each.is_below)
         size = common_size(typesetter_of(self.texts), labels, middle, min(self._answer_size, 0.5 * box.height))
@@ -71,7 +71,7 @@ class Buttons:
         own = self.answers.offered.named(answer)
         edges = {"left": theme.left, "between": theme.between, "right": theme.right}
         edge = edges.get("".join(own.fingers or ()), theme.button_edge)
-        fill, ink = (theme.pressed, theme.pressed_text) if pressed else (theme.button, theme.text)
+        fill, ink = (theme.text, theme.ground) if pressed else (theme.button, theme.text)
         upper = Box(box.x, box.y + 0.18 * box.height * with_keys, box.width * self._share, 0.52 * box.height)
         size = min(0.018 * unit, 0.065 * box.width)
         beside = min(0.4 * box.width, 0.5 * box.width - size - 0.012 * unit)  # within the frame
@@ -264,7 +264,7 @@ def draw_scale(
 def _fills(theme: Theme, *, chosen: bool, confirmed: bool) -> tuple[str, str]:
     """Return fill and text colour of a part: those of a pressed button if confirmed, of a touched zone if chosen."""
     if chosen:
-        return (theme.pressed, theme.pressed_text) if confirmed else (theme.zone, theme.text)
+        return (theme.text, theme.ground) if confirmed else (theme.zone, theme.text)
     return theme.button, theme.text
 
 

@@ -148,15 +148,12 @@ class Theme:
     left: str
     between: str
     right: str
-    # hand, hand_edge, nail: hands except the touching fingers, and the tint of a nail
+    # hand, hand_edge: hands except the touching fingers
     hand: str
     hand_edge: str
-    nail: str
-    # button, button_edge, pressed, pressed_text: answer buttons, and the chosen one
+    # button, button_edge: answer buttons; the chosen one has the colour of the text, and its text that of the ground
     button: str
     button_edge: str
-    pressed: str
-    pressed_text: str
 
 
 DARK = Theme(
@@ -171,11 +168,8 @@ DARK = Theme(
     right="#E69F00",
     hand="#28313A",
     hand_edge="#6C7986",
-    nail="#FFFFFF",
     button="#1E262E",
     button_edge="#8B97A3",
-    pressed="#F3F5F7",
-    pressed_text="#12171C",
 )
 
 LIGHT = Theme(
@@ -190,11 +184,8 @@ LIGHT = Theme(
     right="#C05000",
     hand="#E6E3DE",
     hand_edge="#857E76",
-    nail="#FFFFFF",
     button="#FFFFFF",
     button_edge="#6C7884",
-    pressed="#14191E",
-    pressed_text="#FAFAF8",
 )
 
 

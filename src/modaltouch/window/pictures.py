@@ -123,7 +123,7 @@ def _draw_hand(
     for name, tip in tips.items():
         knuckle = (knuckles[name], top)
         touching += [capsule(knuckle, tip, thick + line, theme.ground), capsule(knuckle, tip, thick, fills[name])]
-        touching.append(_draw_nail(knuckle, tip, thick, mixed(fills[name], theme.nail, 0.65)))
+        touching.append(_draw_nail(knuckle, tip, thick, mixed(fills[name], "#FFFFFF", 0.65)))
     return marks, touching
 
 
