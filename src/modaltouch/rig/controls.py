@@ -169,11 +169,10 @@ class Controls:
         """
         *first, last = self._table.triggers
         for command in first:
-            reply = self.ask(f":{command};:SYST:ERR?")
-            if _error_number(reply) == NO_ERROR:
-                return command
-            self.clear_errors()
-            if _error_number(reply) != UNDEFINED_HEADER:
+            error = _error_number(self.ask(f":{command};:SYST:ERR?"))
+            if error != NO_ERROR:
+                self.clear_errors()
+            if error != UNDEFINED_HEADER:
                 return command
         return last
 

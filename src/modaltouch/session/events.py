@@ -223,8 +223,14 @@ class Markers:
 
     def describe(self) -> dict[str, Any]:
         """Return name and source of the stream, and the offset of its clock from the session's [s]."""
-        stream = {"name": "modaltouch", "source_id": self._source, "clock_offset_s": round(self._offset, 6)}
-        return {"lsl": {**stream, "library": self._library}}
+        return {
+            "lsl": {
+                "name": "modaltouch",
+                "source_id": self._source,
+                "clock_offset_s": round(self._offset, 6),
+                "library": self._library,
+            }
+        }
 
     def send_question(self, instant: float) -> None:
         """Send the marker of the question on the latest stimulus at an instant [s]."""

@@ -209,9 +209,8 @@ def run(sitting: SessionRun, trial: Trial, previous: Trial | None) -> Response:
             sitting.window.show_stall()
         else:
             attempts += 1
-    n, remedy = ATTEMPTS, "check the instrument with `modaltouch rig check`"
-    if attempts < ATTEMPTS:
-        n, remedy = MOST_STALLS, "close other programs"
+    by_instrument = ATTEMPTS, "check the instrument with `modaltouch rig check`"
+    n, remedy = by_instrument if attempts == ATTEMPTS else (MOST_STALLS, "close other programs")
     raise RigError(
         f"trial {trial.index}: {n} presentations could not be confirmed ({firing.reason}); the outputs are off"
         + ("; the answers are kept as unconfirmed" if answers else "")
