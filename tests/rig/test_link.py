@@ -232,6 +232,48 @@ def test_a_link_that_is_opened_again_is_closed_first(link: Callable[..., Any]) -
     assert transport.closed == [False]
 
 
+def test_a_link_logs_whom_it_shut_out_and_how_long_an_exchange_took(
+    link: Callable[..., Any], heard: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In seconds, to the microsecond."""
+    instants = iter([10.0, 10.25, 20.0, 20.0000014])
+    monkeypatch.setattr("modaltouch.rig.controls.time.perf_counter", lambda: next(instants))
+    opened, _ = link(b"1")
+    opened.ask("*OPC?")
+    assert heard.of("link") == [{"did": "open", "others": "locked out", "seconds": 0.25}]
+    assert heard.of("scpi") == [{"sent": "*OPC?", "reply": "1", "seconds": 1e-6}]
+
+
+def test_another_program_that_takes_the_instrument_is_told_apart(link: Callable[..., Any]) -> None:
+    """In an exchange as at opening: the link is given up, and no new one is tried."""
+    opened, transport = link(InUse("another program has locked it"))
+    with pytest.raises(InUse, match="another program has locked it"):
+        opened.ask("*IDN?")
+    assert transport.closed == [True]
+
+
+def test_a_reset_restores_the_defaults_and_forgets_what_is_stored(link: Callable[..., Any]) -> None:
+    """It may take as long as a copy; an error that it leaves is refused."""
+    opened, transport = link([b"1", NO_ERROR])
+    opened.stored["USER1"] = "a hash"
+    opened.reset()
+    assert (transport.sent, transport.timeouts) == (["*RST;*OPC?", "SYST:ERR?"], [1, 0.5])
+    assert opened.stored == {}
+    opened, _ = link([b"1", RANGE, NO_ERROR])
+    with pytest.raises(Unconfirmed, match=r"to '\*RST' the generator reports -222"):
+        opened.reset()
+
+
+@pytest.mark.parametrize(
+    ("n_errors", "said"), [(1, "-1$"), (3, "-1, -2, -3$"), (4, "-1, -2, -3, and 1 more$"), (9, "-3, and 6 more$")]
+)
+def test_of_many_errors_the_first_are_named(link: Callable[..., Any], n_errors: int, said: str) -> None:
+    """A queue holds twenty and more."""
+    opened, _ = link([b"%d" % -n for n in range(1, n_errors + 1)] + [NO_ERROR])
+    with pytest.raises(Unconfirmed, match=f"to 'ABOR' the generator reports .*{said}"):
+        opened.command("ABOR")
+
+
 def test_records_hold_what_a_memory_can(link: Callable[..., Any]) -> None:
     """2 to 131072 points (AFG3000 series programmer manual, DATA:DEFine)."""
     opened, transport = link(b"1")
