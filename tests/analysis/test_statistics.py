@@ -7,10 +7,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from modaltouch.analysis.contrasts import Contrast, Shares, mean_of_known, signs_of
+from modaltouch.analysis.contrasts import Contrast, MeanScores, Shares, mean_of_known, signs_of
 from modaltouch.analysis.counts import count_answers
 from modaltouch.analysis.exact import sign_flip_test
 from modaltouch.analysis.findings import holm, to_frame
+from modaltouch.analysis.intervals import BoundedMean
 from modaltouch.analysis.statistics import STATISTICS, chance_tests, find, level_tests, slopes
 from modaltouch.protocol import AnswerList
 
@@ -294,6 +295,17 @@ class TestMissingAnswers:
         assert found.notes(0)[0].startswith("2 answers left out of the test")
         assert contrast.scores.highest.tolist() == [[2 / 4, -2 / 4]]
         assert contrast.scores.lowest.tolist() == [[1 / 4, -3 / 4]]
+
+    @pytest.mark.parametrize(("least", "p"), [(0.4, None), (0.0, 1.0), (-0.2, 1.0)])
+    def test_p_is_at_most_that_of_the_worst_answers(self, least: float, p: float | None) -> None:
+        """1 where they could make the mean nothing, else that of the mean that is nearer to it."""
+        shares = Shares(np.full((1, 6, 1), 3), np.full((1, 6, 1), 3), 4)
+        lowest, highest = np.full((1, 6), least), np.full((1, 6), 0.9)
+        compared = MeanScores(["one"], ["mean"], np.full((1, 6), 0.8), 1.0, shares, lowest, highest)
+        (note,) = compared.say(0)
+        expected = float(BoundedMean(lowest[0], -1.0, 1.0).test().p) if p is None else p
+        assert note.startswith(f"6 of 24 answers missing; with them the estimate could be {least:.3g} to 0.9, ")
+        assert note.endswith(f"and p at most {expected:.2g}")
 
     def test_every_question_is_still_answered(self, gaps, paper_frame) -> None:
         """The same rows as without a gap, every p a probability."""
