@@ -152,6 +152,9 @@ def test_an_error_of_an_upload_is_logged_as_it_was_said(link: Callable[..., Any]
     with pytest.raises(Unconfirmed, match="to 'a copy' the generator reports -222"):
         opened.complete("a copy", "DATA:COPY USER1,EMEM;*OPC?", "DATA:POIN? EMEM")
     assert heard.of("instrument_errors")[0]["errors"] == [RANGE.decode()]
+    opened, _ = link(b"1;" + NO_ERROR)
+    with pytest.raises(Unconfirmed, match="to 'a copy' the generator answers"):
+        opened.complete("a copy", "DATA:COPY USER1,EMEM;*OPC?", "DATA:POIN? EMEM")
     opened, _ = link(b"1;" + NO_ERROR + b";1000")
     heard.clear()
     assert opened.complete("a copy", "DATA:COPY USER1,EMEM;*OPC?", "DATA:POIN? EMEM") == ["1000"]
@@ -195,6 +198,26 @@ def test_replies_are_as_many_as_the_queries(link: Callable[..., Any]) -> None:
         opened, _ = link(replies)
         with pytest.raises(Unconfirmed, match=r"2 settings were queried, but \d came back"):
             opened.differences(levels)
+
+
+def test_a_setting_that_reads_otherwise_is_refused(link: Callable[..., Any]) -> None:
+    """With what reads otherwise, and everything that was read back."""
+    levels = [AFG3022B.level(1, 5.0), AFG3022B.level(2, 7.0)]
+    opened, transport = link(b"5;7;" + NO_ERROR)
+    assert opened.apply(levels) == ("5", "7")
+    assert transport.sent == [":SOUR1:VOLT 5VPP;:SOUR2:VOLT 7VPP;:SOUR1:VOLT?;:SOUR2:VOLT?;:SYST:ERR?"]
+    opened, _ = link(b"5;8;" + NO_ERROR)
+    with pytest.raises(Unconfirmed, match=r"^SOUR2:VOLT reads 8, 7\.0VPP was set$") as refused:
+        opened.apply(levels)
+    assert refused.value.read_back == ("5", "8")
+
+
+def test_a_message_without_a_query_waits_for_no_reply(link: Callable[..., Any], heard: Any) -> None:
+    """It is sent and logged once it was accepted."""
+    opened, transport = link(b"never read")
+    opened.send("ABOR")
+    assert transport.sent == ["ABOR"]
+    assert [(facts["sent"], "reply" in facts) for facts in heard.of("scpi")] == [("ABOR", False)]
 
 
 def test_a_setting_reported_as_an_error_is_refused_although_it_reads_back(link: Callable[..., Any]) -> None:
