@@ -13,6 +13,7 @@ import pytest
 
 from modaltouch.analysis.responses import (
     AnswerSource,
+    ExcludedSource,
     Responses,
     answers_per_cell,
     describe_cell,
@@ -128,6 +129,45 @@ def test_the_command_repeats_the_analysis() -> None:
     labs = AnswerSource("a, b", "results", "", mode="pilot", labs=("a", "b"))
     recorded = replace(answers, source=labs, stimulus="sharp", sessions=(object(),))  # type: ignore[arg-type]
     assert recorded.command == "modaltouch analyse a b --out FOLDER --stimulus sharp --mode pilot"
+
+
+def test_what_was_read_is_told_as_plain_values() -> None:
+    """For ``--json``: notes of the reading before others; no mode where none is known."""
+    left_out = (ExcludedSource("ses-2", "not complete"),)
+    answers = Responses(TWO, (), left_out, SOURCE, notes=("read",))
+    assert answers.as_dict("further") == {
+        "notes": ["read", "further"],
+        "mode": None,
+        "source": "answers.csv",
+        "left_out": [{"source": "ses-2", "reason": "not complete"}],
+        "form": [],
+    }
+    assert replace(answers, source=replace(SOURCE, mode="pilot")).as_dict()["mode"] == "pilot"
+
+
+def test_answers_on_intervals_are_recoded_by_what_was_chosen() -> None:
+    """The first of two intervals was the comparison, then the standard; other answers stay, as do other designs."""
+    section = {"keys": {"first": ["a"], "second": ["b"]}, "intervals": {"first": 1, "second": 2}}
+    asked = {"number": 2, "standard": {"velocity_mm_s": 100}, "asked": "stronger"}
+    frame = TWO.assign(response="first", interval=[1, 2, 1])
+    answers = Responses(frame, (), (), SOURCE, answers=AnswerList.of(section), scheduled=frame.iloc[:2])
+    compared = replace(answers, design={"answers": section, "intervals": asked})
+    chosen = compared.by_choice()
+    assert chosen.frame["response"].tolist() == ["comparison", "standard", "comparison"]
+    assert chosen.scheduled is not None
+    assert chosen.scheduled["response"].tolist() == ["comparison", "standard"]
+    assert chosen.answers.names == ("comparison", "standard")
+    assert replace(compared, scheduled=None).by_choice().scheduled is None
+    assert answers.by_choice() is answers
+    felt = replace(compared, answers=AnswerList.of({"keys": {"left": ["a"], "right": ["b"]}}))
+    assert felt.by_choice() is felt
+
+
+def test_levels_may_be_multiples_of_a_threshold() -> None:
+    """By the column that they have."""
+    own = TWO.rename(columns={"velocity_mm_s": "multiple_of_threshold"})
+    assert Responses(own, (), (), SOURCE).in_multiples is True
+    assert Responses(TWO, (), (), SOURCE).in_multiples is False
 
 
 def test_speeds_are_those_under_the_faster_finger() -> None:

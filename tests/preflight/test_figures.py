@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -10,7 +11,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from modaltouch.preflight.figures import by_name, contrasts, design_figures_of, estimated_duration, finger_places
+from modaltouch.preflight.figures import (
+    by_name,
+    contrasts,
+    design_figures_of,
+    estimated_duration,
+    finger_places,
+    occasion_figures,
+)
 from modaltouch.protocol import Findings, Protocol
 
 PROTOCOLS = Path(__file__).parents[2] / "protocols"
@@ -54,6 +62,25 @@ def test_a_stimulus_before_the_question_and_further_questions_take_their_time() 
     asked = protocol.answers.model_copy(update={"then": {"sure": object(), "near": object()}})
     longer = protocol.model_copy(update={"answers": asked, "form": {"dizzy": object()}})
     assert estimated_duration(longer) == round((13 * (2.0 + 3 * 1.5 + pause) + 1.5 + 9 * 5 + 90) / 60, 1)
+
+
+def test_intervals_and_their_gaps_take_their_time() -> None:
+    """52 trials of two stimuli of five bursts at 7 Hz, 0.5 s apart, at one pair; a break after 24 of 48."""
+    protocol = protocol_of("comparison_2ifc", answers={"pause_s": 1.0, "settling_s": 1.0})
+    seconds = 52 * (2 * 5 / 7 + 0.5 + 1.5 + 1.0) + 5 + 30 + 90
+    assert estimated_duration(protocol) == round(seconds / 60, 1)
+
+
+def test_an_occasion_is_told_by_its_levels_and_numbers() -> None:
+    """Of a faulty protocol nothing is known but its group and kind of session."""
+    findings = Findings.read(PROTOCOLS / "demo.yaml")
+    told = occasion_figures(findings)
+    assert told == {
+        "group": "", "session_kind": "", "peak_velocities_mm_s": [80.0, 200.0], "n_trials": 12, "n_practice_trials": 1,
+        "estimated_duration_min": estimated_duration(findings.experiment().protocol),
+    }  # fmt: skip
+    faulty = occasion_figures(replace(findings, protocol=None))
+    assert faulty == {**dict.fromkeys(told), "group": "", "session_kind": ""}
 
 
 def test_contrasts_are_those_of_the_pairs() -> None:
