@@ -196,6 +196,36 @@ def test_a_fault_while_this_computer_is_held_up_is_not_the_instruments(
     assert not loaded.firing.stalled
 
 
+@pytest.mark.parametrize(("held_up", "stalled"), [(0.0, False), (HELD_UP + 0.01, True)])
+def test_an_output_found_off_is_a_stall_only_where_this_computer_was_held_up(
+    loaded: Generator, simulator: Simulator, guard: Any, monkeypatch: pytest.MonkeyPatch, held_up: float, stalled: bool
+) -> None:
+    """Else somebody switched it off; either way the stimulus is not confirmed, and its bursts are not counted."""
+    monkeypatch.setattr(guard, "held_up", lambda: held_up)
+    loaded.fire(0.1)
+    simulator.front_panel("OUTP1 OFF")
+    loaded.stop()
+    assert loaded.firing is not None
+    assert not loaded.firing.confirmed
+    assert loaded.firing.stalled is stalled
+    assert ("this computer was held up" in loaded.firing.reason) is stalled
+    assert (loaded.firing.bursts.played, loaded.firing.bursts.whole) == (None, None)
+
+
+def test_no_burst_follows_the_end(loaded: Generator, clock: VirtualClock) -> None:
+    """Ended 10 ms into the first burst: a second later it is still the only one, and whole."""
+    loaded.fire(0.1)
+    clock.sleep(0.01)
+    loaded.end()
+    for _ in range(10):
+        clock.sleep(0.1)
+        loaded.heartbeat()
+    loaded.stop()
+    assert loaded.firing is not None
+    assert loaded.firing.confirmed
+    assert (loaded.firing.bursts.asked, loaded.firing.bursts.played, loaded.firing.bursts.whole) == (1, 1, 1)
+
+
 def test_stimulus_ends_between_bursts(loaded: Generator, clock: VirtualClock, simulator: Simulator) -> None:
     """Stopped 10 ms into the third burst: that one comes to its end, 40 ms later, and no other follows."""
     firing = loaded.fire(0.1)
