@@ -559,6 +559,7 @@ def test_onset_comes_after_the_relays_have_settled(loaded: Generator, clock: Vir
 def test_a_late_acknowledgement_bounds_no_first_sample(loaded: Generator) -> None:
     """A trigger acknowledged after 2.1 ms: the sample may leave up to a millisecond later than that."""
     assert loaded._sample_left((5.0, 5.0021)) == pytest.approx((5.0, 5.0031))
+    assert loaded._sample_left((5.0, 5.0)) == pytest.approx((5.0, 5.002)), "an immediate one says nothing"
 
 
 def test_measured_latency_dates_the_first_sample(
@@ -571,6 +572,7 @@ def test_measured_latency_dates_the_first_sample(
         rig.load(burst)
         before = clock.now()
         firing = rig.fire(0.1)
+        assert rig._sample_left((5.0, 5.5)) == pytest.approx((5.003, 5.5034)), "sent then, accepted by then"
     assert firing.onset == pytest.approx(before + 0.05 + 3.2e-3, abs=1e-6)
     assert firing.onset_uncertainty == pytest.approx(0.2e-3, abs=1e-6)
     assert firing.trigger_latency == "measured"
