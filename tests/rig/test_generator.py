@@ -20,7 +20,7 @@ from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.apparatus_sections import FingerSection, FingerSpread, Latency
 from modaltouch.rig.generator import Generator
 from modaltouch.rig.interface import Bursts, RigError
-from modaltouch.rig.pacing import HELD_UP
+from modaltouch.rig.pacing import HELD_UP, Report
 from modaltouch.rig.player import RELAYS_SETTLE
 from modaltouch.rig.simulator import Simulator
 from modaltouch.rig.simulator.session_files import FollowedSession
@@ -194,6 +194,29 @@ def test_a_fault_while_this_computer_is_held_up_is_not_the_instruments(
     loaded.stop()
     assert loaded.firing.confirmed
     assert not loaded.firing.stalled
+
+
+@pytest.mark.parametrize(
+    ("report", "stalled", "reason"),
+    [
+        (Report(due=1, ended="failed", reason="the trigger was refused"), False, "the trigger was refused"),
+        (Report(due=3, dropped=3, ended="stalled"), True, "this computer was held up: no burst could be played in"),
+        (Report(due=5, dropped=5), True, "this computer was held up: no burst could be played in time"),
+    ],
+)
+def test_a_first_burst_that_is_not_played_starts_no_stimulus(
+    loaded: Generator, simulator: Simulator, guard: Any, monkeypatch: pytest.MonkeyPatch,
+    report: Report, stalled: bool, reason: str,
+) -> None:  # fmt: skip
+    """Refused by the instrument, or not sent in time for five periods: told apart, the outputs off either way."""
+    with monkeypatch.context() as patch:
+        patch.setattr(guard, "play", lambda order: report)
+        firing = loaded.fire(0.1)
+    assert not firing.started
+    assert firing.stalled is stalled
+    assert firing.reason.startswith(reason)
+    assert simulator.outputs == (False, False)
+    assert loaded.fire(0.1).started
 
 
 @pytest.mark.parametrize(("held_up", "stalled"), [(0.0, False), (HELD_UP + 0.01, True)])
