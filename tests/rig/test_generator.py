@@ -61,6 +61,7 @@ def test_a_catch_trial_does_everything_but_play(loaded: Generator, simulator: Si
     firing = loaded.fire(0.08, silent=True)
     assert firing.started
     assert firing.confirmed_amplitude == firing.commanded_amplitude != (0, 0)
+    assert firing.bursts == Bursts(0, 0, 0, 0)
     assert simulator.outputs == (True, True)
     assert simulator.felt_velocity(["A", "C"]).tolist() == [0, 0]
     loaded.stop()
@@ -205,7 +206,7 @@ def test_a_fault_while_this_computer_is_held_up_is_not_the_instruments(
     ],
 )
 def test_a_first_burst_that_is_not_played_starts_no_stimulus(
-    loaded: Generator, simulator: Simulator, guard: Any, monkeypatch: pytest.MonkeyPatch,
+    loaded: Generator, simulator: Simulator, guard: Any, heard: Any, monkeypatch: pytest.MonkeyPatch,
     report: Report, stalled: bool, reason: str,
 ) -> None:  # fmt: skip
     """Refused by the instrument, or not sent in time for five periods: told apart, the outputs off either way."""
@@ -215,6 +216,7 @@ def test_a_first_burst_that_is_not_played_starts_no_stimulus(
     assert not firing.started
     assert firing.stalled is stalled
     assert firing.reason.startswith(reason)
+    assert [facts["reason"] for facts in heard.of("unconfirmed")] == [firing.reason]
     assert simulator.outputs == (False, False)
     assert loaded.fire(0.1).started
 
