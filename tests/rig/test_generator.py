@@ -237,6 +237,49 @@ def test_an_output_found_off_is_a_stall_only_where_this_computer_was_held_up(
     assert (loaded.firing.bursts.played, loaded.firing.bursts.whole) == (None, None)
 
 
+def test_outputs_go_on_a_tenth_of_a_second_before_a_burst(loaded: Generator, clock: VirtualClock) -> None:
+    """All else is set at once; the relays have twice the time that they need."""
+    outputs_on, went_on = loaded._connection.controls.outputs_on, list[float]()
+
+    def note() -> None:
+        went_on.append(clock.now())
+        outputs_on()
+
+    loaded._connection.controls.outputs_on = note  # type: ignore[method-assign]
+    due = clock.now() + 0.7
+    assert loaded.fire(0.1, due=due).started
+    assert went_on == pytest.approx([due - 2 * RELAYS_SETTLE], abs=1e-3)
+
+
+def test_what_is_loaded_while_a_stimulus_plays_ends_it_first(
+    loaded: Generator, simulator: Simulator, clock: VirtualClock, make: Callable[..., Burst]
+) -> None:
+    """Confirmed as it was played, the outputs off before the next record is sent."""
+    loaded.fire(0.1, n_bursts=1)
+    clock.sleep(0.1)
+    loaded.load(make(seed=1))
+    assert simulator.outputs == (False, False)
+    assert loaded.firing is not None
+    assert (loaded.firing.confirmed, loaded.firing.bursts.whole) == (True, 1)
+
+
+def test_a_trigger_that_fails_later_spoils_the_stimulus(
+    loaded: Generator, clock: VirtualClock, guard: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With the reason that the pacer gives; how many bursts were whole is not known."""
+    loaded.fire(0.1)
+    failed = Report(due=3, played=2, first=(100.0, 100.0), ended="failed", reason="the trigger was refused")
+    with monkeypatch.context() as patch:
+        patch.setattr(guard, "report", lambda *, wait: failed)
+        loaded.stop()
+    assert loaded.firing is not None
+    assert (loaded.firing.confirmed, loaded.firing.reason) == (
+        False,
+        "the trigger was refused when the stimulus ended",
+    )
+    assert (loaded.firing.bursts.asked, loaded.firing.bursts.played, loaded.firing.bursts.whole) == (3, None, None)
+
+
 def test_no_burst_follows_the_end(loaded: Generator, clock: VirtualClock) -> None:
     """Ended 10 ms into the first burst: a second later it is still the only one, and whole."""
     loaded.fire(0.1)
