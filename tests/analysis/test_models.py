@@ -153,6 +153,9 @@ def test_an_analysis_writes_the_table_and_the_script(paper_csv, tmp_path) -> Non
     script = found.files["models.R"].read_text(encoding="utf-8")
     assert "lme4::glmer(\n  dominant ~ pair + finger_condition + level + (1 | participant)" in script
     assert "ordinal::clmm(\n  zone ~ pair" in script and "brms::brm(" in script
+    # Else R would take the participants 1 and 01 for one number, hence for one person.
+    kinds = '"participant" = "factor", "finger_condition" = "factor", "pair" = "factor", "response" = "factor", "zone"'
+    assert f'colClasses = c(\n{kinds} = "factor"\n))' in script
     assert {row.question for row in found.findings} >= {"model"}
     assert "What does a mixed model say?" in found.files["report.html"].read_text(encoding="utf-8")
 

@@ -96,7 +96,8 @@ def zone_files(
 
 def script_files(table: pd.DataFrame, template: str, terms: Sequence[str], **given: Any) -> dict[str, Any]:
     """Return a tidy table and an R script to fit models with these terms, by file name."""
-    script = render_page("modaltouch.analysis", template, terms=" + ".join(terms) or "1", **given)
+    words = [str(name) for name in table.select_dtypes(exclude="number")]
+    script = render_page("modaltouch.analysis", template, terms=" + ".join(terms) or "1", words=words, **given)
     return {"answers.csv": table.to_csv(index=False, lineterminator="\n"), "models.R": script}
 
 
