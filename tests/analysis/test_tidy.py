@@ -586,7 +586,7 @@ def test_a_table_of_a_design_that_is_not_crossed_has_its_parts(write_csv, build)
     """Each pair at a level of its own: two parts; who lacks a trial without a row is told to write one."""
     levels = {"A": 80, "B": 150}
     rows = [row for row in build["random"](6, 1) if levels.get(row["zone_left"]) == row["velocity_mm_s"]]
-    design = {"conditions": {"cells": [{"pair": ["A", "C"]}]}, "stimulus": {"focus": "C"}}
+    design = {"conditions": {"exclude": [{"pair": ["A", "C"]}]}, "stimulus": {"focus": "C"}}
     found = analyse_parts(read_responses(write_csv(rows), table_format=TableFormat(design=design)))
     assert sorted(part.name.split(" ", 3)[3] for part in found.parts) == ["A-C at 80 mm/s", "B-D at 150 mm/s"]
     assert {part.counts.n_participants for part in found.parts} == {6} and found.parts[0].counts.pairs[0].focused
@@ -594,6 +594,19 @@ def test_a_table_of_a_design_that_is_not_crossed_has_its_parts(write_csv, build)
         InputError, match="unequally often.*give every trial a row, with an empty response where none was given"
     ):
         analyse_parts(read_responses(write_csv(rows[1:], "less.csv"), table_format=TableFormat(design=design)))
+
+
+@pytest.mark.parametrize(
+    ("change", "crossed"), [("", True), ("weight: 2, ", False), ("finger_conditions: [one_hand], ", False)]
+)
+def test_cells_that_list_a_crossed_design_are_analysed_as_crossed(write_csv, paper_rows, edit, change, crossed) -> None:
+    """One line per pair, with every level: Fig. 10 as from zone_pairs; with a weight of one pair there are parts."""
+    pairs, levels = ("[A, C]", "[B, D]", "[C, E]"), "peak_velocities_mm_s: [80, 100, 150, 200]"
+    cells = ", ".join(f"{{{change * (pair == '[B, D]')}pair: {pair}, {levels}}}" for pair in pairs)
+    listed = (f"  zone_pairs: [{', '.join(pairs)}]\n  {levels}\n", f"  cells: [{cells}]\n")
+    form = TableFormat.of(Findings.read(edit(PAPER, listed)))
+    found = read_responses(write_csv(paper_rows), table_format=form)
+    assert (found.scheduled is None) == crossed
 
 
 @pytest.mark.parametrize("column", ["value", "sure", "stimulus", "group", "session_kind"])

@@ -9,10 +9,12 @@ If levels are multiples of each participant's threshold, ``multiple_of_threshold
 
 from __future__ import annotations
 
+import math
 import shlex
 from collections import Counter
 from collections.abc import Callable, Collection, Container, Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -376,6 +378,21 @@ def kinds_of(design: Mapping[str, Any]) -> dict[str, bool]:
     """Return the kinds of session in the sections of a protocol, and whether each is analysed."""
     listed = (design.get("schedule") or {}).get("sessions")
     return {kind["name"]: kind.get("analysed", True) for kind in listed} if isinstance(listed, (list, tuple)) else {}
+
+
+def are_crossed(conditions: Mapping[str, Any]) -> bool:
+    """Return whether the cells that a section ``conditions`` lists, if any, are every combination, equally often.
+
+    Cells left out make the design uncrossed.
+    """
+    met = Counter[tuple[Any, ...]]()
+    for each in (listed := conditions.get("cells") or ()):
+        pair, stimuli = tuple(each["pair"]), each["stimuli"] or ("",)
+        fingers = each["finger_conditions"] or conditions.get("finger_conditions", ("",))
+        met.update([*product(fingers, [pair], each["peak_velocities_mm_s"], stimuli)] * each["weight"])
+    n_crossed = math.prod(len(set(part)) for part in zip(*met, strict=True))
+    is_whole = len(met) == n_crossed and len(set(met.values())) == 1
+    return not conditions.get("exclude") and (is_whole or not listed)
 
 
 def unmirror(frame: pd.DataFrame, answers: AnswerList) -> pd.DataFrame:

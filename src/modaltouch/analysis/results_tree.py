@@ -28,6 +28,7 @@ from modaltouch.analysis.responses import (
     ExcludedSource,
     Responses,
     answers_per_cell,
+    are_crossed,
     kinds_of,
     missing_answer_notes,
     refuse_unequal,
@@ -204,7 +205,7 @@ def open_log(path: Path) -> SessionAnswers:
         },
         catches=Counter((row["finger_condition"], row["response"]) for row in caught),
         kind=session.occasion,
-        is_crossed=not any(design.get("conditions", {}).get(key) for key in ("cells", "exclude")),
+        is_crossed=are_crossed(design.get("conditions", {})),
         names=tuple(_names(design)),
     )
 

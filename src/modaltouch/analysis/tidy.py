@@ -21,6 +21,7 @@ from modaltouch.analysis.responses import (
     ExcludedSource,
     Responses,
     answers_per_cell,
+    are_crossed,
     kinds_of,
     missing_answer_notes,
     sum_catches,
@@ -163,7 +164,7 @@ def _parts(asked: pd.DataFrame, design: Mapping[str, Any]) -> list[pd.DataFrame]
 def _is_crossed(design: Mapping[str, Any]) -> bool:
     """Return whether each participant of a group has the same number of trials in every cell of a stimulus."""
     own = [section.get("conditions") or {} for section in (design, *(design.get("groups") or {}).values())]
-    return not any(conditions.get(key) for conditions in own for key in ("cells", "exclude"))
+    return all(map(are_crossed, own))
 
 
 def _foci(frame: pd.DataFrame, design: Mapping[str, Any]) -> list[str]:
