@@ -12,7 +12,7 @@ from modaltouch.analysis.statistics import STATISTICS
 from modaltouch.planning import Observer, designs_for
 from modaltouch.planning.power import find_floor
 from modaltouch.preflight import examine, results
-from modaltouch.preflight.results import design_warnings
+from modaltouch.preflight.results import answer_warnings, design_warnings
 from modaltouch.protocol import Protocol
 
 Edit = Callable[..., Path]
@@ -95,6 +95,32 @@ def test_practice_that_is_judged_but_does_not_take_place_is_told(edit: Edit) -> 
     none = ("practice_trials: 3", "practice_trials: 0")  # in the file that was just changed
     (said,) = [each for each in design_warnings(read(edit, none)) if "no effect" in each]
     assert said == "schedule.practice_criterion has no effect, since practice_trials is 0: there is no practice"
+
+
+@pytest.mark.parametrize(
+    ("other", "is_told"),
+    [
+        ("{}", True),
+        ("{repetition_rate_Hz: 7, field: {shape: triangle, base_mm: 56}}", True),
+        ("{repetition_rate_Hz: 6}", False),
+        ("{presentation_bursts: 3}", False),
+    ],
+)
+def test_stimuli_that_are_the_same_are_told(edit: Edit, other: str, is_told: bool) -> None:
+    """Whether a variant says nothing or what the shared section says; a number of bursts is a difference, too."""
+    variants = ("\nconditions:\n", f"\nstimuli: {{usual: {{}}, other: {other}}}\n\nconditions:\n")
+    said = list(design_warnings(read(edit, variants, ("stimulus_until: answer ", "stimulus_until: question "))))
+    assert ("the stimuli usual and other are the same: no answer can tell them apart" in said) is is_told
+
+
+def test_a_length_without_effect_is_told(edit: Edit) -> None:
+    """A stimulus of 2 s is meant, one of up to a minute would be played; written out, it is what is meant."""
+    idle = "answers.presentation_s has no effect, since stimulus_until is `answer` if it is not given; write "
+    assert not any("no effect" in each for each in answer_warnings(read(edit)))
+    (said,) = [
+        each for each in answer_warnings(read(edit, ("  stimulus_until: answer ", "  #"))) if "no effect" in each
+    ]
+    assert said == f"{idle}`stimulus_until: question` for a stimulus of that length"
 
 
 def test_a_single_group_and_sessions_that_nobody_analyses_are_told(edit: Edit) -> None:

@@ -315,9 +315,12 @@ _PARTS = {
 
 def design_warnings(protocol: Protocol) -> Iterator[str]:
     """Yield warnings about pairs without a finger on the focus, tests that are impossible, and long sessions."""
-    conditions = protocol.conditions
+    conditions, presented = protocol.conditions, dict[str, str]()
     for name in protocol.stimulus_names:
         section = protocol.stimulus_of(name)
+        own = f"{section}, {protocol.n_bursts(name)} bursts, masked {protocol.is_masked(name)}"
+        if (other := presented.setdefault(own, name)) != name:
+            yield f"the stimuli {other} and {name} are the same: no answer can tell them apart"
         foci = dict.fromkeys((section.focus, *section.further_foci))
         without = ["-".join(zones) for zones in conditions.contacts if not foci.keys() & set(zones)]
         noun = "any pair" if conditions.zone_pairs else "any zones"
@@ -363,7 +366,7 @@ def _is_crossed(protocol: Protocol) -> bool:
 
 
 def answer_warnings(protocol: Protocol) -> Iterator[str]:
-    """Yield warnings about catch trials without the answer none, answers that name no finger, and an unknown task."""
+    """Yield warnings about catch trials without `none`, answers that name no finger, unknown tasks and idle lengths."""
     n_catches, offered, scale = protocol.schedule.catch_trials, protocol.answers.offered, protocol.answers.scale
     if n_catches and not protocol.answers.has_none_answer and scale is None:
         yield (
@@ -378,6 +381,13 @@ def answer_warnings(protocol: Protocol) -> Iterator[str]:
         )
     if protocol.task == "other":
         yield "the question is that of the texts, which must suit these answers; else write answers.question"
+    written = protocol.answers.model_fields_set
+    idle = [key for key in ("presentation_bursts", "presentation_s") if key in written]
+    if idle and "stimulus_until" not in written:
+        yield (
+            f"answers.{idle[0]} has no effect, since stimulus_until is `answer` if it is not given; write "
+            "`stimulus_until: question` for a stimulus of that length"
+        )
 
 
 def interval_warnings(protocol: Protocol) -> list[str]:
