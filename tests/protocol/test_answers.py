@@ -179,6 +179,17 @@ def test_adaptive_runs_need_the_answers_that_they_judge_by(edit: Edit) -> None:
         Findings.read(edit("threshold.yaml", (keys, "    more: [up]\n    less: [down]\n"))).experiment()
 
 
+@pytest.mark.parametrize("section", ["form:", "  then:"])
+def test_no_answer_of_a_further_question_is_called_like_a_time_out(edit: Edit, section: str) -> None:
+    """It would be read as a missing answer, and the others counted as all there are."""
+    question = "{sure: {question: Sure?, keys: {time_out: [up], sure: [down]}}}"
+    lines = [f"{section} {question}", "answers:"] if section == "form:" else ["answers:", f"{section} {question}"]
+    changes = ("\nanswers:\n", "\n{}\n{}\n".format(*lines))
+    fault = "time_out, which is recorded when no answer comes in time; allowed: any other name"
+    with pytest.raises(InputError, match=f"sure.keys.time_out: given {fault}"):
+        Findings.read(edit(FILE, changes)).experiment()
+
+
 @pytest.mark.parametrize(
     "line",
     [

@@ -318,6 +318,13 @@ def check_questions(reading: Reading[Any]) -> Iterator[Problem]:
                     f"2 to {MOST_ANSWERS} answers",
                     "or use a scale",
                 )
+            if TIME_OUT in names:
+                yield reading.problem(
+                    (*section, name, "keys", TIME_OUT),
+                    f"{TIME_OUT}, which is recorded when no answer comes in time",
+                    "any other name",
+                    "choose another",
+                )
             yield from _check_used(reading, (*section, name, "keys"))
             yield from _check_scale(reading, (*section, name, "scale"))
 
