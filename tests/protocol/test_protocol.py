@@ -337,19 +337,20 @@ def test_catch_trials_and_keys_beyond_reason_are_faults(edit: Edit, changes: lis
         (
             "none: [f12]",
             "answers.keys.none[0]",
-            "the emergency key that switches the outputs off unless `emergency_keys` names another",
+            "'f12', which already switches the outputs off unless `answers.emergency_keys` names another",
         ),
-        ("none: [n, f12]", "answers.keys.none[1]", "name another key under `answers.emergency_keys`"),
+        ("none: [n, f12]", "answers.keys.none[1]", "a key with no other meaning; choose another"),
         (
             "none: [n]\n  continue_keys: [f12]",
             "answers.continue_keys[0]",
-            "'f12', the emergency key that switches the outputs off",
+            "'f12', which switches the outputs off unless `answers.emergency_keys` names another",
         ),
         (
             "none: [f12]\n  emergency_keys: [f12]",
-            "answers.emergency_keys[0]",
-            "'f12', which already has another meaning",
+            "answers.keys.none[0]",
+            "'f12', which already switches the outputs off",
         ),
+        ("none: [f12]\n  emergency_keys: [q]", "answers.emergency_keys[0]", "'q', which ends a session that is paused"),
         ("none: [f12]\n  emergency_keys: [f11]", "", ""),
     ],
 )
@@ -359,10 +360,12 @@ def test_a_key_for_emergencies_is_a_fault_where_it_was_written(edit: Edit, keys:
     found = faults(file)
     assert len(found) == bool(place)
     if place:
-        line = next(n for n, text in enumerate(file.read_text(encoding="utf-8").splitlines(), 1) if "f12" in text)
+        key = place.partition("[")[0].rpartition(".")[2]
+        lines = file.read_text(encoding="utf-8").splitlines()
+        line = next(n for n, text in enumerate(lines, 1) if text.strip().startswith(f"{key}: ["))
         assert f" {place}: " in found[0]
         assert words in found[0]
-        assert f":{line + keys.count('emergency_keys')}:" in found[0]
+        assert f":{line}:" in found[0]
 
 
 @pytest.mark.parametrize(

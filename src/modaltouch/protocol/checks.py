@@ -10,7 +10,7 @@ from typing import Any
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.conditions import check_contacts, contacts, is_adaptive, offered_answers
 from modaltouch.protocol.people import check_people
-from modaltouch.protocol.questions import MOST_ANSWERS, check_key, check_questions
+from modaltouch.protocol.questions import IN_EMERGENCY, MOST_ANSWERS, check_key, check_keys, check_questions
 from modaltouch.protocol.reading import Reading, repeats
 from modaltouch.protocol.schedule_section import LIMITS
 from modaltouch.protocol.sections import AnswersSection, Protocol
@@ -242,40 +242,21 @@ def _check_doubles(reading: Reading[Protocol]) -> Iterator[Problem]:
 
 def _check_keys(reading: Reading[Protocol]) -> Iterator[Problem]:
     yield from _check_answers(reading, reading.keys("answers", "keys"))
-    places: dict[str, tuple[str | int, ...]] = {}
-    for path in [("answers", "keys", name) for name in offered_answers(reading).names]:
-        for index, name in reading.items(*path):
-            yield from check_key(reading, (*path, index), name)
-            if name in places:
+    yield from check_keys(reading, ("answers", "keys"))
+    others = {
+        "continue_keys": dict.fromkeys((name for _, name in reading.items("answers", "emergency_keys")), IN_EMERGENCY),
+        "emergency_keys": {AnswersSection.END_KEY: "ends a session that is paused"},
+    }
+    for section, taken in others.items():
+        for index, name in reading.items("answers", section):
+            yield from check_key(reading, ("answers", section, index), name)
+            if name in taken:
                 yield reading.problem(
-                    (*path, index),
-                    f"'{name}', which already means {places[name][-2]}",
-                    "each key for one answer",
-                    "remove one of them",
+                    ("answers", section, index),
+                    f"'{name}', which {taken[name]}",
+                    "a key with no other meaning",
+                    "choose another",
                 )
-            places.setdefault(name, (*path, index))
-    for index, name in reading.items("answers", "continue_keys"):
-        yield from check_key(reading, ("answers", "continue_keys", index), name)
-        places.setdefault(name, ("answers", "continue_keys", index))
-    is_written = reading.find(("answers", "emergency_keys")) is not None
-    for index, name in reading.items("answers", "emergency_keys"):
-        path = ("answers", "emergency_keys", index)
-        yield from check_key(reading, path, name)
-        if name in places and not is_written:
-            # Report the answer key, which is in the file, rather than the default emergency key, which is not.
-            yield reading.problem(
-                places[name],
-                f"'{name}', the emergency key that switches the outputs off unless `emergency_keys` names another",
-                "a key with no other meaning",
-                "choose another, or name another key under `answers.emergency_keys`",
-            )
-        elif name in places or name == AnswersSection.END_KEY:
-            yield reading.problem(
-                path,
-                f"'{name}', which already has another meaning",
-                "a key with no other meaning, such as f12",
-                "choose another",
-            )
 
 
 def _check_fingers(reading: Reading[Protocol], name: str) -> Iterator[Problem]:

@@ -325,13 +325,13 @@ def check_questions(reading: Reading[Any]) -> Iterator[Problem]:
                     "any other name",
                     "choose another",
                 )
-            yield from _check_used(reading, (*section, name, "keys"))
+            yield from check_keys(reading, (*section, name, "keys"))
             yield from _check_scale(reading, (*section, name, "scale"))
 
 
 def _check_scale(reading: Reading[Any], path: tuple[str, ...]) -> Iterator[Problem]:
     """Yield the problems of the keys of a scale, and emergency keys that a scale uses by default."""
-    yield from _check_used(reading, (*path, "keys"))
+    yield from check_keys(reading, (*path, "keys"))
     scale, written = reading.sound(*path), reading.keys(*path, "keys") or ()
     usual = {} if scale is None else {key: act for act, keys in scale.actions.items() for key in keys}
     for index, name in reading.items("answers", "emergency_keys"):
@@ -344,9 +344,12 @@ def _check_scale(reading: Reading[Any], path: tuple[str, ...]) -> Iterator[Probl
             )
 
 
-def _check_used(reading: Reading[Any], path: tuple[str, ...]) -> Iterator[Problem]:
-    """Yield the problems of keys: unknown name, two meanings, or emergency key."""
-    taken = {name: "switches the outputs off" for _, name in reading.items("answers", "emergency_keys")}
+IN_EMERGENCY = "switches the outputs off unless `answers.emergency_keys` names another"
+
+
+def check_keys(reading: Reading[Any], path: tuple[str, ...]) -> Iterator[Problem]:
+    """Yield the problems of the keys of answers or actions: unknown name, two meanings, or emergency key."""
+    taken = {name: IN_EMERGENCY for _, name in reading.items("answers", "emergency_keys")}
     for answer in reading.keys(*path) or ():
         for index, name in reading.items(*path, answer):
             yield from check_key(reading, (*path, answer, index), name)
