@@ -188,6 +188,11 @@ def test_peak_of_the_shipped_burst_is_exact(shipped, zones):
     assert shipped.peak_velocity(zones, 0.2) == pytest.approx(np.abs(history).max(axis=1), rel=1e-12)
 
 
+def test_no_points_have_no_peaks(shipped):
+    """As with no finger on the beam."""
+    assert peak_velocity(shipped.model, shipped.voltage_played(0.2), shipped.timing, []).shape == (0,)
+
+
 def test_peak_reaches_into_the_silence_after_the_burst():
     """A burst that ends with a kick peaks after its last sample."""
     model = ModalModel((1,), [100.0], [0.001], [[1.0]], 0.1)

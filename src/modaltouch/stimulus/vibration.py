@@ -339,11 +339,11 @@ class BlockStates:
         """
         if at_once is not None:
             return self._different_peaks(output, at_once, floor)
-        peaks = []
-        for start in range(0, len(output), _OUTPUTS):
-            some, places = self._different(output[start : start + _OUTPUTS])
-            peaks.append(self._different_peaks(some, np.zeros((len(some), self.push.shape[1])), floor)[places])
-        return np.concatenate(peaks)
+        if len(output) > _OUTPUTS:
+            starts = range(0, len(output), _OUTPUTS)
+            return np.concatenate([self.peak(output[start : start + _OUTPUTS], floor) for start in starts])
+        some, places = self._different(output)
+        return self._different_peaks(some, np.zeros((len(some), self.push.shape[1])), floor)[places]
 
     def _different_peaks(self, output: ComplexArray, at_once: FloatArray, floor: float) -> FloatArray:
         """Return the peaks of different outputs, at the starts of the samples and at instants between them."""
