@@ -129,9 +129,10 @@ def _sound(fit: Evaluation, frequency: FloatArray, sure: float) -> NDArray[np.bo
 
 
 def _keep_sound_poles(responses: FrequencyResponses, fit: Evaluation, sure: float) -> Evaluation:
-    """Refit with the poles that are modes; keep all if none is, since their intervals then show that."""
-    kept = _sound(fit, responses.frequency, sure)
-    if kept.all() or not kept.any():
+    """Refit with the poles that are modes; keep all if none in the band is, since their intervals then show that."""
+    kept, own = _sound(fit, responses.frequency, sure), fit.poles.natural_frequency
+    inside = (own >= responses.frequency[0]) & (own <= responses.frequency[-1])
+    if kept.all() or not (kept & inside).any():
         return fit
     fewer = Poles(fit.poles.natural_frequency[kept], fit.poles.damping_ratio[kept], fit.poles.delay)
     return _keep_sound_poles(responses, refine(make_problem(responses, fewer), fewer), sure)
@@ -320,7 +321,9 @@ def axis_error(found: Identification) -> str:
     for names in (responses.sets, *((name,) for name in responses.sets)):
         least, n_bins = min((cost(names, n_bins), n_bins) for n_bins in (-1, 1))
         if found.misfit <= WELL_FITTED and names == responses.sets:
-            is_wrong = 2 * (given - least) > CLEARLY * found.misfit
+            is_clear = 2 * (given - least) > CLEARLY * found.misfit
+            # Another axis also absorbs a little of any other error, such as of a truncated decay.
+            is_wrong = is_clear and MOSTLY * (1 - least / given) * found.misfit > found.misfit - 1 - NEARLY_NOISE
         else:
             # The noise of a set that is moved is only roughly that of before.
             is_wrong = found.misfit - 1 > MOSTLY * max(found.misfit * least / given - 1, NEARLY_NOISE)
