@@ -254,12 +254,8 @@ def read_tree(place: Path, *further: Path, mode: str | None = None, stimulus: st
     taken = _sort(of_mode, left_out, lambda item: item.reason)
     _check(place, taken, left_out)
     levels = _only(place, "kinds of levels", [item.levels for item in taken], _ONE_NAMED)
-    if levels != "adaptive":
-        taken = _as_many(taken, left_out)
+    taken = taken if levels == "adaptive" else _as_many(taken, left_out)
     is_crossed = levels == "adaptive" or _is_crossed(taken, stimulus)
-    for kind in dict.fromkeys(item.kind for item in taken):
-        zones = [", ".join(item.foci.values()) or item.focus for item in taken if item.kind == kind]
-        _only(place, "foci", zones, _ONE_NAMED)
     answers = _one_list(place, taken)
     whole = _join(place, taken, levels, answers, stimulus, is_crossed=is_crossed)
     asked = int(answers_per_cell(whole).to_numpy().max()) if levels != "adaptive" else None
@@ -313,7 +309,7 @@ def _source(places: Sequence[Path], taken: Sequence[SessionAnswers], mode: str) 
 
 
 def _check(place: Path, taken: Sequence[SessionAnswers], left_out: Sequence[ExcludedSource]) -> None:
-    """Refuse an empty selection, and duplicate sessions, e.g. from a copy or nested folders of labs."""
+    """Refuse an empty selection, several foci, and duplicate sessions, e.g. from a copy or nested folders of labs."""
     first: dict[str, Path] = {}
     for item in taken:
         if (earlier := first.setdefault(item.digest, item.path)) is not item.path:
@@ -326,6 +322,9 @@ def _check(place: Path, taken: Sequence[SessionAnswers], left_out: Sequence[Excl
         remedy = f"{finish}choose another mode or folder"
         given = f"no session that can be analysed ({listed})"
         raise InputError.of(place, given, "at least one complete session", remedy)
+    for kind in dict.fromkeys(item.kind for item in taken):
+        touched = [", ".join(item.foci.values()) or item.focus for item in taken if item.kind == kind]
+        _only(place, "foci", touched, _ONE_NAMED)
 
 
 def _join(

@@ -408,12 +408,8 @@ def fit_answers(
 
 def _refuse_adaptive(path: Path, *, is_adaptive: bool) -> None:
     if is_adaptive:
-        raise InputError.of(
-            path,
-            "adaptive sessions, which have no table of counts",
-            "sessions with fixed levels",
-            "see them with `modaltouch analyse`",
-        )
+        given, remedy = "adaptive sessions, which have no table of counts", "see them with `modaltouch analyse`"
+        raise InputError.of(path, given, "sessions with fixed levels", remedy)
 
 
 def _count(preflight: Preflight, path: Path, responses: Responses) -> AnswerCounts:

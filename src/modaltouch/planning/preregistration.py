@@ -91,10 +91,9 @@ def preregister(
         If the protocol has faults, or its levels depend on a threshold that is not given.
     """
     protocol, path = preflight.experiment.protocol, _public(preflight.experiment.sources.protocol.path)
-    of_analysed_kind(preflight)  # refuses a protocol without one
     if threshold_mm_s is None:
         refuse_own_levels(preflight, "give the threshold that you expect with --threshold")
-    if threshold_mm_s is not None or not (design := _counted(preflight, observer)):
+    if not (design := _counted(preflight, observer)) or threshold_mm_s is not None:
         found = _by_sessions(study, n_experiments or N_RECORDED, seed, n_processes, on_progress)
     else:
         counted = Study(design, observer, tuple(filter(design.scopes, STATISTICS)), null=False, seed=seed)
@@ -135,7 +134,8 @@ def _terms(preflight: Preflight, found: _Plan) -> dict[str, Any]:
 
 
 def _counted(preflight: Preflight, observer: Observer) -> Design | None:
-    """Return the design if its answers can be simulated as counts without sessions; else None."""
+    """Return the design if its answers can be simulated as counts without sessions, else None."""
+    of_analysed_kind(preflight)  # without one, sessions could not be analysed either
     if len(preflight.parts) > 1:
         return None
     try:
