@@ -143,8 +143,8 @@ def key_name(texts: Texts, key: str) -> str:
 _MOVES = {"lower": -1, "higher": 1, "ten_lower": -10, "ten_higher": 10}
 _BEFORE_CREEPING, _CREEP = 0.4, 0.03
 """Delay before a held key moves the mark repeatedly, and the time per step [s]."""
-_LONGEST = 14
-"""Maximum length of a typed number [characters]; all bounds that a protocol may set have fewer whole digits."""
+_LONGEST = 10
+"""Maximum length of a typed number [characters], all of whose digits are in the table of answers."""
 
 
 class Entry:
