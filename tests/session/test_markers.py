@@ -103,3 +103,17 @@ def test_a_machine_without_pylsl_is_told_before_anything_is_opened(
     with pytest.raises(InputError, match=r"demo.yaml:\d+:16: markers.lsl: given true, but pylsl cannot") as told:
         parts.open_markers()
     assert "pip install 'modaltouch[lsl]'" in str(told.value)
+
+
+@pytest.mark.parametrize(
+    ("value", "said"), [(1234567.0, "1234567"), (12345.678, "12345.678"), (0.1, "0.1"), (50.0, "50")]
+)
+def test_a_marker_has_every_digit_of_a_typed_number(value: float, said: str) -> None:
+    """Six significant digits would make 1.23457e+06 of seven."""
+    sent: list[tuple[str, ...]] = []
+    markers = object.__new__(Markers)  # without an outlet
+    markers._send = lambda event, trial, instant, detail="": sent.append((event, detail))  # type: ignore[method-assign]
+    instants = {"answer": {"earliest_s": 1.0, "latest_s": 1.0}}
+    response = {"answer": "rated", "value": value}
+    markers.follow({"event": "answered", "trial": {}, "instants": instants, "response": response})
+    assert sent == [("answer", said)]

@@ -269,4 +269,4 @@ class Markers:
 
 
 def _say(response: dict[str, Any]) -> str:
-    return f"{response['value']:g}" if "value" in response else str(response["answer"])
+    return f"{response['value']:.10g}" if "value" in response else str(response["answer"])

@@ -305,7 +305,7 @@ class Status:
             "line": event.get("n"),
             "number": event["trial"]["index"],
             "practice": event["trial"]["practice"],
-            "answer": event["response"]["answer"] + (f" {value:g}" if value is not None else ""),
+            "answer": event["response"]["answer"] + (f" {value:.10g}" if value is not None else ""),
             "reaction_time_s": round(event["response"]["reaction_time"], 3),
             "counted_from": event["response"].get("onset", ""),
         }
