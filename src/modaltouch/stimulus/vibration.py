@@ -96,34 +96,6 @@ class BlockRecursion:
 
 
 @dataclass(frozen=True, eq=False)
-class PeakBound:
-    """Upper bounds of the outputs in each block, from the initial states, the mean inputs and their deviations."""
-
-    size: FloatArray  # (n_states, n_blocks): magnitudes of the states at the starts of the blocks
-    mean: FloatArray  # (n_inputs, n_blocks): magnitudes of the mean inputs
-    swing: FloatArray  # (n_inputs, n_blocks): root of the sum of squared deviations of the inputs from their mean
-
-    @classmethod
-    def of(cls, blocks: FloatArray, begin: ComplexArray) -> PeakBound:
-        """Return the bounds from inputs, (n_inputs, n_blocks, n) array, and the states `begin` at the starts."""
-        n = blocks.shape[2]
-        size = np.sqrt(begin.real**2 + begin.imag**2)
-        mean = blocks @ np.full(n, 1 / n)
-        energy = np.einsum("cji,cji->cj", blocks, blocks)
-        return cls(size, np.abs(mean), np.sqrt(np.maximum(energy * (1 + 1e-12) - n * mean**2, 0.0)))
-
-    def of_outputs(self, kernel: BlockKernel, powers: ComplexArray) -> FloatArray:
-        """Return upper bounds of the outputs of a kernel in each block, (n_outputs, n_blocks) array.
-
-        The `powers` are the decays over a block.
-        """
-        later = ((kernel.output[:, None, :] * kernel.push.T) @ powers).real
-        impulse = np.concatenate([kernel.direct[:, :, None], later], axis=2)
-        steady, worst = np.abs(impulse.cumsum(axis=2)).max(axis=2), np.sqrt((impulse**2).sum(axis=2))
-        return np.asarray(np.abs(kernel.output) @ self.size + steady @ self.mean + worst @ self.swing)
-
-
-@dataclass(frozen=True, eq=False)
 class BlockKernel:
     """Effect of a block of inputs and of its initial states on its outputs and final states; tables on first use.
 
@@ -148,9 +120,11 @@ class BlockKernel:
     hold: float
 
     @classmethod
-    def of(cls, system: DiagonalSystem, output: ComplexArray, hold: float) -> BlockKernel:
-        """Return the kernel of a system for evenly held voltages, without `direct`; parameters as the attributes."""
-        push = system.held_gain(hold)
+    def of(
+        cls, system: DiagonalSystem, output: ComplexArray, hold: float, push: ComplexArray | None = None
+    ) -> BlockKernel:
+        """Return the kernel of a system without `direct`, by default for evenly held voltages."""
+        push = system.held_gain(hold) if push is None else push
         return cls(system.exponent, push, output, np.zeros((len(output), push.shape[1])), hold)
 
     @staticmethod
@@ -314,16 +288,31 @@ class BlockStates:
         push = system.clock_gain(timing, timing.hold)
         inputs = clock_inputs(voltage, timing, 0, voltage.shape[1], push.shape[1])
         blocks = BlockKernel.blocks(inputs, BLOCK)
-        no_output, no_direct = np.empty((0, len(push)), dtype=complex), np.empty((0, push.shape[1]))
-        kernel = BlockKernel(system.exponent, push, no_output, no_direct, timing.hold)
+        kernel = BlockKernel.of(system, np.empty((0, len(push)), dtype=complex), timing.hold, push)
         pushed = kernel.pushed(blocks.reshape(len(inputs), -1, SHORT)).reshape(-1, blocks.shape[1], SHORT)
         rest = np.zeros(system.exponent.size, dtype=complex)
         begin, left = kernel.scan.follow(kernel.scan.total(pushed), rest, 1)
         return cls(system, timing, push, blocks, pushed, np.concatenate([begin, left[:, None]], axis=1))
 
     @cached_property
-    def _peak_bound(self) -> PeakBound:
-        return PeakBound.of(self.blocks, self.begin[:, :-1])
+    def _magnitudes(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Of each block, the magnitudes of the states at its start and of its mean inputs, and how far inputs deviate.
+
+        The deviation is the root of the sum of squared deviations from the mean.
+        """
+        mean = self.blocks @ np.full(BLOCK, 1 / BLOCK)
+        energy = np.einsum("cji,cji->cj", self.blocks, self.blocks)
+        deviation = np.sqrt(np.maximum(energy * (1 + 1e-12) - BLOCK * mean**2, 0.0))
+        return np.abs(self.begin[:, :-1]), np.abs(mean), deviation
+
+    def _bound(self, kernel: BlockKernel) -> FloatArray:
+        """Return upper bounds of the outputs of a kernel in each block, (n_outputs, n_blocks) array."""
+        fine, _ = exponential_tables(kernel.exponent, kernel.hold, 1)
+        later = ((kernel.output[:, None, :] * kernel.push.T) @ fine[:, ::-1]).real
+        impulse = np.concatenate([kernel.direct[:, :, None], later], axis=2)
+        steady, worst = np.abs(impulse.cumsum(axis=2)).max(axis=2), np.sqrt((impulse**2).sum(axis=2))
+        size, mean, deviation = self._magnitudes
+        return np.asarray(np.abs(kernel.output) @ size + steady @ mean + worst @ deviation)
 
     def peak(self, output: ComplexArray, floor: float = 0.0, at_once: FloatArray | None = None) -> FloatArray:
         """Return the largest magnitude of each output until the start of the next burst, (n_outputs,) array.
@@ -361,8 +350,7 @@ class BlockStates:
 
     def _peak_of_instants(self, kernel: BlockKernel, peak: FloatArray) -> FloatArray:
         """Return the peaks, raised where the outputs of a kernel exceed them."""
-        fine, _ = exponential_tables(kernel.exponent, kernel.hold, 1)
-        bound = self._peak_bound.of_outputs(kernel, fine[:, ::-1])
+        bound = self._bound(kernel)
         which = np.flatnonzero((bound > peak[:, None]).any(axis=0))
         some = which if which.size <= _DENSE * bound.shape[1] else slice(bound.shape[1])
         peak = np.maximum(peak, kernel.peaks(self.blocks[:, some], self.pushed[:, some], self.begin[:, some]))
@@ -407,6 +395,6 @@ def history(system: DiagonalSystem, output: ComplexArray, voltage: FloatArray, t
     """
     push = system.clock_gain(timing, timing.hold)
     n_inputs, course = push.shape[1], np.empty((output.shape[0], voltage.shape[1]))
-    kernel = BlockKernel(system.exponent, push, output, np.zeros((len(output), n_inputs)), timing.hold)
+    kernel = BlockKernel.of(system, output, timing.hold, push)
     kernel.write(lambda start, stop: clock_inputs(voltage, timing, start, stop, n_inputs), course)
     return course

@@ -152,10 +152,10 @@ class Twin:
 
     def _held(self, together: Sequence[Playback | None]) -> Held:
         first = next(playback for playback in together if playback is not None)
-        n_samples = len(first.record) // 2
-        voltage, rest = np.zeros((self.beam.table.n_channels, n_samples)), np.zeros(self.beam.table.n_channels)
+        n_samples, n_channels = len(first.record) // 2, self.beam.table.n_channels
+        voltage, rest = np.zeros((n_channels, n_samples)), np.zeros(n_channels)
         limit = self.amplifier.limit
-        for channel, playback in enumerate(together[: self.beam.table.n_channels]):
+        for channel, playback in enumerate(together[:n_channels]):
             if playback is not None:
                 zero, gain = playback.converter.mid_code, float(self._gains[channel])
                 scale, shift = gain * playback.amplitude / (2 * zero), gain * playback.offset
