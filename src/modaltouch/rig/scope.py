@@ -2,8 +2,7 @@
 
 While the generator plays, its trigger starts every record. The zero-order hold of its samples produces images around
 multiples of the sample rate. If the scope samples no faster than the generator, these alias onto the drive, and a
-transfer function lacks the droop and the half-sample delay of the hold: sample a few times faster than the record is
-played.
+transfer function lacks the droop and the half-sample delay of the hold: sample a few times faster.
 """
 
 from __future__ import annotations
@@ -46,8 +45,7 @@ class Acquisition:
     n_samples : int
         Samples per record, including those before the trigger.
     n_records : int
-        Number of consecutive records, each started by the generator's trigger; they are not averaged, so that coherence
-        can be computed.
+        Number of consecutive records, each started by the generator's trigger; not averaged, for their coherence.
     drives : tuple of int
         Generator outputs whose voltage at the beam is measured together with the velocity.
     start : float
