@@ -200,10 +200,25 @@ class Schedule:
     ) -> Schedule:
         """Draw a participant's schedule; the same arguments give the same schedule.
 
-        Every session, from 1, has a separate order for a seed of the study, 0 or above. `given` is the participant's
-        turn, if set by the record rather than by the participant's number, and `effort` the fraction of the usual work
-        after which the search for an order is abandoned. Raises ValueError if no order keeps the protocol's limits, or if
-        such orders are too rare to find.
+        Parameters
+        ----------
+        protocol : Protocol
+            The design.
+        participant : str
+            Identifier of the participant.
+        seed : int
+            Seed of the study, 0 or above.
+        session : int
+            Number of the session, from 1; every session has a separate order.
+        given : Turn, optional
+            The participant's turn, if set by the record rather than by the participant's number.
+        effort : float
+            Fraction of the usual work after which the search for an order is abandoned [1].
+
+        Raises
+        ------
+        ValueError
+            If no order keeps the protocol's limits, or if such orders are too rare to find.
         """
         decided = given or Turn.of(participant, seed, session, protocol.groups)
         kind = protocol.schedule.kind_of(session)
