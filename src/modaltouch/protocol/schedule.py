@@ -227,10 +227,7 @@ class Schedule:
         chance = partial(Stream, seed, participant, session)
         for number, finger_condition in enumerate(finger_conditions, start=1):
             cells = order_cells(protocol, finger_condition, decided.number, chance(_ORDER + finger_condition), effort)
-            if protocol.schedule.catch_trials:
-                from modaltouch.protocol.catch_trials import insert_catches
-
-                cells = insert_catches(protocol, cells, chance(_CATCHES + finger_condition))
+            cells = _with_catches(protocol, cells, chance(_CATCHES + finger_condition))
             conditions = [_place(finger_condition, cell, placement) for cell in cells]
             first = sum(len(block.trials) for block in blocks) + 1
             trials = _number(protocol, conditions, chance(_INTERVALS + finger_condition), block=number, first=first)
@@ -300,6 +297,14 @@ _ORDER, _CATCHES, _INTERVALS = "order within ", "catch trials within ", "interva
 def _orders_of_finger_conditions(protocol: Protocol) -> list[tuple[str, ...]]:
     given = protocol.conditions.finger_conditions
     return list(itertools.permutations(given)) if protocol.schedule.counterbalance_finger_conditions else [given]
+
+
+def _with_catches(protocol: Protocol, cells: list[Cell], stream: Stream) -> list[Cell]:
+    if not protocol.schedule.catch_trials:
+        return cells
+    from modaltouch.protocol.catch_trials import insert_catches
+
+    return insert_catches(protocol, cells, stream)
 
 
 def _place(finger_condition: str, cell: Cell, placement: Placement) -> Condition:
