@@ -91,7 +91,13 @@ class Observer:
     name: str = ""
 
     def draw(self, rng: np.random.Generator) -> Participant:
-        """Draw a participant from the population."""
+        """Draw a participant from the population.
+
+        Parameters
+        ----------
+        rng : numpy.random.Generator
+            Source of random numbers.
+        """
         one = self.draw_participants(rng, ())
         middle = self.typical
         return replace(
@@ -105,13 +111,24 @@ class Observer:
         )
 
     def draw_participants(self, rng: np.random.Generator, shape: tuple[int, ...]) -> DrawnParticipants:
-        """Draw an array of participants of a shape, such as (n_experiments, n_participants)."""
+        """Draw an array of participants from the population.
+
+        Parameters
+        ----------
+        rng : numpy.random.Generator
+            Source of random numbers.
+        shape : tuple of int
+            Shape of the array, such as (n_experiments, n_participants).
+        """
         return self.participants_at(rng.standard_normal((5, *shape)))
 
     def participants_at(self, deviates: ArrayLike) -> DrawnParticipants:
         """Return the participants at given points of the population.
 
-        They are standard normal deviates of side bias, noise, criterion, suppression and pace, (5, ...) array [1].
+        Parameters
+        ----------
+        deviates : (5, ...) array
+            Standard normal deviates of side bias, noise, criterion, suppression and pace [1].
         """
         bias, noise, criterion, suppression, pace = np.asarray(deviates, dtype=float)
         middle = self.typical
@@ -181,6 +198,11 @@ class Observer:
 
         Adaptive runs, levels derived from their thresholds, silent standards and yes/no detection need `fingertip`,
         whose thresholds lie within the range of a beam; `paper` feels every level and discriminates the zones.
+
+        Parameters
+        ----------
+        protocol : Protocol
+            The protocol.
         """
         at_thresholds = protocol.adaptive is not None or protocol.conditions.sensation_levels is not None
         is_silent = protocol.intervals is not None and protocol.intervals.standard.velocity_mm_s == 0
@@ -189,7 +211,13 @@ class Observer:
         return "fingertip" if at_thresholds or is_silent or is_detected else "paper"
 
     def as_file(self, name: str, description: str) -> str:
-        """Return the text of the YAML file of the observer, with a name and a description."""
+        """Format the observer as the text of its YAML file.
+
+        Parameters
+        ----------
+        name, description : str
+            Name and description in the file.
+        """
         typical = self.typical
         return f"""\
 observer: {name}

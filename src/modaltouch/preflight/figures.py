@@ -133,7 +133,13 @@ def errors_of_gains(inputs: DesignInputs, stimulus: Stimulus, level: float) -> N
 
 
 def estimated_duration(protocol: Protocol) -> float:
-    """Return the estimated duration of a session, with assumed times for answers, placements and breaks [min]."""
+    """Return the estimated duration of a session, with assumed times for answers, placements and breaks [min].
+
+    Parameters
+    ----------
+    protocol : Protocol
+        The protocol.
+    """
     answers, schedule = protocol.answers, protocol.schedule
     n_trials = protocol.n_trials + schedule.practice_trials
     before_question = answers.question_delay_s

@@ -101,7 +101,10 @@ class Findings:
     def problem(self, path: Iterable[str | int], given: str, allowed: str, remedy: str = "") -> Problem:
         """Return a problem at a path of an opened protocol, as `Reading.problem`.
 
-        Raises ValueError if the protocol was not opened.
+        Raises
+        ------
+        ValueError
+            If the protocol was not opened.
         """
         if self.protocol is None:
             raise ValueError("there is no file to search for the fault: open the protocol first")
@@ -187,7 +190,12 @@ class Findings:
     def generator_problem(self, identity: str) -> Problem | None:
         """Return a problem if the calibration was made with a generator other than the open one, else None.
 
-        Manufacturer, model and serial number of the reply to ``*IDN?`` must agree; the firmware may differ.
+        Manufacturer, model and serial number must agree; the firmware may differ.
+
+        Parameters
+        ----------
+        identity : str
+            Reply of the open generator to ``*IDN?``.
         """
         made_with = None if self.calibration is None else self.calibration.sound("instruments", "generator")
         if self.calibration is None or made_with is None or _serial(made_with) == _serial(identity):
@@ -241,7 +249,12 @@ class Findings:
     def restored(cls, sources: Sources, occasion: tuple[str, str] = ("", "")) -> Findings:
         """Return the findings for the copies in a record, independent of the original files.
 
-        The occasion is the group and the kind of session.
+        Parameters
+        ----------
+        sources : Sources
+            The copies, read by `Sources.from_dict`.
+        occasion : (str, str)
+            The group and the kind of session.
         """
         own, problems = Occasion(*occasion), list[Problem]()
         protocol = _read_protocol(sources.protocol, own, sources.table)

@@ -180,9 +180,14 @@ class ScaleSection(Section):
         return is_above and value <= self.high and math.isfinite(value)
 
     def at(self, share: float) -> float:
-        """Return the number at a fraction of the scale, above 0 and below 1, for a simulated participant.
+        """Return the number at a fraction of the scale, for a simulated participant.
 
         On an open scale the fraction is a saturating response s / (1 + s), and the number is proportional to s.
+
+        Parameters
+        ----------
+        share : float
+            Fraction of the scale, above 0 and below 1 [1].
         """
         if self.points:
             return self.points[min(int(share * len(self.points)), len(self.points) - 1)]

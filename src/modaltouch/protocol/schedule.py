@@ -54,6 +54,13 @@ class Turn:
 
         Each further session of a participant takes the next turn. Groups alternate between participants; the turn
         advances after each cycle of groups.
+
+        Parameters
+        ----------
+        participant, seed, session
+            As in `Schedule.draw`.
+        groups : iterable of str
+            Groups of the protocol.
         """
         names = list(groups) or [""]
         ending = re.search(r"[0-9]+$", participant)
@@ -261,8 +268,10 @@ class Schedule:
     ) -> Schedule:
         """Draw a participant's schedule from a protocol file without problems; arguments and `effort` as in `draw`.
 
-        Raises InputError if no order keeps a limit, or if such orders are too rare to find; with the position of the
-        limit.
+        Raises
+        ------
+        InputError
+            If no order keeps a limit, or if such orders are too rare to find; with the position of the limit.
         """
         try:
             return cls.draw(findings.experiment().protocol, participant, seed, session, given=given, **how)

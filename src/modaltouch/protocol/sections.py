@@ -327,7 +327,15 @@ class Protocol(Section):
         return next((path for path, value in known if value), ())
 
     def cells(self, finger_condition: str, *, excluded: bool = False) -> list[Cell]:
-        """Return the cells of a finger condition in order, each as often as its weight."""
+        """Return the cells of a finger condition in order, each as often as its weight.
+
+        Parameters
+        ----------
+        finger_condition : str
+            Name of the finger condition.
+        excluded : bool
+            Whether to include cells that the protocol excludes.
+        """
         conditions = self.conditions
         listed = conditions.cells or [
             CellsSection.model_construct(pair=pair, peak_velocities_mm_s=self.scheduled_levels)
@@ -382,7 +390,12 @@ class Protocol(Section):
     def expected(self, trial: Trial, speeds: Sequence[float]) -> str | None:
         """Return the expected answer to a trial, from its intervals or the speeds under the fingers; None if unclear.
 
-        The predicted peak speeds, from left to right, are in one unit.
+        Parameters
+        ----------
+        trial : Trial
+            The trial.
+        speeds : sequence of float
+            Predicted peak speeds under the fingers, from left to right, in one unit.
         """
         if self.intervals is None:
             return self.answers.offered.expected(*speeds)

@@ -74,7 +74,15 @@ class InputError(Exception):
 
     @classmethod
     def of(cls, file: Path | str, given: str, allowed: str, remedy: str = "") -> Self:
-        """Return an error with a single problem of a file or folder as a whole."""
+        """Return an error with a single problem of a file or folder as a whole.
+
+        Parameters
+        ----------
+        file : Path or str
+            The file or folder.
+        given, allowed, remedy : str
+            As in `Problem`.
+        """
         return cls([Problem(str(file), 0, 0, "", given, allowed, remedy)])
 
 
@@ -154,7 +162,18 @@ class Source:
 
     @classmethod
     def load(cls, path: Path) -> Source:
-        """Read the text of a file; raises InputError if there is none, or it is not UTF-8 text of at most 256 KiB."""
+        """Read the text of a file.
+
+        Parameters
+        ----------
+        path : Path
+            File to read.
+
+        Raises
+        ------
+        InputError
+            If there is no such file, or it is not UTF-8 text of at most 256 KiB.
+        """
 
         def refused(
             given: str, allowed: str = YAML_FILE, remedy: str = "", place: tuple[int, int] = (1, 1)
@@ -197,7 +216,10 @@ class Source:
     def shipped_text(cls, kind: Kind, name: str) -> Source:
         """Read the text of a shipped file; the path is its name alone, independent of the installation.
 
-        Raises InputError if there is no such file; lists the shipped names.
+        Raises
+        ------
+        InputError
+            If there is no such file; lists the shipped names.
         """
         known = cls.shipped(kind)
         if name not in known:

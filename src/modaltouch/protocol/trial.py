@@ -187,10 +187,18 @@ class AnswerList(tuple[Answer, ...]):
 
     @classmethod
     def of(cls, section: Mapping[str, Any]) -> AnswerList:
-        """Return the answers in the section ``answers`` of a protocol or of a record, in the order of the file.
+        """Return the answers in the section ``answers`` of a protocol or of a record.
 
-        Without ``keys`` they are the paper's three; with a ``scale``, the single answer ``rated``. A row of answers
-        that all name fingers is ordered by finger.
+        Parameters
+        ----------
+        section : mapping
+            ``keys`` by answer, with optional ``fingers``, ``below`` and ``intervals``. Without ``keys``, the answers
+            are the paper's three; with a ``scale``, the single answer ``rated``.
+
+        Returns
+        -------
+        AnswerList
+            In the order of the file, except that a row of answers that all name fingers is ordered by finger.
         """
         if section.get("scale"):
             return cls((Answer(RATED),))
@@ -254,8 +262,15 @@ class AnswerList(tuple[Answer, ...]):
     def expected(self, *speeds: float) -> str | None:
         """Return the name of the answer expected of a sensitive participant; None if uncertain or not offered.
 
-        The predicted peak speeds under one to three fingers, from left to right, are in one unit. Raises ValueError if
-        one is negative or not finite.
+        Parameters
+        ----------
+        *speeds : float
+            Predicted peak speeds under one to three fingers, from left to right, in one unit.
+
+        Raises
+        ------
+        ValueError
+            If a speed is negative or not finite.
         """
         for speed in speeds:
             if not (math.isfinite(speed) and speed >= 0):
@@ -269,11 +284,22 @@ class AnswerList(tuple[Answer, ...]):
         return expected.name if expected is not None else None
 
     def is_success(self, name: str, rule: str, focus: str, zone_left: str) -> bool:
-        """Test whether an answer counts as success by a `rule` of an adaptive run.
+        """Test whether an answer counts as success in an adaptive run.
 
         ``focus_named``: the answer names only the finger on the zone in focus. Naming both fingers, neither or the
         other one is a failure, because the run seeks the level at which the focus is identified, not merely felt.
         ``felt``: any answer except that nothing was felt. The name of an answer: that answer.
+
+        Parameters
+        ----------
+        name : str
+            The answer.
+        rule : str
+            ``adaptive.success`` of the protocol.
+        focus : str
+            Zone in focus.
+        zone_left : str
+            Zone under the left finger.
         """
         named = self.named(name).fingers
         if rule == "felt" and self.naming() is not None:

@@ -67,7 +67,10 @@ class SessionFolder:
     def of(cls, log: Path, mode: str, protocol: str) -> Self:
         """Return the folder of a session from the path of its log.
 
-        Raises RecordError if the log is not in the folder of its session.
+        Raises
+        ------
+        RecordError
+            If the log is not in the folder of its session.
         """
         folder = log.resolve().parent
         session, participant = folder.parent.name, folder.parent.parent.name
@@ -93,8 +96,10 @@ class SessionFolder:
     def check_participant(participant: str) -> str:
         """Return the participant id if it is valid in a file name.
 
-        Raises RecordInputError if it is empty, longer than 32 characters, or contains anything but ASCII letters and
-        digits.
+        Raises
+        ------
+        RecordInputError
+            If it is empty, longer than 32 characters, or contains anything but ASCII letters and digits.
         """
         if not re.fullmatch(r"[A-Za-z0-9]{1,32}", participant):
             raise RecordInputError(
@@ -197,7 +202,10 @@ class SessionFolder:
     def describe_dataset(self, title: str) -> None:
         """Write the dataset's description, README and ignore file, unless there is a description.
 
-        Raises RecordError if a file cannot be written.
+        Raises
+        ------
+        RecordError
+            If a file cannot be written.
         """
         dataset = self.dataset
         try:
@@ -224,10 +232,19 @@ class SessionFolder:
         return hold(self.dataset)
 
     def list_participants(self, start: Mapping[str, Any] | None = None) -> None:
-        """Add missing participants to ``participants.tsv``, and the answers in this one's start record to questions.
+        """Add missing participants to ``participants.tsv``, and this one's answers to the protocol's questions.
 
-        Entries made by the lab, in the list or in the file that describes its columns, are kept. Raises RecordError if
-        the list cannot be read or written.
+        Entries made by the lab, in the list or in the file that describes its columns, are kept.
+
+        Parameters
+        ----------
+        start : mapping, optional
+            Start record of the participant's session.
+
+        Raises
+        ------
+        RecordError
+            If the list cannot be read or written.
         """
         fields = (start or {}).get("design", {}).get("people", {})
         answers = (start or {}).get("people", {})

@@ -49,8 +49,24 @@ class SessionLog(AbstractContextManager["SessionLog"]):
     def create(cls, path: Path, event: str, *, timed_by: Clock = SYSTEM_CLOCK, **facts: Any) -> Self:
         """Create a new log with its first event, accessible to its owner only.
 
-        The file is renamed into place once it contains the first event, with its `facts`, so that an interruption
-        leaves either no session or one that can be resumed. Raises RecordError if the log exists or cannot be written.
+        The file is renamed into place once it contains the first event, so that an interruption leaves either no
+        session or one that can be resumed.
+
+        Parameters
+        ----------
+        path : Path
+            Path of the log.
+        event : str
+            Kind of the first event.
+        timed_by : Clock
+            Clock of the session.
+        **facts
+            Members of the event, plain values.
+
+        Raises
+        ------
+        RecordError
+            If the log exists or the folder cannot be written.
         """
         draft = path.with_name(f".{path.name}.{os.getpid()}.tmp")
         try:
@@ -76,7 +92,10 @@ class SessionLog(AbstractContextManager["SessionLog"]):
     def reopen(cls, path: Path, *, timed_by: Clock = SYSTEM_CLOCK) -> Self:
         """Open an interrupted log for appending; an incomplete last line is kept and declared by the next line.
 
-        Raises RecordError if the log is damaged, in use by another process, or cannot be written.
+        Raises
+        ------
+        RecordError
+            If the log is damaged, in use by another process, or cannot be written.
         """
         descriptor = _open_log(path)
         for leftover in path.parent.glob(".*.tmp"):  # left by a kill; the lock excludes other writers
@@ -93,7 +112,10 @@ class SessionLog(AbstractContextManager["SessionLog"]):
     def mend(cls, place: SessionFolder, *, timed_by: Clock = SYSTEM_CLOCK) -> Session:
         """Write the last line and BIDS view of a complete session if an interruption left them out.
 
-        Raises RecordError if the log is damaged, in use by another process, or cannot be written.
+        Raises
+        ------
+        RecordError
+            If the log is damaged, in use by another process, or cannot be written.
         """
         session = read_session(place.log)
         if check_view(session).is_current and not session.chain.problems:
@@ -118,15 +140,28 @@ class SessionLog(AbstractContextManager["SessionLog"]):
     def write_view(self, place: SessionFolder) -> None:
         """Update the session's BIDS table and its sidecar file.
 
-        Raises RecordError if a file cannot be written; existing files remain valid.
+        Raises
+        ------
+        RecordError
+            If a file cannot be written; existing files remain valid.
         """
         session = self.session
         self._table = session.trials, write_view(place, session, self.head, self._table)
 
     def append(self, event: str, **facts: Any) -> dict[str, Any]:
-        """Write an event with its `facts`, plain values, and return it once it is on disk.
+        """Write an event and return it once it is on disk.
 
-        Raises RecordError if writing fails; the log then refuses further events.
+        Parameters
+        ----------
+        event : str
+            Kind of event.
+        **facts
+            Members of the event, plain values.
+
+        Raises
+        ------
+        RecordError
+            If writing fails; the log then refuses further events.
         """
         if self._failure:
             raise RecordError(self._failure)

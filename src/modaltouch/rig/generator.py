@@ -109,8 +109,12 @@ class Generator(contextlib.AbstractContextManager["Generator"]):
     def command_latency(self, n: int = 50) -> tuple[dict[str, Any], str]:
         """Measure and assess the latencies of the instrument, with `n` commands of each kind.
 
-        The values are those of `modaltouch.rig.checklist.measure_latency`. Nothing is played. Raises RigError if the
-        connection to the instrument is lost.
+        The values are those of `modaltouch.rig.checklist.measure_latency`. Nothing is played.
+
+        Raises
+        ------
+        RigError
+            If the connection to the instrument is lost.
         """
         from modaltouch.rig.checklist import measure_latency
 
@@ -119,8 +123,18 @@ class Generator(contextlib.AbstractContextManager["Generator"]):
     def load(self, burst: Burst, *further: Burst, repetition: Repetition | None = None) -> None:
         """Upload and verify the records of both channels, and apply every setting except the amplitudes.
 
-        If the memories cannot hold all records, each burst is uploaded when it is fired. `repetition` holds until other
-        bursts are loaded. Raises RigError, with the outputs off, if the instrument does not confirm the upload.
+        Parameters
+        ----------
+        burst, *further : Burst
+            Bursts with one record for each of the two outputs. If the memories cannot hold all records, each burst is
+            uploaded when it is fired.
+        repetition : str, optional
+            Repetition of these bursts, until others are loaded; by default the usual one.
+
+        Raises
+        ------
+        RigError
+            If the instrument does not confirm the upload; the outputs are off.
         """
         self.stop()
         self._player.take((burst, *further), repetition)
@@ -136,11 +150,21 @@ class Generator(contextlib.AbstractContextManager["Generator"]):
         which: int = 0,
         due: float = -math.inf,
     ) -> Firing:
-        """Set the level, switch the outputs on and play bursts until `end` or `stop`; see `Rig.fire`.
+        """Set the level, switch the outputs on and play bursts until `end` or `stop`.
 
-        The stimulus has not started, with the outputs off, if the instrument did not confirm a setting, or the
-        connection was lost and restored; the trial must then be presented again. Raises RigError, with the outputs off,
-        if nothing is loaded, the level exceeds a limit, or the connection to the instrument is lost.
+        Its parameters are those of `Rig.fire`.
+
+        Returns
+        -------
+        Firing
+            Not started, with the outputs off, if the instrument did not confirm a setting, or the connection was lost
+            and restored; the trial must then be presented again.
+
+        Raises
+        ------
+        RigError
+            If nothing is loaded, the level exceeds a limit, or the connection to the instrument is lost; the outputs
+            are off.
         """
         commanded = self._player.amplitudes(velocity, which)
         if self._on:
@@ -246,8 +270,16 @@ class Generator(contextlib.AbstractContextManager["Generator"]):
     def stop(self, *, at_once: bool = False) -> None:
         """Switch both outputs off with confirmation, and update `firing`: bursts played, and unchanged settings.
 
-        A burst in progress is completed first, if bursts are triggered one by one, unless `at_once`. Raises RigError if
-        the instrument does not confirm that the outputs are off.
+        Parameters
+        ----------
+        at_once : bool
+            Whether to truncate a burst in progress; otherwise it is completed first, if bursts are triggered one by
+            one.
+
+        Raises
+        ------
+        RigError
+            If the instrument does not confirm that the outputs are off.
         """
         was_on, firing = self._on, self.firing
         if not was_on or firing is None or not firing.started:

@@ -168,7 +168,10 @@ class Rig(typing.Protocol):
     def heartbeat(self) -> None:
         """Signal to the watchdog that the session is alive; cheap, to be called about every millisecond.
 
-        Raises StimulusLost if the bursts ended before `end` or `stop` was called.
+        Raises
+        ------
+        StimulusLost
+            If the bursts ended before `end` or `stop` was called.
         """
 
     def close(self) -> None:

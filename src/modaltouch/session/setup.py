@@ -96,7 +96,10 @@ class Setup:
     def with_people(self, answers: Mapping[str, float | str | None]) -> Self:
         """Return the setup with the participant's answers to `to_ask`.
 
-        Raises RecordInputError if a required consent is refused; nothing may then be recorded.
+        Raises
+        ------
+        RecordInputError
+            If a required consent is refused; nothing may then be recorded.
         """
         for name, each in self.to_ask.items():
             if each.kind == "consent" and each.required and answers.get(name) != "yes":

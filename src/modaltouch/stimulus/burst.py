@@ -67,8 +67,18 @@ class Converter:
     def full_scale(self, least: float, shares: tuple[float, ...]) -> float:
         """Return a full scale, at or slightly above the least, that puts the amplitudes of all levels near the grid.
 
-        It is at most 5 % above the smallest amplitude that holds the peak [V peak to peak], and the one whose products
-        with `shares`, the levels as fractions of the highest, are closest to the grid: the smallest, if several are.
+        Parameters
+        ----------
+        least : float
+            Smallest amplitude that holds the peak [V peak to peak].
+        shares : tuple of float
+            Levels as fractions of the highest [1].
+
+        Returns
+        -------
+        float
+            Amplitude at most 5 % above the least whose products with `shares` are closest to the grid; the smallest of
+            several that are equally close [V peak to peak].
         """
         if least <= 0:
             return 0.0
@@ -91,8 +101,22 @@ class Converter:
     def round_to_codes(self, voltage: FloatArray, volts_per_code: FloatArray) -> FloatArray:
         """Return the nearest signed codes; the first and the last are 0, the level at which the generator idles.
 
-        `voltage` is that at the beam, (n_channels, n_samples) array [V], `volts_per_code` 0 for a silent channel.
-        Raises ValueError if a voltage exceeds the full scale.
+        Parameters
+        ----------
+        voltage : (n_channels, n_samples) array
+            Voltages at the beam [V].
+        volts_per_code : (n_channels,) array
+            Voltage of one code at the beam [V]; 0 for a silent channel.
+
+        Returns
+        -------
+        (n_channels, n_samples) array
+            Integers from ``-mid_code`` to ``mid_code`` [1].
+
+        Raises
+        ------
+        ValueError
+            If a voltage exceeds the full scale.
         """
         steps = np.empty(voltage.shape)
         for channel, (row, unit, out) in enumerate(zip(voltage, volts_per_code, steps, strict=True)):
@@ -194,7 +218,20 @@ class Timing:
         return self.n_samples / self.duration
 
     def samples_until(self, instant: float) -> tuple[int, float]:
-        """Return the number of samples that end by an instant of the burst [s], and the time left from there [s]."""
+        """Return the number of samples that end by an instant, and the remaining time.
+
+        Parameters
+        ----------
+        instant : float
+            Time from the start of the burst [s].
+
+        Returns
+        -------
+        n_samples : int
+            Number of whole samples that end by then, at most `Timing.n_samples`.
+        remainder : float
+            Time from the end of the last of them to the instant [s]; 0 on the grid.
+        """
         steps = instant * self.sampling_rate
         nearest = round(steps)
         whole = nearest if abs(steps - nearest) < _ON_GRID else int(np.floor(steps))
@@ -321,17 +358,32 @@ class Burst:
     ) -> Burst:
         """Return the burst that plays given voltages, with the smallest full scale that holds each channel's peak.
 
-        `voltage` is that at the beam at the level `velocity`, (n_channels, n_samples) array [V]; `to_beam` is its ratio
-        to the open-circuit voltage of the generator [V/V].
+        Parameters
+        ----------
+        voltage : (n_channels, n_samples) array
+            Voltages at the beam [V].
+        to_beam : float
+            Voltage at the beam per open-circuit voltage of the generator [V/V].
+        velocity : float
+            Level at which they are played [m/s].
+        converter : Converter
+            Converter of the generator.
+        duration, repetition_rate : float
+            Length of the burst [s], and bursts per second [Hz].
         """
         amplitude = tuple(converter.full_scale(2 * float(np.abs(row).max()) / to_beam, (1.0,)) for row in voltage)
         codes = converter.round_to_codes(voltage, np.array(amplitude) * (to_beam / 2 / converter.mid_code))
         return cls(converter.unsigned(codes), duration, repetition_rate, velocity, amplitude, converter)
 
     def commanded(self, to_beam: float, velocity: float | None = None) -> FloatArray:
-        """Return the voltages that the codes command at the beam at a level [m/s], (n_channels, n_samples) array [V].
+        """Return the voltages that the codes command at the beam, (n_channels, n_samples) array [V].
 
-        `to_beam` is the voltage at the beam per open-circuit voltage of the generator [V/V].
+        Parameters
+        ----------
+        to_beam : float
+            Voltage at the beam per open-circuit voltage of the generator [V/V].
+        velocity : float, optional
+            Level [m/s]; `Burst.velocity` if not given.
         """
         full_scale = self.amplitude if velocity is None else self.full_scale_for(velocity)
         unit = np.array(full_scale) * (to_beam / 2 / self.converter.mid_code)

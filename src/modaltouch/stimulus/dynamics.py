@@ -97,9 +97,14 @@ class DiagonalSystem:
 
     @classmethod
     def of(cls, model: ModalModel, amplifier: Amplifier | None = None) -> DiagonalSystem:
-        """Return the equations of a beam behind the pole and delay of an amplifier, if any.
+        """Return the equations of a beam behind an amplifier.
 
-        Its gain is not used, since voltages are those at the beam.
+        Parameters
+        ----------
+        model : ModalModel
+            The modes.
+        amplifier : Amplifier, optional
+            Its pole and delay are used, but not its gain, since voltages are those at the beam. None: no pole or delay.
         """
         given = model.angular_frequency, model.damping_ratio, model.modal_gain
         return cls.of_modes(*given, model.loads, amplifier)
@@ -113,9 +118,18 @@ class DiagonalSystem:
         loads: Sequence[Load] = (),
         amplifier: Amplifier | None = None,
     ) -> DiagonalSystem:
-        """Return the equations of free modes (SI units), coupled by fingers if there are loads.
+        """Return the equations of modes, coupled by fingers if there are loads.
 
-        A load is the contact over the beam's moving mass, (n_modes, n_modes) array [1/kg], and the finger.
+        Parameters
+        ----------
+        omega, damping_ratio : (n_modes,) array
+            Angular frequencies [rad/s] and damping ratios [1] of the free modes.
+        gain : (n_modes, n_channels) array
+            Modal accelerations per volt at the beam [m/s^2 per V].
+        loads : sequence of Load
+            Contact over the beam's moving mass, (n_modes, n_modes) array [1/kg], and finger, for each finger.
+        amplifier : Amplifier, optional
+            As in `of`.
         """
         if not loads:
             s = omega * (-damping_ratio + 1j * np.sqrt((1 - damping_ratio) * (1 + damping_ratio)))
@@ -135,7 +149,15 @@ class DiagonalSystem:
         velocity: ComplexArray,
         displacement: ComplexArray,
     ) -> DiagonalSystem:
-        """Return the equations, with the given attributes of the beam alone, behind an amplifier's pole and delay."""
+        """Return the equations of a beam behind an amplifier, uncoupled like those of the beam alone.
+
+        Parameters
+        ----------
+        amplifier : Amplifier or None
+            Its pole and delay are used.
+        exponent, input_gain, velocity, displacement
+            As the attributes, of the beam alone.
+        """
         delay = 0.0 if amplifier is None else amplifier.delay
         if amplifier is None or amplifier.bandwidth is None:
             return cls(exponent, input_gain, velocity, displacement, delay)
@@ -196,15 +218,31 @@ class DiagonalSystem:
     def held_states(self, voltage: FloatArray, hold: float) -> ComplexArray:
         """Return the states at the end of evenly held samples of each channel, from rest, (n_channels, n_states) array.
 
-        `voltage` is that at the beam, (n_channels, n_samples) array [V].
+        Parameters
+        ----------
+        voltage : (n_channels, n_samples) array
+            Voltages at the beam [V].
+        hold : float
+            Length of a sample [s].
         """
         return np.asarray(moments(voltage, self.exponent, hold) * self.held_gain(hold).T)
 
     def states_by_channel(self, voltage: FloatArray, timing: Timing, instant: float) -> ComplexArray:
-        """Return the states due to each channel alone at an instant of the burst [s], (n_channels, n_states) array.
+        """Return the states due to each channel alone at an instant, from rest, on the generator's clock.
 
-        They start from rest; `voltage` is held at the beam on the generator's clock, (n_channels, n_samples) array [V].
-        The instant is at most the end of the burst plus the delay.
+        Parameters
+        ----------
+        voltage : (n_channels, n_samples) array
+            Held samples at the beam from the start of the burst [V].
+        timing : Timing
+            Clock of the samples.
+        instant : float
+            Time from the start of the burst, up to its end plus the delay [s].
+
+        Returns
+        -------
+        (n_channels, n_states) complex array
+            States; their sum over the channels is the state of the beam.
         """
         if instant <= self.delay:
             # Nothing has arrived yet.

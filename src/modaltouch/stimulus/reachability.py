@@ -44,7 +44,19 @@ class Taper:
         voltage[:, self.n_samples - self.fall :] *= raised_cosine(self.fall)[::-1]
 
     def write(self, amplitude: ComplexArray, exponent: ComplexArray, hold: float, voltage: FloatArray) -> None:
-        """Write tapered sums of exponentials with given amplitudes before the taper [V]; see `synthesise`."""
+        """Write tapered sums of exponentials.
+
+        Parameters
+        ----------
+        amplitude : (n_channels, n_states) complex array
+            Amplitudes at the last sample, before the taper [V].
+        exponent : (n_states,) complex array
+            Exponents, real parts at most 0 [1/s].
+        hold : float
+            Length of a sample [s].
+        voltage : (n_channels, n_samples) array
+            Receives the voltages [V]; each row contiguous.
+        """
         synthesise(amplitude, exponent, hold, voltage)
         self.apply(voltage)
 

@@ -238,10 +238,21 @@ class Stimulus:
         return self._played.codes * self.volts_per_code(velocity)[:, None]
 
     def achieved(self, velocity: float, *, steady: bool = False) -> tuple[FloatArray, FloatArray]:
-        """Return modal velocities, and displacements times angular frequency, reached at the focusing instant [m/s].
+        """Return the modal state reached by the rounded codes at the focusing instant.
 
-        They are those of the rounded codes at a level [m/s], in the first burst or in the steady state of the repeated
-        burst, (n_modes,) arrays.
+        Parameters
+        ----------
+        velocity : float
+            Level [m/s].
+        steady : bool
+            Whether in the steady state of the repeated burst rather than in the first burst.
+
+        Returns
+        -------
+        velocity : (n_modes,) array
+            Modal velocities [m/s].
+        displacement : (n_modes,) array
+            Modal displacements times angular frequency [m/s].
         """
         unit = self.volts_per_code(velocity)
         return self.system.read(self._played.states_steady(unit) if steady else self._played.states_at_focus(unit))
@@ -257,9 +268,16 @@ class Stimulus:
         return self._worst_error(self.achieved(velocity, steady=steady), velocity)
 
     def worst_modal_error_of(self, codes: NDArray[np.uint16], timing: Timing, velocity: float) -> float:
-        """Return the largest modal error at a level if other codes are played on another clock [m/s].
+        """Return the largest modal error when other codes are played on another clock [m/s].
 
-        The codes, (n_channels, n_samples) array of uint16, reach at least to the focusing instant.
+        Parameters
+        ----------
+        codes : (n_channels, n_samples) array of uint16
+            Codes from the start of the burst, at least until the focusing instant.
+        timing : Timing
+            Their clock.
+        velocity : float
+            Level [m/s].
         """
         states = self.system.states_by_channel(timing.converter.signed(codes), timing, self.timing.focusing_instant)
         return self._worst_error(self.system.read(self.volts_per_code(velocity) @ states), velocity)
@@ -273,14 +291,33 @@ class Stimulus:
         return self._played.velocity_at_focus(positions, self.volts_per_code(velocity))
 
     def passes(self, positions: ArrayLike, velocity: float, limit: float) -> bool:
-        """Test whether the speed at any of the points exceeds a limit [m/s]; far below it, only a bound is computed."""
+        """Test whether the speed at any of the points exceeds a limit.
+
+        Far below the limit, only an upper bound is computed.
+
+        Parameters
+        ----------
+        positions, velocity
+            As in `velocity_at_focus`.
+        limit : float
+            Speed [m/s].
+        """
         return self._played.passes(positions, self.volts_per_code(velocity), limit)
 
     def velocity_history(self, positions: ArrayLike, velocity: float, *, whole_period: bool = False) -> FloatArray:
-        """Return the velocity at points during the first burst as played, (n_positions, n_samples) array [m/s].
+        """Return the velocity at points of the beam during the first burst as played, (n_positions, n_samples) array.
 
-        Its instants ``n * hold + delay`` are those at which each sample begins at the beam; with `whole_period` they
-        continue to the end of the period, with silence after the burst.
+        Parameters
+        ----------
+        positions, velocity
+            As in `velocity_at_focus`.
+        whole_period : bool
+            Whether to continue to the end of the period, with silence after the burst.
+
+        Returns
+        -------
+        (n_positions, n_samples) array
+            Velocity at the instants ``n * hold + delay`` at which each sample begins at the beam [m/s].
         """
         voltage = self.voltage_played(velocity)
         if whole_period:
@@ -289,7 +326,13 @@ class Stimulus:
         return history(self.system, self.model.shapes(positions).T @ self.system.velocity, voltage, self.timing)
 
     def peak_velocity(self, positions: ArrayLike, velocity: float) -> FloatArray:
-        """Return the highest speed at points [m] at a level [m/s] until the next burst, (n_positions,) array [m/s]."""
+        """Return the highest speed at points of the beam until the next burst, (n_positions,) array [m/s].
+
+        Parameters
+        ----------
+        positions, velocity
+            As in `velocity_at_focus`.
+        """
         return self._played.peak_velocity(positions, self.volts_per_code(velocity))
 
 

@@ -176,8 +176,12 @@ class BlockKernel:
     def write(self, inputs: Callable[[int, int], FloatArray], out: FloatArray) -> None:
         """Write the outputs at the starts of the samples, from rest, in chunks of bounded memory.
 
-        `inputs` returns the inputs of the samples from `start` up to but excluding `stop`, (n_inputs, n) array; each
-        row of `out`, (n_outputs, n_samples) array, is contiguous.
+        Parameters
+        ----------
+        inputs : callable
+            Returns the inputs of the samples from `start` up to but excluding `stop`, (n_inputs, n) array.
+        out : (n_outputs, n_samples) array
+            Receives the outputs; each row contiguous.
         """
         state = np.zeros(self.exponent.size, dtype=complex)
         for start in range(0, out.shape[1], _CHUNK):
@@ -189,9 +193,14 @@ class BlockKernel:
     def peaks(self, blocks: FloatArray, pushed: ComplexArray, starts: ComplexArray) -> FloatArray:
         """Return the largest magnitude of each output, (n_outputs,) array.
 
-        `blocks` are the inputs of groups of SHORT blocks, (n_inputs, n_groups, SHORT**2) array; `pushed` the push of
-        each block on the states at its end, (n_states, n_groups, SHORT) array; `starts` the states at the start of each
-        group.
+        Parameters
+        ----------
+        blocks : (n_inputs, n_groups, SHORT**2) array
+            Inputs of groups of SHORT blocks.
+        pushed : (n_states, n_groups, SHORT) complex array
+            Push of each block on the states at its end.
+        starts : (n_states, n_groups) complex array
+            States at the start of each group.
         """
         peak, some = np.zeros(len(self.output)), np.empty((len(self.output), _CHUNK))
         for start in range(0, starts.shape[1], _CHUNK // SHORT**2):
@@ -223,8 +232,12 @@ class BlockKernel:
     def respond(self, blocks: FloatArray, begin: ComplexArray, out: FloatArray, sides: Sides | None = None) -> None:
         """Write the outputs at the starts of the samples; `blocks` and `begin` as in `states`.
 
-        `out`, (n_outputs, n_samples) array, has at most as many samples as the blocks hold; each row is contiguous.
-        `sides` are left factors from earlier calls with the same blocks and states, to which new ones are added.
+        Parameters
+        ----------
+        out : (n_outputs, n_samples) array
+            Receives the outputs of the samples, at most as many as the blocks hold; each row contiguous.
+        sides : dict, optional
+            Left factors from earlier calls with the same blocks and states; new ones are added.
         """
         n_whole, rest = divmod(out.shape[1], SHORT)
         sides = {} if sides is None else sides

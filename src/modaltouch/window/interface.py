@@ -151,8 +151,19 @@ class AnswerWindow(AbstractContextManager["AnswerWindow"]):
     def settle(self, trial: Trial, progress: tuple[int, int], lead: float = 0.0) -> float:
         """Let hands and fingers come to rest before each stimulus: the pause since the last answer or key.
 
-        A countdown is shown if a finger was lifted from the beam to press. Return `lead` seconds before the end of the
-        pause, with the time of that end, by the session's clock [s].
+        A countdown is shown if a finger was lifted from the beam to press.
+
+        Parameters
+        ----------
+        trial, progress
+            As for `ask`.
+        lead : float
+            Time before the end of the pause at which to return [s].
+
+        Returns
+        -------
+        float
+            End of the pause, by the session's clock [s].
         """
 
     def show_stall(self) -> None:
@@ -166,9 +177,21 @@ class AnswerWindow(AbstractContextManager["AnswerWindow"]):
 
     @abstractmethod
     def feel(self, trial: Trial, progress: tuple[int, int], presentation: Presentation, until: float) -> None:
-        """Show an interval before the last one, call `presentation.stop` at its end, and wait until a time [s].
+        """Show an interval before the last one, call `presentation.stop` at its end, and wait.
 
-        The trial has the condition of this interval; `ask` gets that of the last one. Raises as `ask` does.
+        Parameters
+        ----------
+        trial : Trial
+            Trial with the condition of this interval; `ask` gets that of the last interval.
+        progress, presentation
+            As for `ask`.
+        until : float
+            Time at which to return, by the session's clock [s].
+
+        Raises
+        ------
+        TrialInterrupted, SessionStopped
+            As for `ask`.
         """
 
     @abstractmethod
@@ -193,10 +216,21 @@ class AnswerWindow(AbstractContextManager["AnswerWindow"]):
 
     @abstractmethod
     def ask_further(self, name: str, asked: AnswersSection, trial: Trial | None = None) -> Response:
-        """Ask a further question, named in the protocol, and return its answer; ask again after a pause.
+        """Ask a further question and return its answer; ask again after a pause.
 
-        `trial` is the completed trial; None for a question of the closing form. Raises SessionStopped if the session
-        was ended.
+        Parameters
+        ----------
+        name : str
+            Name of the question in the protocol.
+        asked : AnswersSection
+            The question.
+        trial : Trial, optional
+            The completed trial; None for a question of the closing form.
+
+        Raises
+        ------
+        SessionStopped
+            If the session was ended.
         """
 
     def give_feedback(self, response: Response, expected: str) -> None:
@@ -246,7 +280,12 @@ class Masking(AbstractContextManager["Masking"]):
     def ensure(self, tick: Callable[[], object], *, on: bool = True) -> None:
         """Ensure before a trial that the noise is at its level, or silent; reopen a lost device.
 
-        Calls `tick` while waiting. Raises MaskingError if the device is lost and the protocol requires the noise.
+        Calls `tick` while waiting.
+
+        Raises
+        ------
+        MaskingError
+            If the device is lost and the protocol requires the noise.
         """
 
     @property

@@ -66,8 +66,19 @@ class Answerer:
     def rate(self, trial: Trial | None, scale: ScaleSection | None, names: Iterable[str], name: str = "") -> Rated:
         """Return the answer to a question about strength, its number on a scale, and the reaction time [s].
 
-        A stronger vibration gives a larger number, or a later answer in the list `names`. Without a trial, all are
-        equally likely. `name` is that of a further question.
+        A stronger vibration gives a larger number, or a later answer in the list. Without a trial, all are equally
+        likely.
+
+        Parameters
+        ----------
+        trial : Trial or None
+            The presented trial, if any.
+        scale : ScaleSection or None
+            The scale; None for a list of answers.
+        names : iterable of str
+            The answers.
+        name : str
+            Name of a further question; empty for the first.
         """
         number, listed = zlib.crc32(name.encode()), list(names)
         if trial is None:
@@ -96,7 +107,13 @@ class Answerer:
         return self._remembered.setdefault(trial, self.felt(trial))
 
     def _stream(self, *key: int) -> np.random.Generator:
-        """Return the random generator of an answer, for which ours must have been seeded by a seed sequence."""
+        """Return the random generator of an answer.
+
+        Raises
+        ------
+        ValueError
+            If the generator was not created from a seed sequence.
+        """
         seed = self.generator.bit_generator.seed_seq
         if not isinstance(seed, np.random.SeedSequence):
             raise ValueError(

@@ -159,10 +159,23 @@ class Simulator(AbstractContextManager["Simulator"]):
         return tuple(channel.output for channel in self.afg.channels.values())
 
     def felt_velocity(self, places: Sequence[str | float]) -> NDArray[np.float64]:
-        """Return the peak speed under the fingers over one burst of the current output, (n_places,) array [m/s].
+        """Return the peak speed under the fingers for the current output.
 
-        Places are positions from mid-beam [m], or names of zones: of the finger there in the followed session, or else
-        of the zone's centre. Raises ValueError if there is no such zone.
+        Parameters
+        ----------
+        places : sequence of str or float
+            Names of zones, or positions, origin at mid-beam [m]. For a zone, the position of its finger in the followed
+            session is used, or otherwise its centre.
+
+        Returns
+        -------
+        (n_places,) array
+            Highest speed over one burst [m/s]; 0 while no output is on or no bursts are played.
+
+        Raises
+        ------
+        ValueError
+            If there is no such zone.
         """
         if self._followed is None:
             return self.twin.felt(self.playbacks, [self.position(place) for place in places])
@@ -171,7 +184,15 @@ class Simulator(AbstractContextManager["Simulator"]):
         return self.twin.felt(self.playbacks, positions, touched=tuple(fingers.values()))
 
     def true_state(self, instant: float, *, first: bool = False) -> TrueState:
-        """Return the true state of the beam at an instant of the current burst; see `Twin.true_state`."""
+        """Return the true state of the beam at an instant of the current burst, as a reference for measurements.
+
+        Parameters
+        ----------
+        instant : float
+            Time since a trigger [s]; the first sample leaves the generator at 0, or after its trigger delay.
+        first : bool
+            Whether the burst starts from rest rather than after many bursts.
+        """
         return self.twin.true_state(self.playbacks, instant, first=first, touched=tuple(self.touched.values()))
 
     def scope(self) -> SimulatedScope:
