@@ -152,6 +152,27 @@ def test_a_figure_names_its_part_in_its_title(monkeypatch: pytest.MonkeyPatch) -
     assert [title.split(":")[0] for title in titles] == ["blunt, one hand", "sharp, one hand"]
 
 
+def test_the_caption_of_a_figure_names_its_own_finger_condition() -> None:
+    """A part of two finger conditions has a figure of each."""
+    every = [row | {"finger_condition": name} for row in rows() for name in ("one_hand", "two_hands")]
+    page = render_parts(analyse_parts(responses(every)))["report.html"]
+    for hands in ("one hand", "two hands"):
+        assert f"<figcaption>{hands} B-D at 120 mm/s" in page.replace("\n", "")
+
+
+def test_pairs_with_other_levels_are_compared_over_those_of_both_and_say_so() -> None:
+    """A-C at 80 and 150, B-D at 80 alone: the difference is of the answers at 80 mm/s."""
+    own = [row for row in rows() if row["zone_left"] == "A"]
+    other = [
+        row | {"zone_left": "B", "zone_right": "D", "response": "both"} for row in own if row["velocity_mm_s"] == 80
+    ]
+    found = analyse_parts(responses([*own, *other]))
+    (row,) = (each for each in found.whole if each.family == "shares compared")
+    at_80 = [row["response"] == "both" for row in own if row["velocity_mm_s"] == 80]
+    assert row.estimate == pytest.approx(np.mean(at_80) - 1)
+    assert "over the levels that both have" in row.note
+
+
 def test_answers_of_three_intervals_are_not_held_against_an_even_split() -> None:
     """Who guesses names a standard twice as often, since two of three intervals hold one: no choice of the standard."""
     places = np.random.default_rng(1).integers(1, 4, (2, 400))

@@ -237,7 +237,9 @@ def contrast_findings(values: Sequence[IndividualValue], tested: Sequence[Places
             name = f"{measure.name} compared, {_RANKS if measure.is_ranked else _FLIPS}"
             gaps = np.array([np.mean([x - y for x, y in each]) for each in paired.values()])
             gaps[np.abs(gaps) < NOISE] = 0.0
-            yield from _compared(measure, name, scope, gaps, _remarks(measure, places[a], places[b]))
+            levels, others = ({level for _, level in each} for each in (first, second))
+            apart = ["over the levels that both have"] * (levels != others)
+            yield from _compared(measure, name, scope, gaps, [*_remarks(measure, places[a], places[b]), *apart])
     yield from _joint_findings(values)
 
 

@@ -255,7 +255,7 @@ def render_parts(analysis: PartsAnalysis) -> dict[str, Any]:
                 part.counts.n_participants if part.counts.n_repetitions > 1 else None,
                 " ".join(filter(None, part.factors.values())),
             ),
-            condition_in_words(part.name),
+            condition_in_words(part.name.replace(" and ".join(part.counts.finger_conditions), condition)),
         )
         for number, part in enumerate(analysis.parts, start=1)
         for condition in part.counts.finger_conditions
