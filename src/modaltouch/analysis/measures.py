@@ -237,8 +237,7 @@ def contrast_findings(values: Sequence[IndividualValue], tested: Sequence[Places
             name = f"{measure.name} compared, {_RANKS if measure.is_ranked else _FLIPS}"
             gaps = np.array([np.mean([x - y for x, y in each]) for each in paired.values()])
             gaps[np.abs(gaps) < NOISE] = 0.0
-            levels, others = ({level for _, level in each} for each in (first, second))
-            apart = ["over the levels that both have"] * (levels != others)
+            apart = ["over the levels that both have"] * ({key[1] for key in first} != {key[1] for key in second})
             yield from _compared(measure, name, scope, gaps, [*_remarks(measure, places[a], places[b]), *apart])
     yield from _joint_findings(values)
 
