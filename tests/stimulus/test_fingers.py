@@ -386,7 +386,7 @@ def test_what_fingers_make_of_another_design_is_predicted(design, beam, zones, v
     fine = longer(replace(COARSE, n_samples=100_000), 120_000)
     history = reference.history(np.pad(np.repeat(voltage, 8, axis=1), ((0, 0), (0, 20_000))), fine)[9:18]
     speed = np.abs(shapes.T @ history).max(axis=1)
-    np.testing.assert_allclose(touched.peak_velocity(zones, unit), speed, rtol=1e-6)
+    np.testing.assert_allclose(touched.peak_velocity(zones, unit), speed, rtol=5e-3)
 
 
 @pytest.mark.parametrize(
