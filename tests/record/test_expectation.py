@@ -111,6 +111,14 @@ def given(session: Session) -> TrialExpectation:
     return TrialExpectation(restored, restored.protocol, 2)
 
 
+def test_the_start_record_names_the_stimulus_and_its_level(session: Session, given: TrialExpectation) -> None:
+    """By the hash of its codes, with its amplitudes at the highest level of the protocol."""
+    burst, said = given.restored.preflight.stimulus.burst, session.start["stimulus"]
+    assert said["velocity_mm_s"] == pytest.approx(200.0, rel=1e-12)
+    assert (said["content_hash"], said["amplitude_Vpp"]) == (burst.content_hash, list(burst.amplitude))
+    assert [row["velocity_mm_s"] for row in said["stimuli"]] == [80.0, 200.0]
+
+
 def faults_of(event: dict[str, Any], given: TrialExpectation, **bursts: int | None) -> list[str]:
     """Return the faults of a finished trial whose counts of bursts are changed."""
     told = copy.deepcopy(event)

@@ -14,12 +14,13 @@ from modaltouch.protocol import Experiment, Findings, Protocol
 from modaltouch.protocol.levels import Levels
 from modaltouch.protocol.questions import QuestionSection
 from modaltouch.protocol.schedule import Schedule
-from modaltouch.protocol.trial import Response, Trial
+from modaltouch.protocol.trial import Condition, Response, Trial
 from modaltouch.record.log import SessionLog
 from modaltouch.record.session import Session
 from modaltouch.rig.interface import Bursts, Firing, RigError, StimulusLost
 from modaltouch.session.console import Console, Experimenter, Request
 from modaltouch.session.console.status import Status
+from modaltouch.session.events import describe_trial
 from modaltouch.session.loop import SessionRun, conduct
 from modaltouch.system.clock import VirtualClock
 from modaltouch.window.interface import Masking, MaskingError, Presentation, Progress, SessionStopped, TrialInterrupted
@@ -651,3 +652,18 @@ def test_a_protocol_without_masking_says_nothing_of_it(sit: Callable[..., Sessio
     sitting = sit()
     conduct(sitting)
     assert not any("masked" in event for event in events(sitting, "trial"))
+
+
+def test_the_experimenter_is_told_of_each_trial_before_it_begins(experiment: Experiment) -> None:
+    """What is presented where, and how fast it is predicted to be under each finger; stimulus and interval if any."""
+    trial = Trial(3, 1, Condition("one_hand", "A", "C", 80.0))
+    told = describe_trial(experiment.protocol, (0.04128, 0.08), trial)
+    assert told == {
+        "number": 3, "practice": False, "block": 1, "velocity_mm_s": 80.0, "predicted_left_mm_s": 41.3,
+        "predicted_right_mm_s": 80.0, "finger_condition": "one_hand", "placement": "normal", "way": "free_hand",
+        "zone_left": "A", "zone_right": "C", "finger_left": "right index", "finger_right": "right middle",
+    }  # fmt: skip
+    named = replace(trial, interval=2, condition=replace(trial.condition, stimulus="sharp"))
+    assert (
+        describe_trial(experiment.protocol, (0.0, 0.0), named).items() >= {"stimulus": "sharp", "interval": 2}.items()
+    )
