@@ -15,15 +15,25 @@ from modaltouch.protocol.levels import Levels
 from modaltouch.protocol.questions import QuestionSection
 from modaltouch.protocol.schedule import Schedule
 from modaltouch.protocol.trial import Condition, Response, Trial
+from modaltouch.record.chain import RecordError
 from modaltouch.record.log import SessionLog
 from modaltouch.record.session import Session
 from modaltouch.rig.interface import Bursts, Firing, RigError, StimulusLost
 from modaltouch.session.console import Console, Experimenter, Request
 from modaltouch.session.console.status import Status
-from modaltouch.session.events import describe_trial
+from modaltouch.session.events import describe_ending, describe_trial, how_to_continue
 from modaltouch.session.loop import SessionRun, conduct
 from modaltouch.system.clock import VirtualClock
-from modaltouch.window.interface import Masking, MaskingError, Presentation, Progress, SessionStopped, TrialInterrupted
+from modaltouch.system.operating_system import Interrupted
+from modaltouch.window.interface import (
+    Masking,
+    MaskingError,
+    Presentation,
+    Progress,
+    SessionStopped,
+    TrialInterrupted,
+    WindowError,
+)
 
 SPEEDS = {"A": 0.12, "B": 0.115, "C": 0.2, "D": 0.115, "E": 0.12}
 
@@ -667,3 +677,27 @@ def test_the_experimenter_is_told_of_each_trial_before_it_begins(experiment: Exp
     assert (
         describe_trial(experiment.protocol, (0.0, 0.0), named).items() >= {"stimulus": "sharp", "interval": 2}.items()
     )
+
+
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (SessionStopped("escape"), {"reason": "escape"}),
+        (Interrupted("SIGTERM"), {"reason": "SIGTERM"}),
+        (WindowError("gone"), {"reason": "window lost", "message": "WindowError: gone"}),
+        (RigError("no answer"), {"reason": "rig fault", "message": "RigError: no answer"}),
+        (RecordError("disk full"), {"reason": "record fault", "message": "RecordError: disk full"}),
+        (ValueError("2"), {"reason": "error", "message": "ValueError: 2"}),
+    ],
+)
+def test_the_stop_record_says_why_a_session_ended(error: BaseException, said: dict[str, str]) -> None:
+    """Whoever reads it later has nothing else to go by."""
+    assert describe_ending(error) == said
+
+
+def test_what_to_do_after_an_early_end_depends_on_its_reason(tmp_path: Path) -> None:
+    """Failed practice is begun anew; all else goes on where it was."""
+    assert how_to_continue("practice not passed", tmp_path) == (
+        f"`modaltouch resume --restart {tmp_path}` starts it over, including practice"
+    )
+    assert how_to_continue("rig fault", tmp_path) == f"continue with `modaltouch resume {tmp_path}`"
