@@ -251,6 +251,19 @@ def test_outputs_go_on_a_tenth_of_a_second_before_a_burst(loaded: Generator, clo
     assert went_on == pytest.approx([due - 2 * RELAYS_SETTLE], abs=1e-3)
 
 
+def test_both_channels_of_a_continuous_record_begin_together(
+    open_generator: Callable[..., Generator], burst: Burst, heard: Any
+) -> None:
+    """Their phases are aligned before the outputs go on; bursts need none."""
+    for repetition, n_aligned in (("continuous", 1), ("single", 0)):
+        with open_generator(repetition=repetition) as rig:
+            rig.load(burst)
+            heard.clear()
+            assert rig.fire(0.1).started
+            before = heard.sent[: next(n for n, sent in enumerate(heard.sent) if "OUTP1 ON" in sent)]
+            assert sum("SOUR1:PHAS:INIT" in sent for sent in before) == n_aligned
+
+
 def test_what_is_loaded_while_a_stimulus_plays_ends_it_first(
     loaded: Generator, simulator: Simulator, clock: VirtualClock, make: Callable[..., Burst]
 ) -> None:

@@ -252,10 +252,13 @@ def test_the_marker_of_the_question_is_that_of_its_trial(recorded: Session) -> N
         if event["event"] == "answered":
             markers.send_question(event["clock"])
         markers.follow(event)
+    spans = (event["instants"]["answer"] for event in of(recorded, "answered"))
+    instants = ((span["earliest_s"] + span["latest_s"]) / 2 for span in spans)
     for trial in zip(*[iter(sent)] * 4, strict=True):
         words = [marker.split("/") for marker, _ in trial]
         assert [each[0] for each in words] == ["stimulus", "stimulus", "question", "answer"]
         about = words[2][1:]
+        assert trial[3][1] - 1000.0 == pytest.approx(next(instants), abs=1e-6)
         assert [words[0][1:], words[1][1:]] == [[*about, "interval_1"], [*about, "interval_2"]]
         assert words[3][1:-1] == about
     assert len(sent) == 4 * 7

@@ -21,7 +21,7 @@ from modaltouch.record.session import Session
 from modaltouch.rig.interface import Bursts, Firing, RigError, StimulusLost
 from modaltouch.session.console import Console, Experimenter, Request
 from modaltouch.session.console.status import Status
-from modaltouch.session.events import describe_ending, describe_trial, how_to_continue
+from modaltouch.session.events import describe_answer, describe_ending, describe_trial, how_to_continue
 from modaltouch.session.loop import SessionRun, conduct
 from modaltouch.system.clock import VirtualClock
 from modaltouch.system.operating_system import Interrupted
@@ -701,3 +701,25 @@ def test_what_to_do_after_an_early_end_depends_on_its_reason(tmp_path: Path) -> 
         f"`modaltouch resume --restart {tmp_path}` starts it over, including practice"
     )
     assert how_to_continue("rig fault", tmp_path) == f"continue with `modaltouch resume {tmp_path}`"
+
+
+@pytest.mark.parametrize(("repetition", "is_dated"), [("single", True), ("timer", True), ("wired", False)])
+def test_instants_are_as_sure_as_what_was_timed(experiment: Experiment, repetition: Any, is_dated: bool) -> None:
+    """A press is read after it happened, a frame shown before its flip returned; pulses of others date no burst."""
+    trial = Trial(3, 1, Condition("one_hand", "A", "C", 80.0))
+    bursts = Bursts(8, 8, 8, 0, 10.0, 0.001)
+    firing = Firing((1.0, 1.0), (1.0, 1.0), 10.0, 0.001, started=True, repetition=repetition, bursts=bursts)
+    response = Response("left", 1.0, question_after=0.3, question_uncertainty=0.02, time_uncertainty=0.004)
+    told = describe_answer(
+        experiment.protocol, lambda trial: (0.1, 0.2), trial, response, [firing], masked=None, events=[]
+    )
+    assert told["instants"] == {
+        "first_burst": {"earliest_s": 9.999, "latest_s": 10.001} if is_dated else None,
+        "question": {"earliest_s": 10.28, "latest_s": 10.3},
+        "answer": {"earliest_s": 10.996, "latest_s": 11.0},
+    }
+    asked = replace(response, onset="question")
+    told = describe_answer(
+        experiment.protocol, lambda trial: (0.1, 0.2), trial, asked, [firing], masked=None, events=[]
+    )
+    assert told["instants"]["answer"] == {"earliest_s": 11.296, "latest_s": 11.3}, "from the question on"

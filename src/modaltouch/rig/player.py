@@ -148,7 +148,7 @@ class Player:
         """Select the burst to be played from now on; if its records are stored, only settings change."""
         was, before = self._chosen, set(self._settings)
         self._chosen = which
-        if which == was or not before:
+        if which == was:
             return
         if self.holds(which):
             # The new settings are expected from here on, so that one that fails is found to differ and applied again.
