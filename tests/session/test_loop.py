@@ -206,6 +206,7 @@ def test_every_trial_is_answered_once_in_order(sit: Callable[..., SessionRun]) -
     conduct(sitting)
     done = [(event["trial"]["practice"], event["trial"]["index"]) for event in events(sitting, "trial")]
     assert done == [(True, 1), *((False, index) for index in range(1, 13))]
+    assert events(sitting, "practice_round") == [], "practice is not judged without a criterion"
     told = sitting.rig.told  # type: ignore[attr-defined]
     fired = [place for place, command in enumerate(told) if command.startswith("fire")]
     assert len(fired) == 13
@@ -499,6 +500,10 @@ def test_a_stimulus_that_ends_by_itself_gets_no_answer(sit: Callable[..., Sessio
     (cut,) = events(sitting, "trial_cut")
     assert cut["reason"] == "the bursts ended"
     assert len(events(sitting, "trial")) == 13
+    sitting = sit()
+    sitting.window.cut.extend([StimulusLost("the bursts ended")] * 3)  # type: ignore[attr-defined]
+    with pytest.raises(RigError, match=r"3 presentations could not be confirmed \(the bursts ended\)"):
+        conduct(sitting)
 
 
 def test_an_instrument_that_dies_in_a_stimulus_confirms_nothing(sit: Callable[..., SessionRun]) -> None:
