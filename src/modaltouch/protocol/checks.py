@@ -249,13 +249,11 @@ def _check_keys(reading: Reading[Protocol]) -> Iterator[Problem]:
     }
     for section, taken in others.items():
         for index, name in reading.items("answers", section):
-            yield from check_key(reading, ("answers", section, index), name)
+            path = ("answers", section, index)
+            yield from check_key(reading, path, name)
             if name in taken:
                 yield reading.problem(
-                    ("answers", section, index),
-                    f"'{name}', which {taken[name]}",
-                    "a key with no other meaning",
-                    "choose another",
+                    path, f"'{name}', which {taken[name]}", "a key with no other meaning", "choose another"
                 )
 
 

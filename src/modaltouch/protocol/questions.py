@@ -316,20 +316,22 @@ def check_questions(reading: Reading[Any]) -> Iterator[Problem]:
                     at_key=True,
                 )
             names = reading.keys(*section, name, "keys") or []
-            if names and not 2 <= len(names) <= MOST_ANSWERS:
-                yield reading.problem(
+            yield from reading.faults(
+                (
+                    names and not 2 <= len(names) <= MOST_ANSWERS,
                     (*section, name, "keys"),
                     f"{len(names)} answer{'s' * (len(names) != 1)}",
                     f"2 to {MOST_ANSWERS} answers",
                     "or use a scale",
-                )
-            if TIME_OUT in names:
-                yield reading.problem(
+                ),
+                (
+                    TIME_OUT in names,
                     (*section, name, "keys", TIME_OUT),
                     f"{TIME_OUT}, which is recorded when no answer comes in time",
                     "any other name",
                     "choose another",
-                )
+                ),
+            )
             yield from check_keys(reading, (*section, name, "keys"))
             yield from _check_scale(reading, (*section, name, "scale"))
 
