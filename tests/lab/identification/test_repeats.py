@@ -8,12 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import pyuff
+from numpy.typing import ArrayLike
 
 from modaltouch.lab.identification.files import read_responses
-from modaltouch.lab.identification.joint_fit import identify, identify_each, over_repeats
-from modaltouch.lab.identification.modal_parameters import Identification
+from modaltouch.lab.identification.joint_fit import axis_error, identify, identify_each, over_repeats
+from modaltouch.lab.identification.modal_parameters import WELL_FITTED, Identification
 from modaltouch.lab.identification.responses import FrequencyResponses, ResponseFormat
-from modaltouch.lab.identification.verdict import repeatability
+from modaltouch.lab.identification.verdict import check_modes, repeatability
 
 POLES = ((120.0, 0.012), (330.0, 0.008), (640.0, 0.006))
 RESIDUES = (1.0, 0.6, -0.4)
@@ -242,3 +243,64 @@ def test_a_blow_without_noise_leaves_the_truth_within_the_intervals(tmp_path: Pa
     for (own, ratio), mode in zip(POLES, found.modes, strict=True):
         assert own in mode.natural_frequency
         assert ratio in mode.damping_ratio
+
+
+ROOT = np.array([4.730040745, 7.853204624, 10.99560784, 14.13716549, 17.27875966])
+"""Roots of cos x cosh x = 1, for the first five bending modes of a free-free beam."""
+
+
+def roving(drift: np.ndarray, ratio: ArrayLike = 0.018, noise: float = 0.01) -> FrequencyResponses:
+    """Return the repeats of a hammer that roves over 13 points of a beam of 0.5 m, with an accelerometer at 235 mm.
+
+    Each blow finds the natural frequencies, from 95 Hz on, a part of their value higher: `drift`, (n_repeats, 13).
+    The decay is cut off 1.99 s after a blow, at the end of a record; the noise is relative to the highest response.
+    """
+    frequency, places, rng = np.arange(0.5, 1600.0, 0.5), np.linspace(-0.24, 0.24, 13), np.random.default_rng(4)
+    omega, turn = 2 * np.pi * frequency, (np.cosh(ROOT) - np.cos(ROOT)) / (np.sinh(ROOT) - np.sin(ROOT))
+
+    def shapes(place: np.ndarray) -> np.ndarray:
+        y = np.outer(ROOT, place / 0.5 + 0.5)
+        return np.cosh(y) + np.cos(y) - turn[:, None] * (np.sinh(y) + np.sin(y))
+
+    own = 2 * np.pi * 95 * (ROOT / ROOT[0]) ** 2 * (1 + drift[:, :, None])
+    decay, ringing = np.multiply(ratio, own), own * np.sqrt(1 - np.square(ratio))
+    pole = (-decay + 1j * ringing)[..., None]
+    size = (1 + 1j * decay / ringing)[..., None] / 2
+    dynamic = [
+        part * (1 - np.exp(1.99 * (own - 1j * omega))) / (1j * omega - own)
+        for part, own in ((size, pole), (size.conj(), pole.conj()))
+    ]
+    response = np.einsum("kp,rpkf->rpf", shapes(places) * shapes(np.array([0.235])), sum(dynamic))
+    scatter = rng.standard_normal((2, *response.shape))
+    response = response + noise * np.abs(response).max(axis=(0, 2), keepdims=True) * (scatter[0] + 1j * scatter[1])
+    each = [FrequencyResponses(frequency, blows[np.newaxis], places, ("hammer",)) for blows in response]
+    return FrequencyResponses.of_repeats(each)
+
+
+@pytest.mark.parametrize(
+    ("drift", "noise"),
+    [
+        (0.01 * np.linspace(-1, 1, 39).reshape(13, 3).T, 0.003),
+        (0.015 * np.random.default_rng(5).standard_normal((5, 13)), 0.003),
+        (0.01 * np.random.default_rng(1).standard_normal((3, 13)), 0.001),
+    ],
+)
+def test_drift_between_blows_is_no_noise(drift: np.ndarray, noise: float) -> None:
+    """A hammer that roves while the beam warms up, or whose suspension changes the frequencies from blow to blow."""
+    with pytest.raises(ValueError, match="the most probable cause is drift: let the beam warm up, and scan again$"):
+        check_modes(identify(roving(drift, noise=noise), 0.5), (3, 4, 5, 6, 7))
+
+
+def test_repeats_that_differ_at_resonances_only_have_drifted() -> None:
+    """Narrow resonances, 0.7 % apart: no other position, sign or unit leaves what is between them as it was."""
+    with pytest.raises(
+        ValueError, match="measurement 2 does not repeat .*; it does between the resonances, so the beam drifted"
+    ):
+        roving(np.array([[0.0], [0.007]]) * np.ones(13), ratio=0.003, noise=1e-4)
+
+
+def test_a_decay_cut_off_by_the_end_of_a_record_is_no_error_of_the_axis() -> None:
+    """0.8 % of the first mode's motion is left after 2 s: more than the noise, and no bin that is off."""
+    found = identify(roving(np.zeros((3, 13)), ratio=[0.004, 0.003, 0.003, 0.004, 0.004], noise=3e-4), 0.5)
+    assert 1.5 < found.misfit < WELL_FITTED
+    assert axis_error(found) == ""

@@ -29,21 +29,30 @@ FILTERED = 0.05
 """Minimum share of the residual explained by one phase for each mode if a filter is the cause [1]."""
 
 
-def probable_cause(found: Identification) -> str:
-    """Describe the most probable cause of the residual with its remedy, or the two most probable; empty if unclear."""
+def probable_cause(found: Identification, odd_point: str = "", least: float = 0.0) -> str:
+    """Describe the most probable cause of the residual with its remedy, or the two most probable; empty if unclear.
+
+    A point that holds most of the residual, if described, is the cause unless a pattern explains it. None is named if
+    the misfit of the poles with one in place of close ones is below `least`.
+    """
     poles = found.poles
     if poles is None or not found.responses.places:
-        return ""
+        return odd_point
     poles = _merged(found, poles)
-    fit = refine(make_problem(found.responses, poles), poles)
+    # The mean of repeats hides how they differ.
+    responses = found.responses.repeats[0].aligned() if found.responses.repeats else found.responses
+    fit = refine(make_problem(responses, poles), poles)
+    if fit.variance < least:
+        return odd_point
     shares, moved, sensor = _shares(fit, *found.responses.response.shape[:2])
     first, second, *_ = sorted(shares, key=lambda each: -shares[each])
     if shares[first] < EXPLAINS:
-        return _common_cause(found, fit)
+        return odd_point or _common_cause(found, fit)
+    also = [second] if shares[second] > ALMOST * shares[first] else []
     if first == "drift":
-        return _other_beam(found, moved) or _named(first)
+        return _other_beam(found, moved) or _named(first, *also)
     size = f"about {sensor:.2g} of the beam's; " if first.startswith("the mass") else ""
-    return _named(first, *([second] if shares[second] > ALMOST * shares[first] else []), size=size)
+    return _named(first, *also, size=size)
 
 
 def _named(first: str, *others: str, size: str = "") -> str:

@@ -44,8 +44,9 @@ SAME_PLACE = 5e-6
 ROWS_APART = 0.2e-3
 """Minimum distance across the width between two rows of points; smaller ones are scatter within a row [m]."""
 
-LIKE_THE_FIRST = 0.5
-"""Minimum share of a repeat's power that matches the first repeat, and minimum factor between the two [1]."""
+LIKE_THE_FIRST, AS_THE_FIRST = 0.5, 0.1
+"""Minimum share of a repeat's power that matches the first, and minimum factor between the two; largest deviation of
+their median ratio from 1 if they differ at resonances only [1]."""
 
 
 @dataclass(frozen=True)
@@ -142,15 +143,18 @@ class FrequencyResponses:
         power = (np.abs(each) ** 2).sum(axis=(1, 2, 3))
         shared = (np.conj(each[0]) * each).sum(axis=(1, 2, 3))
         factor, likeness = shared.real / power[0], np.abs(shared) ** 2 / (power[0] * power)
-        if any(np.array_equal(one, other) for one, other in itertools.combinations(each, 2)):
+        if any(np.array_equal(*pair) for pair in itertools.combinations(each, 2)):
             raise ValueError("two measurements are identical: the same one was given twice; give each once")
         odd = (likeness < LIKE_THE_FIRST) | (np.abs(factor - 1) > 1 - LIKE_THE_FIRST)
         if odd.any():
             number = int(odd.argmax())
+            ratio = float(np.median((each[number] / each[0]).real))
+            remedy = "check positions, sign, units and trigger of both, and give only repeats of one measurement"
+            if abs(ratio - 1) < AS_THE_FIRST:
+                remedy = "it does between the resonances, so the beam drifted: let it warm up, and measure again"
             raise ValueError(
                 f"measurement {number + 1} does not repeat the first: {likeness[number]:.0%} of its power matches the "
-                f"first, scaled {factor[number]:.3g} times; check positions, sign, units and trigger of "
-                "both, and give only repeats of one measurement"
+                f"first, scaled {factor[number]:.3g} times; {remedy}"
             )
         mean, n_averages = each.mean(axis=0), sum(repeat.n_averages for repeat in repeats)
         coherence = np.abs(mean) ** 2 / np.maximum((np.abs(each) ** 2).mean(axis=0), 1e-300)
@@ -268,12 +272,11 @@ class FrequencyResponses:
                 f"{int(kept.sum())} bins lie between {lowest:g} and {highest:g} Hz; at least 16 are needed: choose a "
                 f"wider band within {self.frequency[0]:g} to {self.frequency[-1]:g} Hz"
             )
-        coherence = None if self.coherence is None else self.coherence[..., kept]
         return replace(
             self,
             frequency=self.frequency[kept],
             response=self.response[..., kept],
-            coherence=coherence,
+            coherence=None if self.coherence is None else self.coherence[..., kept],
             repeats=tuple(each.between(lowest, highest) for each in self.repeats),
         )
 
@@ -398,16 +401,9 @@ def _grouped(values: FloatArray, apart: float) -> NDArray[np.intp]:
 
 
 def as_velocity(frequency: FloatArray, response: ComplexArray, quantity: Quantity) -> ComplexArray:
-    r"""Convert responses to velocity: displacement is multiplied by :math:`i\omega`, acceleration divided by it.
+    r"""Convert responses in SI units to velocity; the result at 0 Hz must not be used.
 
-    Parameters
-    ----------
-    frequency : (n_bins,) array
-        Frequencies [Hz]; the result at 0 Hz must not be used.
-    response : (..., n_bins) complex array
-        Responses in SI units.
-    quantity : str
-        ``velocity``, ``displacement`` or ``acceleration``.
+    A displacement is multiplied by :math:`i\omega`, an acceleration divided by it.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         turn = 2j * np.pi * frequency

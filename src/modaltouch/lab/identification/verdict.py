@@ -64,6 +64,8 @@ def check_modes(identification: Identification, labels: Sequence[int]) -> None:
         strange = _in_two_units(identification) or split or _misplaced(identification)
     if not (strange or spoilt):
         strange = _implausible_modes(identification.modes, missing)
+        # A mode that moved far has several poles, which fit well but have no mode's shape.
+        strange = strange or (probable_cause(identification, least=WELL_FITTED) if missing else "")
     remedy = "" if spoilt or strange else REMEDY
     lines = []
     for label in labels:
@@ -253,7 +255,9 @@ def _digit(identification: Identification) -> str:
         point = int(by_point.argmax())
         rest = np.moveaxis(responses.response[:, point] - identification.fitted[:, point], -1, 0)
         cause = "a strange point" if neighbouring(rest).sum() > SMOOTH * (np.abs(rest) ** 2).sum() else "a noisy point"
-        return f"most of the residual is at {responses.places[point]}: {REMEDIES[cause]}"
+        described = f"most of the residual is at {responses.places[point]}: {REMEDIES[cause]}"
+        # A beam that drifts has the largest residual where it moves most.
+        return described if probable_cause(identification, described) == described else ""
     return ""
 
 
@@ -282,14 +286,17 @@ def warnings(identification: Identification) -> list[str]:
     known = "" if noisy else _digit(identification) or _hum(identification)
     marked = [mode for mode in identification.modes if mode.rest.smooth > MARKED.get(mode.rest.cause, MARKED_ELSE)]
     badly = [mode for mode in identification.modes if mode.rest.share > MOST_LEFT and mode not in marked]
+    by_cause: dict[str, list[IdentifiedMode]] = {}
     for chosen in (marked, badly):
         if chosen:
-            names = ", ".join(each.name for each in chosen)
-            left = max(max(each.rest.smooth, each.rest.share) for each in chosen)
-            sentences.append(
-                f"the residual is up to {left:.1%} of the response around {names}, and the intervals may not cover it: "
-                f"{known or _cause(identification, chosen)}"
-            )
+            by_cause.setdefault(known or _cause(identification, chosen), []).extend(chosen)
+    for cause, chosen in by_cause.items():
+        names = ", ".join(each.name for each in sorted(chosen, key=lambda each: each.natural_frequency.value))
+        left = max(max(each.rest.smooth, each.rest.share) for each in chosen)
+        sentences.append(
+            f"the residual is up to {left:.1%} of the response around {names}, and the intervals may not cover it: "
+            f"{cause}"
+        )
     if of_points := _misplaced(identification) or _uneven(identification):
         sentences.append(of_points)
     split = _split(identification) if identification.length else ""
