@@ -214,7 +214,7 @@ def _window(path: Path, time_s: FloatArray, asked: Acquisition) -> tuple[float, 
     if not 0.999 <= 1 / step / asked.sampling_rate <= MOST_OVERSAMPLED:
         raise ValueError(
             f"{path}: it was sampled at {1e-3 / step:.6g} kHz; allowed: {asked.sampling_rate * 1e-3:.6g} to "
-            f"{MOST_OVERSAMPLED * asked.sampling_rate * 1e-3:.6g} kHz"
+            f"{MOST_OVERSAMPLED * asked.sampling_rate * 1e-3:.6g} kHz; give time_s in seconds"
         )
     start, length = float(time_s.mean()) - step * (n - 1) / 2, (asked.n_samples - 1) / asked.sampling_rate
     first = max(0, math.ceil((asked.start - start) / step - 0.05))
