@@ -289,7 +289,7 @@ def take_scan(
             laboratory.progress.show(step, len(kept), len(places))
     except (Interrupted, KeyboardInterrupt) as error:
         error.add_note(
-            "nothing measured is kept; to keep it, give a folder with --scan"
+            "nothing measured is kept"
             if folder is None
             else f"{len(kept)} of {len(places)} points are kept in {folder}; run the same command again to continue"
         )
