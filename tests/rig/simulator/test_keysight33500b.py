@@ -153,7 +153,6 @@ def test_codes_that_are_not_used_limit_the_amplitude(simulator: Simulator) -> No
         ("SOUR1:VOLT 1 VRMS", -131),
         ("SOUR1:VOLT:UNIT VRMS", -241),
         ("SOUR1:VOLT:HIGH -1", -222),
-        ('MMEM:LOAD:DATA1 "INT:\\NONE.ARB"', -256),
         ("SOUR3:VOLT 1", -114),
         ("*TRG", -211),
         ("TRIG2", -211),
@@ -261,28 +260,6 @@ def test_files_last_and_records_do_not(simulator: Simulator) -> None:
     assert said(simulator, "SOUR1:DATA:VOL:CAT?") == r'"INT:\BUILTIN\EXP_RISE.ARB"'
     content = said(simulator, 'MMEM:UPL? "INT:\\KEPT.ARB"')
     assert content.partition("Data:\n")[2].split() == ["0", "1", "-2", "32767", "-32767", "5", "6", "0"]
-
-
-def test_files_are_listed_and_loaded(simulator: Simulator) -> None:
-    """A file gives its record to either channel, under the file's name and only once; the catalogue gives its size."""
-    write(simulator, [0, 1, -2, 32767, -32767, 5, 6, 0])
-    assert error_of(simulator, 'MMEM:STOR:DATA1 "INT:\\KEPT.ARB";:MMEM:LOAD:DATA2 "INT:\\KEPT.ARB"') == NO_ERROR
-    assert simulator.afg.volatile[2][r"INT:\KEPT.ARB"].tolist() == [0, 1, -2, 32767, -32767, 5, 6, 0]
-    assert error_of(simulator, 'SOUR2:FUNC:ARB "INT:\\KEPT.ARB";:SOUR2:DATA:ATTR:POIN?') == NO_ERROR
-    assert error_of(simulator, 'MMEM:LOAD:DATA2 "INT:\\KEPT.ARB"').startswith("786")
-    size = len(simulator.afg.files[r"INT:\KEPT.ARB"])
-    assert said(simulator, "MMEM:CAT?") == f'+{size},+{(64 << 20) - size},"KEPT.ARB,ARB,{size}"'
-    assert said(simulator, "SYST:SEC:IMM", "MMEM:CAT?") == "+0,+67108864"
-
-
-def test_recalled_settings_take_the_record_of_that_name(simulator: Simulator) -> None:
-    """As the guide says of a record deleted since: the built-in one takes its place."""
-    write(simulator, [0] * 8 + [HIGHEST_CODE] * 8)
-    said(simulator, "*SAV 1", "*RST", "*RCL 1")
-    assert simulator.afg.channels[1].record.size == 16
-    said(simulator, "*RST", "SOUR1:DATA:VOL:CLE", "*RCL 1")
-    assert said(simulator, "SOUR1:FUNC:ARB?") == r'"INT:\BUILTIN\EXP_RISE.ARB"'
-    assert simulator.afg.channels[1].record is None
 
 
 def test_high_and_low_levels_are_amplitude_and_offset(simulator: Simulator) -> None:

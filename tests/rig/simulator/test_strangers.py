@@ -287,61 +287,6 @@ def replies(simulator: Simulator, *messages: str) -> list[str]:
     return [simulator.front_panel(each) or simulator.front_panel("SYST:ERR?").split(",")[0] for each in messages]
 
 
-@pytest.mark.parametrize("apparatus_of", ["AFG3022B", "33522B"])
-def test_settings_are_stored_under_numbers(apparatus_of: str, apparatus: Apparatus) -> None:
-    """`*RCL` brings back what `*SAV` stored, after `*RST` and a power failure; an empty number is an error."""
-    simulator = Simulator(KEYSIGHT if apparatus_of == "33522B" else apparatus)
-    assert replies(simulator, "SOUR2:FREQ 1234;:OUTP2 ON;*SAV 2;*RST", "*RCL 3", "MEM:STAT:VAL? 2") == [
-        "0",
-        "-221",
-        "1",
-    ]
-    simulator.power_cycle()
-    assert simulator.afg.channels[2].frequency != 1234
-    for _ in range(2):  # a change after a recall leaves the stored settings as they are
-        assert replies(simulator, "*RCL 2") == ["0"]
-        assert (simulator.afg.channels[2].frequency, simulator.outputs) == (1234, (False, True))
-        simulator.front_panel("SOUR2:FREQ 77")
-    assert replies(simulator, "MEM:STAT:DEL 2", "MEM:STAT:VAL? 2", "*RCL 2", "*SAV 5") == ["0", "0", "-221", "-222"]
-
-
-@pytest.mark.parametrize(("recalls", "frequency"), [("ON", 1234), ("OFF", 1e6)])
-def test_the_last_settings_may_return_after_a_power_failure(
-    simulator: Simulator, recalls: str, frequency: float
-) -> None:
-    """They are kept under number 0 in any case; no output is on when the power comes back."""
-    simulator.front_panel(f"MEM:STAT:REC:AUTO {recalls};:SOUR1:FREQ 1234;:OUTP1 ON")
-    simulator.power_cycle()
-    assert (simulator.afg.channels[1].frequency, simulator.outputs) == (frequency, (False, False))
-    assert replies(simulator, "*RCL 0", "SOUR1:FREQ?") == ["0", "1.23400000000E+03"]
-
-
-def test_locked_and_secured_memories(simulator: Simulator) -> None:
-    """A locked setup is not overwritten or deleted; `SYST:SEC:IMM` erases setups, locks and USER memories."""
-    simulator.front_panel("DATA:COPY USER1,EMEM;*SAV 1;:MEM:STAT:LOCK 1,ON")
-    assert replies(simulator, "MEM:STAT:LOCK? 1", "*SAV 1", "MEM:STAT:DEL 1", "*RCL 1") == ["1", "-221", "-221", "0"]
-    assert replies(simulator, "MEM:STAT:LOCK 1,OFF", "*SAV 1", "MEM:STAT:LOCK 1,ON", "SYST:SEC:IMM") == ["0"] * 4
-    assert replies(simulator, "MEM:STAT:VAL? 1", "MEM:STAT:LOCK? 1", "DATA:CAT?") == ["0", "0", '"EMEM"']
-
-
-def test_status_registers(simulator: Simulator) -> None:
-    """Enable registers keep their values until `STAT:PRES`; `*PSC 0` keeps those of IEEE 488.2 over a power failure."""
-    simulator.front_panel("STAT:OPER:ENAB 16;:STAT:QUES:ENAB 65535;*ESE 60;*PSC 0")
-    simulator.power_cycle()
-    assert simulator.front_panel("STAT:OPER:ENAB?;:STAT:QUES:ENAB?;*ESE?;*PSC?") == "16;65535;60;0"
-    assert simulator.front_panel("STAT:PRES;OPER:ENAB?;EVEN?;COND?;:STAT:QUES?;*ESE?;*PSC 1") == "0;0;0;0;60"
-    simulator.power_cycle()
-    assert simulator.front_panel("*ESE?") == "0"
-    assert replies(simulator, "STAT:QUES:ENAB 65536", "DIAG?", "CAL:ALL") == ["-222", "0", "0"]
-
-
-def test_a_channel_is_copied_to_the_other(simulator: Simulator) -> None:
-    """All its settings but the state of its output."""
-    simulator.front_panel("SOUR1:FREQ 1234;:SOUR1:BURS ON;:OUTP1 ON;:AFGC:CSC CH1,CH2;:SOUR1:FREQ 55")
-    assert simulator.front_panel("SOUR2:FREQ?;:SOUR2:BURS?;:OUTP2?") == "1.23400000000E+03;1;0"
-    assert replies(simulator, "AFGC:CSC CH1,CH3", "AFGC:CSC CH1") == ["-224", "-109"]
-
-
 def test_the_edit_memory_has_limits_and_a_default(simulator: Simulator) -> None:
     """2 to 131,072 points; `DATA:DEF EMEM` brings back 1,000 of them at mid-scale."""
     assert replies(simulator, "DATA:POIN? EMEM,MIN", "DATA:POIN? EMEM,MAX") == ["2", "131072"]

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections import ChainMap
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -51,7 +50,8 @@ class Channel(OutputChannel):
 
 
 MAX_CODE = 16382  # of a point
-MEMORIES = ("USER1", "USER2", "USER3", "USER4")
+NUMBERS = (1, 2, 3, 4)
+MEMORIES = tuple(f"USER{number}" for number in NUMBERS)
 """Non-volatile memories, shared by both channels."""
 
 
@@ -63,22 +63,16 @@ class Afg(GeneratorState[Channel]):
     ----------
     clip_amplitude : float
         Fault: the output stage silently clips amplitudes to this value [V peak to peak, open circuit].
+    user, locked : dict
+        Record of each USER memory, None if it is empty, and whether it is locked.
     """
-
-    SETTINGS = (
-        *("channels", "trigger_source", "timer", "level_concurrent", "frequency_concurrent"),
-        *("trigger_output", "clock_source"),
-    )
 
     identity: str = "TEKTRONIX,AFG3022B,SIMULATED,SCPI:99.0 FV:3.2.2"
     min_points: int = 2
     max_points: int = 131_072
     clip_amplitude: float = math.inf
-
-    def wipe(self) -> None:
-        """Erase the USER memories and their locks."""
-        self.user: dict[int, bytes | None] = dict.fromkeys(range(1, len(MEMORIES) + 1))
-        self.locked: dict[int, bool] = dict.fromkeys(self.user, False)
+    user: dict[int, bytes | None] = field(default_factory=lambda: dict.fromkeys(NUMBERS), init=False)
+    locked: dict[int, bool] = field(default_factory=lambda: dict.fromkeys(NUMBERS, False), init=False)
 
     def forget(self) -> None:
         """Lose the edit memory; USER memories are kept."""
@@ -228,17 +222,9 @@ HIGHEST_BURST_FREQUENCY = 6.25e6
 def afg_twin(model: str, behaviour: Behaviour | None, **hardware: Any) -> tuple[Afg, CommandTable]:
     """Return the state of a simulated AFG3022B, whatever the model, and its command table."""
     afg = Afg(behaviour or Behaviour(), **hardware)
-    groups = (common.common_commands, _memories, _user_memories, _waveform, _levels, _triggers)
-    # Trigger commands change no setting and must not be delayed.
+    groups = (_memories, _user_memories, _waveform, _levels, _triggers)
     forced = ("*TRG", "TRIGger[:SEQuence][:IMMediate]")
-    commands = common.noticed(afg, ChainMap(*(group(afg) for group in groups)), forced)
-
-    def further() -> dict[str, Command]:
-        from modaltouch.rig.simulator.further_commands import further_commands
-
-        return further_commands(afg, "{:.4E}", tektronix=True)
-
-    return afg, CommandTable(commands, afg.n_channels, further=further)
+    return afg, common.command_table(afg, groups, forced, "AFG3000", "{:.4E}")
 
 
 def _waveform(afg: Afg) -> dict[str, Command]:

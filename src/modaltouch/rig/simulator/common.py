@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import contextlib
-import copy
 import math
 import threading
 from abc import ABC, abstractmethod
-from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections import ChainMap, deque
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, Generic, Literal, TypeVar
+from typing import Any, Generic, Literal, TypeVar
 
 from modaltouch.rig.simulator.scpi import (
+    LARGEST_REPLY,
     Arguments,
     Command,
+    CommandTable,
     Handler,
     ScpiError,
     asked,
@@ -91,8 +92,6 @@ C = TypeVar("C", bound=OutputChannel)
 class GeneratorState(ABC, Generic[C]):
     """Base class of all simulated two-channel generators."""
 
-    SETTINGS: ClassVar[tuple[str, ...]]  # names of what `settings` returns
-
     # behaviour of the real instrument that is not publicly known
     behaviour: Behaviour = field(default_factory=Behaviour)
     n_channels: int = 2
@@ -103,16 +102,10 @@ class GeneratorState(ABC, Generic[C]):
     identity: str = ""  # reply to ``*IDN?``
     lock: threading.RLock = field(default_factory=threading.RLock, repr=False)
     channels: dict[int, C] = field(default_factory=dict, init=False)
-    # settings stored under numbers, which outlast a power failure; number 0 holds those of the last one
-    setups: dict[int, dict[str, Any]] = field(default_factory=dict, init=False)
-    locked_setups: set[int] = field(default_factory=set, init=False)
-    recalls_last: bool = field(default=False, init=False)
-    clears_status: bool = field(default=True, init=False)
 
     def __post_init__(self) -> None:
         self.errors: deque[str] = deque()
         self.timeline = Timeline(self.delays, self.behaviour.retrigger, self.seed)
-        self.wipe()
         self.power_on()
 
     @abstractmethod
@@ -122,18 +115,6 @@ class GeneratorState(ABC, Generic[C]):
     @abstractmethod
     def forget(self) -> None:
         """Clear the volatile memories."""
-
-    @abstractmethod
-    def wipe(self) -> None:
-        """Erase the non-volatile memories of records."""
-
-    def settings(self) -> dict[str, Any]:
-        """Return a copy of all settings."""
-        return copy.deepcopy({name: getattr(self, name) for name in self.SETTINGS})
-
-    def restore(self, settings: Mapping[str, Any]) -> None:
-        """Restore settings; records are those now in memory."""
-        vars(self).update(copy.deepcopy(dict(settings)))
 
     @abstractmethod
     def tick(self) -> float | None:
@@ -179,16 +160,9 @@ class GeneratorState(ABC, Generic[C]):
         with self.lock:
             self.errors.clear()
             self.event_status = 128
-            if self.clears_status:
-                self.event_enable = self.service_enable = self.operation_enable = self.questionable_enable = 0
-            if self.channels:
-                self.setups[0] = self.settings()
+            self.event_enable = self.service_enable = 0
             self.forget()
             self.reset()
-            if self.recalls_last:
-                self.restore(self.setups[0])
-                for channel in self.channels.values():
-                    channel.output = False
             self.timeline.change(self.clock.now(), self._situation())
 
     # errors and status
@@ -279,6 +253,37 @@ def noticed(state: State, commands: Mapping[str, Command], forced: tuple[str, ..
         header: command if header in forced or command.set is None else replace(command, set=changing(command.set))
         for header, command in commands.items()
     }
+
+
+def command_table(
+    state: State,
+    groups: Iterable[Callable[[Any], dict[str, Command]]],
+    forced: tuple[str, ...],
+    family: str,
+    form: str,
+    largest_reply: int = LARGEST_REPLY,
+) -> CommandTable:
+    """Return the command table of a generator: the common commands, its own groups, and settings not simulated.
+
+    Parameters
+    ----------
+    state, groups
+        The generator, and functions that return its own commands.
+    forced : tuple of str
+        Headers that change no setting and must not be delayed.
+    family, form : str
+        ``AFG3000`` or ``33500B``, whose other settings are not simulated, and the format of their numbers.
+    largest_reply : int
+        Capacity of the output queue [bytes].
+    """
+
+    def further() -> dict[str, Command]:
+        from modaltouch.rig.simulator.defaults import not_simulated
+
+        return not_simulated(family, form)
+
+    commands = noticed(state, ChainMap(*(group(state) for group in (common_commands, *groups))), forced)
+    return CommandTable(commands, state.n_channels, largest_reply, further)
 
 
 def common_commands(state: State) -> dict[str, Command]:

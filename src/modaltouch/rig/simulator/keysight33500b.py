@@ -9,8 +9,6 @@ from __future__ import annotations
 
 import math
 import re
-from collections import ChainMap
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -27,16 +25,9 @@ HIGHEST_CODE = 32767
 CONVERTER = Converter(HIGHEST_CODE, 1 << 22, 62.5e6, 4, 6, of_record=True, any_rate=True)
 """Converter of the twin, independent of that of the driver; its limit on points allows for bursts of many cycles."""
 
-MEMORY, FEWEST = 1 << 20, 8
-"""Number of points of a channel's memory without options, and of the shortest record."""
-
-DISK = 64 << 20
-"""Capacity of the internal drive for files [bytes]."""
-
+MEMORY, FEWEST = 1 << 20, 8  # points of a channel's memory without options, and of the shortest record
 BUILT_IN = r"INT:\BUILTIN\EXP_RISE.ARB"
-LOWEST, HIGHEST = 2e-3, 20.0
-"""Range of the amplitude into an open circuit [V peak to peak]."""
-
+LOWEST, HIGHEST = 2e-3, 20.0  # range of the amplitude into an open circuit [V peak to peak]
 NUMBER = "{:+.15E}"
 SHAPES = ("SINusoid", "SQUare", "TRIangle", "RAMP", "PULSe", "PRBS", "NOISe", "ARB", "DC")
 Codes = NDArray[np.int16]
@@ -92,11 +83,7 @@ class TrueformChannel(OutputChannel):
 class Trueform(GeneratorState[TrueformChannel]):
     """A generator with a memory for each channel."""
 
-    SETTINGS = ("channels", "byte_order", "trigger_output")
-
-    def wipe(self) -> None:
-        """Delete the files."""
-        self.files: dict[str, bytes] = {}
+    files: dict[str, bytes] = field(default_factory=dict, init=False)
 
     def forget(self) -> None:
         """Clear the records; files are kept."""
@@ -106,12 +93,6 @@ class Trueform(GeneratorState[TrueformChannel]):
         """Reset as ``*RST`` does; records, status and errors are kept."""
         self.channels = {number: TrueformChannel() for number in range(1, self.n_channels + 1)}
         self.byte_order, self.trigger_output = "NORM", False
-
-    def restore(self, settings: Mapping[str, Any]) -> None:
-        """Restore settings; the built-in record replaces a record that is no longer in memory."""
-        super().restore(settings)
-        for number, channel in self.channels.items():
-            self.select(number, channel.name if channel.name in self.volatile[number] else BUILT_IN)
 
     @property
     def waiting(self) -> TrueformChannel:
@@ -179,15 +160,11 @@ class Trueform(GeneratorState[TrueformChannel]):
             raise ScpiError(-220, f"{name[:20]} of {values.size} points")
         if not (np.abs(values * scale) <= HIGHEST_CODE).all():
             raise ScpiError(-222, "a point beyond the converter's range")
-        self.add(number, name, np.round(values * scale).astype(np.int16))
-
-    def add(self, number: int, name: str, codes: Codes) -> None:
-        """Store a record under a new name."""
         if name in self.volatile[number]:
             raise ScpiError(786, "Specified arb waveform already exists")
-        if codes.size > self.free(number):
-            raise ScpiError(-225, f"{name[:40]} of {codes.size} points")
-        self.volatile[number][name] = codes
+        if values.size > self.free(number):
+            raise ScpiError(-225, f"{name[:40]} of {values.size} points")
+        self.volatile[number][name] = np.round(values * scale).astype(np.int16)
 
     def free(self, number: int) -> int:
         """Return the number of free points in a channel's memory."""
@@ -216,15 +193,8 @@ def keysight_twin(model: str, behaviour: Behaviour | None, **hardware: Any) -> t
     """Return the state of a simulated instrument, and its command table."""
     state = Trueform(behaviour or Behaviour(queue_depth=20), **hardware)
     state.identity = f"Agilent Technologies,{model},SIMULATED,4.00-1.19-2.00-58-00"
-    groups = ChainMap(*(group(state) for group in (common.common_commands, _waveform, _data, _levels, _triggers)))
-    commands = common.noticed(state, groups, ("*TRG", "TRIGger#[:IMMediate]"))
-
-    def further() -> dict[str, Command]:
-        from modaltouch.rig.simulator.further_commands import further_commands
-
-        return further_commands(state, NUMBER, tektronix=False)
-
-    return state, CommandTable(commands, state.n_channels, largest_reply=1 << 22, further=further)
+    groups, forced = (_waveform, _data, _levels, _triggers), ("*TRG", "TRIGger#[:IMMediate]")
+    return state, common.command_table(state, groups, forced, "33500B", NUMBER, largest_reply=1 << 22)
 
 
 def _waveform(state: Trueform) -> dict[str, Command]:
@@ -252,23 +222,10 @@ def _data(state: Trueform) -> dict[str, Command]:
         body = f"Data Points:{codes.size}\nData:\n" + "\n".join(map(str, codes.tolist())) + "\n"
         state.files[str(one(arguments)).upper()] = (head + body).encode()
 
-    def content_of(arguments: Arguments) -> bytes:
+    def upload(n: int, arguments: Arguments) -> bytes:
         content = state.files.get(str(one(arguments)).upper(), b"")
         if not content:
             raise ScpiError(-256, str(arguments[0])[:40])
-        return content
-
-    def load(n: int, arguments: Arguments) -> None:
-        codes = content_of(arguments).partition(b"Data:\n")[2].split()
-        state.add(n, str(arguments[0]).upper(), np.array(codes, dtype=np.int16))
-
-    def catalogue(_: int) -> str:
-        sizes = {name.rpartition("\\")[2]: len(content) for name, content in state.files.items()}
-        files = [f'"{name},{name.rpartition(".")[2]},{size}"' for name, size in sizes.items()]
-        return ",".join([f"{sum(sizes.values()):+d}", f"{DISK - sum(sizes.values()):+d}", *files])
-
-    def upload(n: int, arguments: Arguments) -> bytes:
-        content = content_of(arguments)
         return f"#{len(str(len(content)))}{len(content)}".encode() + content
 
     return {
@@ -284,8 +241,6 @@ def _data(state: Trueform) -> dict[str, Command]:
         "[SOURce#]:DATA:ATTRibute:PTPeak": attribute(lambda values: f"{np.ptp(values):+.4f}"),
         "[SOURce#]:DATA:ATTRibute:CFACtor": attribute(lambda v: f"{abs(v).max() / ((v**2).mean() ** 0.5 or 1):+.4f}"),
         "MMEMory:STORe:DATA#": Command(set=store),
-        "MMEMory:LOAD:DATA#": Command(set=load),
-        "MMEMory:CATalog[:ALL]": Command(get=common.bare(catalogue)),
         "MMEMory:UPLoad": Command(get=upload),
         "MMEMory:DELete": Command(set=lambda n, a: state.files.pop(str(one(a)).upper(), None) and None),
         "FORMat:BORDer": common.keyword(state, "byte_order", ("NORMal", "SWAPped")),
@@ -329,6 +284,7 @@ def _levels(state: Trueform) -> dict[str, Command]:
 
 
 def _triggers(state: Trueform) -> dict[str, Command]:
+    shown = common.bare(lambda _: scpi.flag(state.shows_bursts))
     return {
         "[SOURce#]:BURSt:STATe": common.switch(state, "burst"),
         "[SOURce#]:BURSt:MODE": common.keyword(state, "burst_mode", ("TRIGgered", "GATed")),
@@ -339,9 +295,6 @@ def _triggers(state: Trueform) -> dict[str, Command]:
         "TRIGger#:TIMer": common.number(state, "timer", {"S": 1.0}, 1e-6, 8000, NUMBER),
         "TRIGger#:DELay": common.number(state, "delay", {"S": 1.0}, 0, 1000, NUMBER),
         "TRIGger#[:IMMediate]": Command(set=common.bare(state.trigger)),
-        "OUTPut:TRIGger": Command(
-            set=common.switch(state, "trigger_output").set,
-            get=common.bare(lambda _: scpi.flag(state.shows_bursts)),
-        ),
+        "OUTPut:TRIGger": replace(common.switch(state, "trigger_output"), get=shown),
         "DISPlay:TEXT[:CLEar]": Command(set=lambda n, a: None),
     }

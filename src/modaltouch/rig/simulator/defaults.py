@@ -1,19 +1,9 @@
-"""Stored settings, status registers and other seldom used commands of the simulated generators; loaded on first use.
-
-Settings that are not simulated, but read by third-party drivers, have their defaults.
-
-No condition that the twins simulate has a bit in the operation and questionable registers, so their events stay 0.
-Stored settings include the states of the outputs.
-"""
+"""Settings that are not simulated but read by third-party drivers; imported when one of them is used."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import replace
 
-from modaltouch.rig.simulator import common
-from modaltouch.rig.simulator.common import State, bare, register
 from modaltouch.rig.simulator.scpi import (
     HERTZ,
     PERCENT,
@@ -21,102 +11,13 @@ from modaltouch.rig.simulator.scpi import (
     Arguments,
     Command,
     ScpiError,
-    exactly,
     flag,
     is_word,
     one,
     read_boolean,
-    read_choice,
     read_number,
     short_form,
-    whole,
 )
-
-HIGHEST_SETUP = 4
-
-
-def status_commands(state: State) -> dict[str, Command]:
-    """Return the commands of the status registers (SCPI-99, volume 2, chapter 20)."""
-
-    def preset(_: int) -> None:
-        state.operation_enable = state.questionable_enable = 0
-
-    commands = {"STATus:PRESet": Command(set=bare(preset)), "*PSC": common.switch(state, "clears_status")}
-    for node, enable in (("OPERation", "operation_enable"), ("QUEStionable", "questionable_enable")):
-        commands[f"STATus:{node}[:EVENt]"] = commands[f"STATus:{node}:CONDition"] = Command(get=bare(lambda _: "0"))
-        commands[f"STATus:{node}:ENABle"] = register(state, enable, 65535)
-    return commands
-
-
-def setup_commands(state: State) -> dict[str, Command]:
-    """Return the commands of the stored settings."""
-
-    def changeable(arguments: Arguments) -> int:
-        number = whole(arguments, 0, HIGHEST_SETUP)
-        if number in state.locked_setups:
-            raise ScpiError(-221, f"setup {number} is locked")
-        return number
-
-    def save(_: int, arguments: Arguments) -> None:
-        state.setups[changeable(arguments)] = state.settings()
-
-    def delete(_: int, arguments: Arguments) -> None:
-        state.setups.pop(changeable(arguments), None)
-
-    def recall(_: int, arguments: Arguments) -> None:
-        number = whole(arguments, 0, HIGHEST_SETUP)
-        if number not in state.setups:
-            raise ScpiError(-221, f"setup {number} is empty")
-        state.restore(state.setups[number])
-
-    def secure(_: int) -> None:
-        state.setups.clear()
-        state.locked_setups.clear()
-        state.wipe()
-        state.forget()
-        state.reset()
-
-    return {
-        "*SAV": Command(set=save),
-        "*RCL": Command(set=recall),
-        "MEMory:STATe:VALid": Command(get=lambda n, a: flag(whole(a, 0, HIGHEST_SETUP) in state.setups)),
-        "MEMory:STATe:DELete": Command(set=delete),
-        "MEMory:STATe:RECall:AUTO": common.switch(state, "recalls_last"),
-        "SYSTem:SECurity:IMMediate": Command(set=bare(secure)),
-    }
-
-
-def further_commands(state: State, form: str, *, tektronix: bool) -> dict[str, Command]:
-    """Return the commands of this module, and those of settings that are not simulated; `form` is that of numbers."""
-    commands = status_commands(state) | setup_commands(state)
-    if tektronix:
-        commands |= tektronix_commands(state)
-    missing = AFG3000 if tektronix else KEYSIGHT_33500B
-    return common.noticed(state, commands, ()) | not_simulated(missing, form)
-
-
-def tektronix_commands(state: State) -> dict[str, Command]:
-    """Return the commands that only an AFG3022B has."""
-
-    def copy(_: int, arguments: Arguments) -> None:
-        source, target = (int(read_choice(name, ("CH1", "CH2"))[2]) for name in exactly(arguments, 2))
-        state.channels[target] = replace(state.channels[source], output=state.channels[target].output)
-
-    def lock(_: int, arguments: Arguments) -> None:
-        name, locks = exactly(arguments, 2)
-        number = {whole((name,), 1, HIGHEST_SETUP)}
-        state.locked_setups = state.locked_setups | number if read_boolean(locks) else state.locked_setups - number
-
-    test = Command(set=bare(lambda _: None), get=bare(lambda _: "0"))
-    return {
-        "AFGControl:CSCopy": Command(set=copy),
-        "MEMory:STATe:LOCK": Command(
-            set=lock, get=lambda n, a: flag(whole(a, 1, HIGHEST_SETUP) in state.locked_setups)
-        ),
-        "DIAGnostic[:ALL]": test,
-        "CALibration[:ALL]": test,
-    }
-
 
 Default = tuple[float | str, dict[str, float]]
 """Default of a setting (a bool for a boolean; synonyms of a keyword separated by ``|``), and its units."""
@@ -184,11 +85,12 @@ KEYSIGHT_33500B: dict[str, Default] = {
 """Settings of a 33500B missing from its twin, with their values after ``*RST`` (the guide's factory settings)."""
 
 
-def not_simulated(defaults: Mapping[str, Default], form: str) -> dict[str, Command]:
+def not_simulated(family: str, form: str) -> dict[str, Command]:
     """Return the commands of settings that are not simulated: each reads as its default and rejects any other value.
 
     A driver can thus read and restore all settings, but change only simulated ones.
     """
+    defaults = {"AFG3000": AFG3000, "33500B": KEYSIGHT_33500B}[family]
     return {header: _fixed(default, units, form) for header, (default, units) in defaults.items()}
 
 
