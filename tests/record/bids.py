@@ -25,7 +25,7 @@ ARGUED = {
 
 
 def record_sessions(results: Path) -> None:
-    """Simulate two participants of each protocol; leave one session interrupted, one resumed, and one damaged."""
+    """Simulate two participants of each protocol, with one session interrupted, one resumed and one damaged."""
     shipped = sorted((ROOT / "protocols").glob("*.yaml"), key=lambda path: path.stem != "threshold")
     for path in (*shipped, *sorted((ROOT / "docs" / "examples").glob("protocol_*.yaml"))):
         print(path.name, flush=True)
@@ -55,7 +55,7 @@ def _interrupt(results: Path, participant: str) -> None:
 
 
 def judge(validator: Path, dataset: Path) -> tuple[str, set[tuple[str, str]]]:
-    """Return the version of the rules, and the severity and code of each issue that the validator finds."""
+    """Return the version of the BIDS rules, and the severity and code of each issue that the validator reports."""
     done = subprocess.run([validator, "--json", dataset], capture_output=True, text=True, check=False)
     found: dict[str, Any] = json.loads(done.stdout)
     if not found["summary"]["totalFiles"]:
@@ -68,7 +68,7 @@ def judge(validator: Path, dataset: Path) -> tuple[str, set[tuple[str, str]]]:
 
 
 def main() -> int:
-    """Record, judge and write what was found; 1 if anything is wrong or a warning has no reason."""
+    """Record and validate the sessions, write the result; exit 1 on an error or a warning without a stated reason."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--validator", type=Path, required=True)
     parser.add_argument("--out", type=Path, required=True)

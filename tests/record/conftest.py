@@ -1,4 +1,4 @@
-"""Every test of the record runs by the rules of Unix and by those of Windows."""
+"""Every test of the record runs under the file rules of Unix and under those of Windows."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from windows_rules import windows_rules
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """Run each test under both, unless it says which."""
+    """Run each test under both sets of rules, unless the test selects one itself."""
     says = any(mark.args[0] == "rules" for mark in metafunc.definition.iter_markers("parametrize"))
     writes = metafunc.module.__name__.rpartition(".")[2] not in ("test_audit", "test_expectation")
     if "rules" in metafunc.fixturenames and not says and writes:
@@ -19,7 +19,7 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 
 @pytest.fixture(autouse=True)
 def rules(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[str]:
-    """Impose the rules, once pytest has made its folders by its own."""
+    """Impose the rules after pytest has created its folders under the real ones."""
     if getattr(request, "param", "unix") == "windows":
         with windows_rules():
             yield "windows"

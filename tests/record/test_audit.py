@@ -1,7 +1,7 @@
-"""A forger who redoes every check of a log is found out by what the log says of itself.
+"""The audit detects a forged log even when every checksum has been recomputed.
 
-Each lie is told in a copy of a sound session, the chain of checks and the BIDS view are made to fit, and the audit must
-name it with its line.
+Each test forges one value in a copy of a sound session and makes the checksums and the BIDS view consistent with it;
+the audit must report the value with its line.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ REAL = "TEKTRONIX,AFG3022B,C012345,SCPI:99.0 FV:3.2.1"
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """Results with a session of each kind: of today's format, and of the format before."""
+    """Results with sessions of the current log format and of the previous one."""
     now = tmp_path_factory.mktemp("now")
     for name in ("demo", "with_catch_trials"):
         simulate_session(PROTOCOLS / f"{name}.yaml", "sim01", now)
@@ -76,7 +76,7 @@ def forge(log: Path, lie: Lie) -> None:
 
 
 def of(events: Events, *kinds: str) -> Events:
-    """Return the lines of some kinds."""
+    """Return the lines of the given kinds."""
     return [event for event in events if event["event"] in kinds]
 
 
@@ -86,7 +86,7 @@ def last(events: Events, kind: str = "trial") -> dict[str, Any]:
 
 
 def everywhere(change: Callable[[dict[str, Any]], None], *kinds: str) -> Lie:
-    """Return the lie that changes the last presentation in each of its lines."""
+    """Return the forgery that changes the last presentation in each of its lines."""
 
     def lie(events: Events) -> None:
         told = last(events)["trial"]
@@ -98,7 +98,7 @@ def everywhere(change: Callable[[dict[str, Any]], None], *kinds: str) -> Lie:
 
 
 def rewrite_levels(events: Events) -> None:
-    """Say of every trial that it was presented at half its level, speeds and amplitudes along with it."""
+    """Halve the recorded level of every trial, with its speeds and amplitudes."""
     for event in of(events, "fired", "answered", "trial"):
         event["trial"]["condition"]["velocity_mm_s"] /= 2
         for name in event.get("planned", {}):
@@ -109,7 +109,7 @@ def rewrite_levels(events: Events) -> None:
 
 
 def rewrite_levels_and_order(events: Events) -> None:
-    """The same, and the order along with it."""
+    """Halve the recorded levels in the order as well."""
     rewrite_levels(events)
     for name in ("order", "practice"):
         for brief in events[0]["schedule"][name]:
@@ -117,7 +117,7 @@ def rewrite_levels_and_order(events: Events) -> None:
 
 
 def rewrite_protocol(events: Events) -> None:
-    """Say that the protocol had another level: in text, hash, design, the order drawn from it, every line."""
+    """Change a level of the protocol consistently: in its text, hash, design, drawn order and every line."""
     start = events[0]
     source = start["sources"]["protocol"]
     source["text"] = re.sub(r"peak_velocities_mm_s: \[80,", "peak_velocities_mm_s: [90,", source["text"])
@@ -134,7 +134,7 @@ def rewrite_protocol(events: Events) -> None:
 
 
 def swap(events: Events) -> None:
-    """Exchange what the last two presentations were of."""
+    """Exchange the conditions of the last two presentations."""
     one, other = (event["trial"] for event in of(events, "trial")[-2:])
     one, other = copy.deepcopy(one), copy.deepcopy(other)
     for event in of(events, "fired", "answered", "trial"):
@@ -143,7 +143,7 @@ def swap(events: Events) -> None:
 
 
 def leave_out(*kinds: str) -> Lie:
-    """Return the lie that leaves the lines of the first trial that counts out, and numbers the others anew."""
+    """Return the forgery that removes the lines of the first scheduled trial and renumbers the rest."""
 
     def lie(events: Events) -> None:
         told = next(event["trial"] for event in of(events, "trial") if not event["trial"]["practice"])
@@ -158,7 +158,7 @@ def leave_out(*kinds: str) -> Lie:
 
 
 def start_says(**facts: Any) -> Lie:
-    """Return the lie of a start record that says something else."""
+    """Return the forgery that changes values of the start record."""
 
     def lie(events: Events) -> None:
         for name, value in facts.items():
@@ -172,22 +172,22 @@ def start_says(**facts: Any) -> Lie:
 
 
 def set_in(section: str, **facts: Any) -> Callable[[dict[str, Any]], None]:
-    """Return what changes members of a section of a line."""
+    """Return a function that changes members of a section of a line."""
     return lambda event: event[section].update(facts)
 
 
 def shift(section: str, name: str, by: float) -> Callable[[dict[str, Any]], None]:
-    """Return what moves a number of a line."""
+    """Return a function that shifts a number of a line."""
     return lambda event: event[section].update({name: event[section][name] + by})
 
 
 def shift_answer(event: dict[str, Any], by: float = -30.0) -> None:
-    """Say that an answer came earlier."""
+    """Record an answer as earlier."""
     event["instants"]["answer"] = {name: value + by for name, value in event["instants"]["answer"].items()}
 
 
 def shift_first(event: dict[str, Any]) -> None:
-    """Say that the first burst came 50 ms later, wherever that is said but in the reaction time."""
+    """Record the first burst 50 ms later everywhere except in the reaction time."""
     event["instants"]["first_burst"] = {k: v + 0.05 for k, v in event["instants"]["first_burst"].items()}
     event["confirmed"]["onset"] += 0.05
     if event["bursts"]["first_s"] is not None:
@@ -195,12 +195,12 @@ def shift_first(event: dict[str, Any]) -> None:
 
 
 def forge_field(change: Callable[[dict[str, Any]], object]) -> Lie:
-    """Return the lie about the field that reports show."""
+    """Return the forgery of the predicted field that reports show."""
     return lambda events: [change(field) for field in events[0]["stimulus"]["fields"]]
 
 
 def count(**counts: int) -> Callable[[dict[str, Any]], None]:
-    """Return what adds to the counts of bursts."""
+    """Return a function that adds to the burst counts."""
     return lambda event: event["bursts"].update({name: event["bursts"][name] + n for name, n in counts.items()})
 
 
@@ -324,8 +324,8 @@ IN_FORMAT_2: dict[str, tuple[Lie, str]] = {
 
 @pytest.mark.parametrize("schema", ["1", "2"])
 @pytest.mark.parametrize("name", IN_BOTH)
-def test_a_forged_log_is_found_out(copied: Callable[..., Path], name: str, schema: str) -> None:
-    """The words of the check that finds the lie, with the file and the line."""
+def test_a_forged_log_is_detected(copied: Callable[..., Path], name: str, schema: str) -> None:
+    """The message of the check that detects the forgery gives the file and the line."""
     lie, words = IN_BOTH[name]
     log = copied(schema=schema)
     forge(log, lie)
@@ -343,8 +343,8 @@ def test_every_line_of_a_trial_of_nobody_is_named(copied: Callable[..., Path]) -
 
 
 @pytest.mark.parametrize("name", IN_FORMAT_2)
-def test_forged_bursts_and_instants_are_found_out(copied: Callable[..., Path], name: str) -> None:
-    """The same of what is told since bursts are counted."""
+def test_forged_bursts_and_instants_are_detected(copied: Callable[..., Path], name: str) -> None:
+    """Burst counts and instants exist in log format 2 only; forging them is reported with the file."""
     lie, words = IN_FORMAT_2[name]
     log = copied()
     forge(log, lie)
@@ -352,8 +352,8 @@ def test_forged_bursts_and_instants_are_found_out(copied: Callable[..., Path], n
     assert any(words in problem and problem.startswith(f"{log}:") for problem in problems), problems
 
 
-def test_a_catch_trial_with_bursts_is_found_out(copied: Callable[..., Path]) -> None:
-    """Nothing is driven in a catch trial, and the lowest level is set."""
+def test_a_catch_trial_with_bursts_is_detected(copied: Callable[..., Path]) -> None:
+    """A catch trial plays no burst and sets the lowest level's amplitudes."""
     log = copied("with_catch_trials")
 
     def lie(events: Events) -> None:
@@ -368,13 +368,13 @@ def test_a_catch_trial_with_bursts_is_found_out(copied: Callable[..., Path]) -> 
 
 
 def nothing(events: Events) -> None:
-    """Tell no lie."""
+    """Change nothing."""
 
 
 @pytest.mark.parametrize("schema", ["1", "2"])
 @pytest.mark.parametrize("protocol", ["demo", "with_catch_trials"])
-def test_a_log_written_anew_without_a_lie_passes(copied: Callable[..., Path], protocol: str, schema: str) -> None:
-    """So that it is the lie that is found, and not the forger's hand."""
+def test_a_log_rewritten_without_a_forgery_passes(copied: Callable[..., Path], protocol: str, schema: str) -> None:
+    """The rewriting itself changes no byte, so the other tests detect the forgery alone."""
     log = copied(protocol, schema)
     before = log.read_bytes()
     forge(log, nothing)
@@ -413,8 +413,8 @@ def test_a_record_that_names_no_format_is_of_the_first(copied: Callable[..., Pat
 
 
 @pytest.mark.parametrize("name", ["every level", "the codes", "a speed at a zone", "a line number"])
-def test_what_verify_refuses_is_neither_analysed_nor_gone_on_with(copied: Callable[..., Path], name: str) -> None:
-    """With the same sentence."""
+def test_a_log_that_verify_refuses_is_neither_analysed_nor_resumed(copied: Callable[..., Path], name: str) -> None:
+    """Resume and analysis refuse it with the message of verify."""
     log = copied()
     forge(log, IN_BOTH[name][0])
     said = audit_session(Session.find(log)).problems[0]
@@ -424,8 +424,8 @@ def test_what_verify_refuses_is_neither_analysed_nor_gone_on_with(copied: Callab
         read_responses(log)
 
 
-def test_a_session_that_is_running_is_not_to_be_resumed(copied: Callable[..., Path]) -> None:
-    """Whoever holds the log's lock records it."""
+def test_verify_does_not_offer_to_resume_a_running_session(copied: Callable[..., Path]) -> None:
+    """A log whose lock is held is being recorded; without the lock, verify points to `modaltouch resume`."""
     log = copied()
     log.write_bytes(b"".join(log.read_bytes().splitlines(keepends=True)[:12]))
     for view in log.parent.glob("sub-*"):
@@ -436,8 +436,8 @@ def test_a_session_that_is_running_is_not_to_be_resumed(copied: Callable[..., Pa
     assert audit_session(Session.find(log)).lines[-1].startswith("not complete: `modaltouch resume` continues it")
 
 
-def test_many_faults_are_told_to_a_number(copied: Callable[..., Path]) -> None:
-    """A page of them helps nobody."""
+def test_the_list_of_faults_is_cut_at_twenty(copied: Callable[..., Path]) -> None:
+    """After 20 faults one line says that there are more."""
     log = copied("with_catch_trials")
     forge(log, rewrite_levels)
     problems = audit_session(Session.find(log)).problems
@@ -446,8 +446,8 @@ def test_many_faults_are_told_to_a_number(copied: Callable[..., Path]) -> None:
 
 
 @pytest.mark.parametrize("protocol", ["demo", "two_fields", "threshold", "with_catch_trials"])
-def test_a_session_of_format_1_is_verified_and_analysed_for_ever(copied: Callable[..., Path], protocol: str) -> None:
-    """Recorded before bursts were counted."""
+def test_a_session_of_format_1_is_still_verified_and_analysed(copied: Callable[..., Path], protocol: str) -> None:
+    """Format 1 was recorded before bursts were counted; its answers are all read."""
     log = copied(protocol, "1")
     assert audit_session(Session.find(log)).problems == ()
     stimulus = "sharp" if protocol == "two_fields" else None
@@ -456,8 +456,8 @@ def test_a_session_of_format_1_is_verified_and_analysed_for_ever(copied: Callabl
     )
 
 
-def test_a_session_of_format_1_that_was_cut_says_how_to_go_on(copied: Callable[..., Path]) -> None:
-    """Half a session of each format is no session."""
+def test_a_cut_session_of_format_1_is_started_over_instead_of_resumed(copied: Callable[..., Path]) -> None:
+    """A session does not mix two formats: resume refuses and points to `--restart`, which starts session 2."""
     log = copied("demo", "1")
     log.write_bytes(b"".join(log.read_bytes().splitlines(keepends=True)[:40]))
     for view in log.parent.glob("*_beh.*"):
@@ -469,7 +469,7 @@ def test_a_session_of_format_1_that_was_cut_says_how_to_go_on(copied: Callable[.
 
 @pytest.fixture(scope="module")
 def compared(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Results with a session of three comparisons of two intervals."""
+    """Results with a session of three two-interval comparisons."""
     folder = tmp_path_factory.mktemp("intervals")
     text = (PROTOCOLS / "comparison_2ifc.yaml").read_text(encoding="utf-8")
     for name in ("apparatus", "texts"):
@@ -481,12 +481,12 @@ def compared(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def in_interval(number: int, change: Callable[[dict[str, Any]], object]) -> Lie:
-    """Return the lie that changes an interval in both lines of the last answer."""
+    """Return the forgery that changes an interval in both lines of the last answer."""
     return everywhere(lambda event: change(event["intervals"][number - 1]))
 
 
-def forget_the_first(events: Events) -> None:
-    """Leave out that the first interval of the last trial began."""
+def remove_first_interval(events: Events) -> None:
+    """Remove the line that starts the first interval of the last trial."""
     told = last(events)["trial"]
     gone = next(e for e in events if e["event"] == "fired" and e["trial"] == told)
     events.remove(gone)
@@ -495,8 +495,8 @@ def forget_the_first(events: Events) -> None:
         event["answered"] = event["answered"] - 1 if event.get("answered", 0) > gone["n"] else event.get("answered")
 
 
-def bring_nearer(events: Events) -> None:
-    """Say that the first interval of the last trial came half a second later, in all its lines."""
+def delay_first_interval(events: Events) -> None:
+    """Record the first interval of the last trial half a second later in all its lines."""
     told = last(events)["trial"]
     for event in of(events, "fired", "answered", "trial"):
         for each in event.get("intervals", [])[:1] or ([event] if event.get("interval") == 1 else []):
@@ -536,14 +536,14 @@ OF_INTERVALS: dict[str, tuple[Lie, str]] = {
         everywhere(lambda event: event.update(correct=not event["correct"])),
         "the record says (right|wrong)",
     ),
-    "no first interval": (forget_the_first, "its stimulus began 0 times"),
-    "the gap": (bring_nearer, "its protocol has a gap of 0.5 s"),
+    "no first interval": (remove_first_interval, "its stimulus began 0 times"),
+    "the gap": (delay_first_interval, "its protocol has a gap of 0.5 s"),
 }
 
 
 @pytest.mark.parametrize("name", OF_INTERVALS)
-def test_forged_intervals_are_found_out(compared: Path, tmp_path: Path, name: str) -> None:
-    """Order, levels, amplitudes, counts and instants of every interval."""
+def test_forged_intervals_are_detected(compared: Path, tmp_path: Path, name: str) -> None:
+    """The audit covers the order, levels, amplitudes, counts and instants of every interval."""
     shutil.copytree(compared, tmp_path / "simulated")
     (log,) = tmp_path.rglob("session.jsonl")
     lie, said = OF_INTERVALS[name]

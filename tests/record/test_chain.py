@@ -1,4 +1,4 @@
-"""The session log's lines check each other: each carries a running checksum."""
+"""Every line of the session log carries a running checksum of all lines before it."""
 
 import hashlib
 import json
@@ -28,8 +28,8 @@ def chain_of(*events: dict) -> bytes:
 EVENTS = tuple({"n": n, "event": "trial", "answer": answer} for n, answer in enumerate(("left", "both", "right"), 1))
 
 
-def test_a_sound_log_gives_back_its_events_and_no_problem():
-    """What was written is read; the checks are SHA-256 of the previous check and the line's own bytes."""
+def test_a_sound_log_is_read_back_without_a_problem():
+    """The checksum is SHA-256 of the previous checksum and the line's bytes."""
     chain = parse_chain(chain_of(*EVENTS), "log")
     assert chain.events == EVENTS
     assert chain.problems == ()
@@ -43,7 +43,7 @@ def test_every_single_byte_change_is_found():
     for place in range(len(data)):
         for change in (1, 0x20, 0x80):
             changed = data[:place] + bytes([data[place] ^ change]) + data[place + 1 :]
-            assert parse_chain(changed, "log").problems, f"byte {place} changed by {change:#x} went unseen"
+            assert parse_chain(changed, "log").problems, f"byte {place} changed by {change:#x} was not detected"
 
 
 @pytest.mark.parametrize(
@@ -51,13 +51,13 @@ def test_every_single_byte_change_is_found():
     [("removed", (0, 2)), ("doubled", (0, 1, 1, 2)), ("reordered", (0, 2, 1)), ("first removed", (1, 2))],
 )
 def test_removed_doubled_and_reordered_lines_are_found(name, order):
-    """A line continues only the line that stood before it when it was written."""
+    """A line continues only the line that preceded it when it was written."""
     lines = chain_of(*EVENTS).splitlines(keepends=True)
     assert parse_chain(b"".join(lines[i] for i in order), "log").problems, name
 
 
-def test_a_cut_last_line_is_told_apart_from_damage():
-    """A power cut tears the last line; everything before it stays sound."""
+def test_a_cut_last_line_is_distinguished_from_damage():
+    """A power cut truncates the last line; every line before it stays valid."""
     data = chain_of(*EVENTS)
     chain = parse_chain(data[:-7], "log")
     assert chain.events == EVENTS[:2]
@@ -66,15 +66,15 @@ def test_a_cut_last_line_is_told_apart_from_damage():
 
 
 def test_a_whole_last_line_without_its_newline_counts():
-    """The answer is on the disk even if only the newline is missing."""
+    """The last answer counts if only its newline is missing."""
     chain = parse_chain(chain_of(*EVENTS)[:-1], "log")
     assert chain.events == EVENTS
     assert "has no newline" in chain.problems[0]
     assert not chain.torn
 
 
-def test_the_line_after_a_cut_one_vouches_for_the_remains():
-    """The remains stay in the file, declared by the next line, and a change of them is found."""
+def test_the_line_after_a_cut_declares_the_remains():
+    """The remains of a cut line stay in the file, and changing or removing them is detected."""
     first, check = encode_line(EVENTS[0], GENESIS)
     remains = b'{"n":2,"eve'
     second, _ = encode_line({"n": 2, "event": "resume", "torn": describe_torn(remains)}, check)
@@ -84,26 +84,26 @@ def test_the_line_after_a_cut_one_vouches_for_the_remains():
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf")])
-def test_numbers_that_json_lacks_are_refused(value):
-    """RFC 8259 has no NaN and no infinity."""
+def test_nan_and_infinity_are_refused(value):
+    """JSON has neither NaN nor infinity (RFC 8259, section 6)."""
     with pytest.raises(ValueError, match="Out of range float"):
         encode_line({"value": value}, GENESIS)
 
 
 def test_an_empty_event_is_refused():
-    """A line must say something."""
+    """An event has at least one member."""
     with pytest.raises(ValueError, match="at least one member"):
         encode_line({}, GENESIS)
 
 
-def test_a_file_that_cannot_be_read_is_named(tmp_path):
-    """The message says which file, and what to give instead."""
+def test_the_message_about_an_unreadable_log_gives_its_name(tmp_path):
+    """The error gives the file name and the reason."""
     with pytest.raises(RecordError, match=r"session.jsonl: cannot be read"):
         read_chain(tmp_path / "session.jsonl")
 
 
-def test_a_problem_names_the_file_and_the_line_where_it_begins():
-    """Lines count from 1; the break stands where the first unproved line does, however many follow."""
+def test_a_problem_gives_the_file_and_its_first_line():
+    """Lines count from 1; only the first invalid line is reported, however many follow it."""
     lines = chain_of(*EVENTS).splitlines(keepends=True)
     changed = lines[1].replace(b"both", b"left")
     broken = "the chain breaks: a line was changed, removed, duplicated or moved"
@@ -120,8 +120,8 @@ def test_a_problem_names_the_file_and_the_line_where_it_begins():
     )
 
 
-def test_how_a_file_ends_is_known():
-    """The next line is written after a newline: there is none to add to an empty file or a terminated line."""
+def test_whether_the_file_ends_in_a_newline_is_known():
+    """A file that is empty or ends in a newline needs none before the next line."""
     data = chain_of(*EVENTS)
     assert parse_chain(data, "log").ends_in_newline
     assert parse_chain(b"", "log").ends_in_newline
@@ -129,15 +129,15 @@ def test_how_a_file_ends_is_known():
     assert not parse_chain(data[:-1], "log").ends_in_newline
 
 
-def test_words_of_every_script_are_kept_as_they_are():
-    """The log is UTF-8 that a person can read; names and notes are not escaped."""
+def test_non_ascii_text_is_not_escaped():
+    """The log is readable UTF-8: names and notes are written without escapes."""
     line, check = encode_line({"note": "Zo\u00eb \u2192 C"}, GENESIS)
     assert "Zo\u00eb \u2192 C".encode() in line
     assert parse_chain(line, "log").checks == (check,)
 
 
-def test_remains_of_two_cuts_stay_apart():
-    """Two power failures in a row: the remains of each are declared by the line after them."""
+def test_the_remains_of_two_cuts_are_kept_separate():
+    """After two power failures in a row, the line after each declares its remains."""
     data, check = encode_line(EVENTS[0], GENESIS)
     for n, remains in ((2, b'{"n":2,"eve'), (3, b'{"n":3')):
         line, check = encode_line({"n": n, "torn": describe_torn(remains)}, check)
@@ -147,8 +147,8 @@ def test_remains_of_two_cuts_stay_apart():
     assert len(chain.events) == 3
 
 
-def test_a_line_that_cannot_be_read_costs_no_other_answer():
-    """Its check is right, so that of the next line can be computed: every other answer is read, and read once."""
+def test_an_unreadable_line_loses_no_other_answer():
+    """Its checksum is valid, so the next line's can be computed: every other answer is read exactly once."""
     first, check = encode_line(EVENTS[0], GENESIS)
     body = b'{"n":2,"answer":left'
     check = line_check(check, body)

@@ -1,4 +1,4 @@
-"""Files that are whole or not there."""
+"""A file is written whole or not at all."""
 
 import errno
 import fcntl
@@ -16,8 +16,8 @@ from modaltouch.system import sync_file
 SOURCE = Path(__file__).parents[2] / "src" / "modaltouch"
 
 
-def test_a_file_is_replaced_whole_and_for_its_owner_alone(tmp_path):
-    """No temporary file is left, and nobody else may read it."""
+def test_a_replaced_file_is_complete_and_readable_by_its_owner_only(tmp_path):
+    """The mode is 0600 and no temporary file is left."""
     path = tmp_path / "table.tsv"
     replace_file(path, b"old\n", "free the place", OWNER_ALONE)
     replace_file(path, b"new\n", "free the place", OWNER_ALONE)
@@ -26,16 +26,16 @@ def test_a_file_is_replaced_whole_and_for_its_owner_alone(tmp_path):
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_a_file_that_cannot_be_written_is_named_and_the_old_one_stays(tmp_path):
-    """A folder stands in the place."""
+def test_a_failed_write_is_reported_and_leaves_the_old_entry(tmp_path):
+    """A folder occupies the path of the file."""
     (tmp_path / "table.tsv").mkdir()
     with pytest.raises(RecordError, match=r"table.tsv: cannot be written .* free the place"):
         replace_file(tmp_path / "table.tsv", b"new\n", "free the place")
     assert list(tmp_path.iterdir()) == [tmp_path / "table.tsv"]
 
 
-def test_a_replaced_file_is_on_the_disk_before_it_has_its_name(tmp_path, monkeypatch, rules):
-    """Content first, then the name, then the folder, which Windows has no way to sync: the old file or the new one."""
+def test_content_is_synced_before_the_rename(tmp_path, monkeypatch, rules):
+    """Content, rename, then the folder (not on Windows): after a crash the old or the new file is whole."""
     done = []
     real_sync, real_replace = os.fsync, Path.replace
 
@@ -55,8 +55,8 @@ def test_a_replaced_file_is_on_the_disk_before_it_has_its_name(tmp_path, monkeyp
     assert len(list(Path("/dev/fd").iterdir())) == n_open
 
 
-def test_a_file_that_is_there_is_refused_before_the_work(tmp_path):
-    """Somebody may have used it; of a new one the folder is made."""
+def test_an_existing_output_file_is_refused_before_the_work(tmp_path):
+    """An existing file may be in use; the folders of a new one are created."""
     path = tmp_path / "new" / "folder" / "file.yaml"
     prepare_file(path)
     prepare_file(path)
@@ -70,8 +70,8 @@ def test_a_file_that_is_there_is_refused_before_the_work(tmp_path):
 
 
 @pytest.mark.skipif(not Path("/proc/self").exists(), reason="needs a folder that exists and takes no file")
-def test_a_file_that_no_work_could_write_is_refused_before_it():
-    """In /proc nobody may make a file, whatever the permissions say."""
+def test_an_unwritable_output_file_is_refused_before_the_work():
+    """No file can be created in /proc, whatever its permissions."""
     with pytest.raises(RecordError, match=r"/proc/file.yaml: cannot be written .*; give another file with --out"):
         prepare_file(Path("/proc/file.yaml"))
 
@@ -85,8 +85,8 @@ def test_a_file_that_no_work_could_write_is_refused_before_it():
         ("darwin", True, ["F_FULLFSYNC 7", "fsync 7"]),
     ],
 )
-def test_what_is_synced_is_past_the_cache_of_the_drive(monkeypatch, platform, refused, done):
-    """On macOS fsync stops there (fsync(2), F_FULLFSYNC in fcntl(2)), which some file systems cannot."""
+def test_a_sync_reaches_past_the_drive_cache(monkeypatch, platform, refused, done):
+    """On macOS fsync stops at the drive cache (fsync(2)); F_FULLFSYNC (fcntl(2)) flushes it, where supported."""
     called = []
 
     def control(descriptor, command):
@@ -102,12 +102,12 @@ def test_what_is_synced_is_past_the_cache_of_the_drive(monkeypatch, platform, re
     assert called == done
 
 
-def test_there_is_one_way_to_sync():
-    """No module calls fsync by itself."""
+def test_only_one_module_calls_fsync():
+    """Every sync goes through operating_system.py."""
     calls = [path.name for path in SOURCE.rglob("*.py") if "fsync(" in path.read_text(encoding="utf-8")]
     assert calls == ["operating_system.py"]
 
 
-def test_a_log_that_is_gone_is_not_being_recorded(tmp_path):
-    """Whoever asks about it is told so, and not to wait for its end."""
+def test_a_missing_log_is_not_locked(tmp_path):
+    """A log that does not exist is not being recorded."""
     assert is_locked(tmp_path / "session.jsonl") is False

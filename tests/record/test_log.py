@@ -1,4 +1,4 @@
-"""The session log: on disk before anything else happens, never overwritten, continued after a cut."""
+"""The session log: an event is on disk before the session continues, is never overwritten, and survives a cut."""
 
 import json
 import multiprocessing
@@ -19,33 +19,33 @@ TRIAL = {"index": 1, "block": 1, "practice": False}
 
 
 def begin(path, n_trials=1):
-    """Return a new log whose start record `Session` understands."""
+    """Return a new log with a start record that `Session` accepts."""
     schedule = {"n_trials": n_trials}
     return SessionLog.create(path, "start", mode="simulated", participant="p01", protocol="x", schedule=schedule)
 
 
 def test_an_event_is_in_the_file_when_append_returns(tmp_path):
-    """Append writes through: another reader sees the line at once."""
+    """A second reader sees the line as soon as append returns."""
     with begin(tmp_path / "a" / "session.jsonl") as log:
         log.append("note")
         assert [event["event"] for event in read_chain(log.path).events] == ["start", "note"]
 
 
-def test_a_log_is_readable_by_its_owner_alone(tmp_path):
-    """Participants' answers are personal data."""
+def test_a_log_is_readable_by_its_owner_only(tmp_path):
+    """Participants' answers are personal data: the mode is 0600."""
     with begin(tmp_path / "session.jsonl") as log:
         assert stat.S_IMODE(log.path.stat().st_mode) == 0o600
 
 
 def test_an_existing_log_is_never_overwritten(tmp_path):
-    """A second session with the same id is refused, and told how to go on."""
+    """A second session with the same id is refused; the message points to resume."""
     begin(tmp_path / "session.jsonl").close()
     with pytest.raises(RecordError, match=r"exists already and is never overwritten.*resume"):
         begin(tmp_path / "session.jsonl")
 
 
-def test_a_session_that_is_being_run_is_not_to_be_resumed_beside_itself(tmp_path):
-    """Two experimenters who were both proposed p01: the second is told to take another participant id."""
+def test_the_id_of_a_running_session_is_refused(tmp_path):
+    """Where two experimenters were both offered p01, the second must choose another participant id."""
     with (
         begin(tmp_path / "session.jsonl"),
         pytest.raises(RecordError, match=r"running this session now.*another participant id"),
@@ -54,14 +54,14 @@ def test_a_session_that_is_being_run_is_not_to_be_resumed_beside_itself(tmp_path
 
 
 def test_a_log_appears_only_with_its_first_event(tmp_path):
-    """Whatever cuts the beginning short leaves no session that could neither be resumed nor begun anew."""
+    """A failure before the first event leaves no file, which could be neither resumed nor started over."""
     with pytest.raises(ValueError, match="Out of range"):
         SessionLog.create(tmp_path / "session.jsonl", "start", seed=float("nan"))
     assert list(tmp_path.iterdir()) == []
 
 
 def test_two_writers_of_one_log_are_refused(tmp_path):
-    """The second process is told that the first is writing."""
+    """The second process is refused, and its file descriptor is closed."""
     log = begin(tmp_path / "session.jsonl")
     n_open = len(list(Path("/dev/fd").iterdir()))
     with log, pytest.raises(RecordError, match="another process is writing this session"):
@@ -70,7 +70,7 @@ def test_two_writers_of_one_log_are_refused(tmp_path):
 
 
 def test_a_reopened_log_continues_the_chain(tmp_path):
-    """Lines written after a reopening are checked against those before."""
+    """Lines written after reopening continue the checksums of those before."""
     path = tmp_path / "session.jsonl"
     begin(path).close()
     with SessionLog.reopen(path) as log:
@@ -81,8 +81,8 @@ def test_a_reopened_log_continues_the_chain(tmp_path):
 
 
 @pytest.mark.parametrize("cut", [1, 2, 30])
-def test_a_torn_log_is_continued_with_its_remains_kept(tmp_path, cut):
-    """Nothing is mended silently: the remains stay, and the next line vouches for them."""
+def test_a_torn_log_is_continued_and_keeps_its_remains(tmp_path, cut):
+    """The remains of the cut line stay in the file, and the next line declares them."""
     path = tmp_path / "session.jsonl"
     with begin(path) as log:
         log.append("trial", trial=TRIAL)
@@ -101,7 +101,7 @@ def test_a_torn_log_is_continued_with_its_remains_kept(tmp_path, cut):
 
 
 def test_a_damaged_log_is_not_continued(tmp_path):
-    """A changed line is damage, not a cut."""
+    """A changed line is damage and not a cut."""
     path = tmp_path / "session.jsonl"
     with begin(path) as log:
         log.append("trial", trial=TRIAL)
@@ -111,8 +111,8 @@ def test_a_damaged_log_is_not_continued(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["what remains", "the chain breaks"])
-def test_a_cut_log_is_continued_whatever_its_folder_is_called(tmp_path, name):
-    """Damage is told from a cut by the lines, not by words that a path may hold too."""
+def test_a_cut_log_is_continued_in_a_folder_of_any_name(tmp_path, name):
+    """A cut is distinguished from damage by the lines, not by text that the path may contain too."""
     path = tmp_path / name / "session.jsonl"
     with begin(path) as log:
         log.append("trial", trial=TRIAL)
@@ -122,8 +122,8 @@ def test_a_cut_log_is_continued_whatever_its_folder_is_called(tmp_path, name):
     assert [event["event"] for event in read_chain(path).events] == ["start", "resume"]
 
 
-def test_a_log_that_lost_its_remains_is_not_continued(tmp_path):
-    """Somebody tidied the cut line away: that is damage."""
+def test_a_log_without_its_declared_remains_is_not_continued(tmp_path):
+    """Removing the remains of a cut line is damage."""
     path = tmp_path / "session.jsonl"
     begin(path).close()
     whole = path.read_bytes()
@@ -135,8 +135,8 @@ def test_a_log_that_lost_its_remains_is_not_continued(tmp_path):
         SessionLog.reopen(path)
 
 
-def test_a_full_disk_is_said_and_the_log_takes_nothing_more(tmp_path, monkeypatch):
-    """ENOSPC ends the writing with a clear message; earlier lines are sound."""
+def test_a_full_disk_is_reported_and_closes_the_log_to_events(tmp_path, monkeypatch):
+    """ENOSPC raises a clear error, again at every later append; earlier lines stay valid."""
     log = begin(tmp_path / "session.jsonl")
     real_write = os.write
     monkeypatch.setattr(os, "write", lambda fd, data: real_write(fd, data[:10]))
@@ -159,16 +159,16 @@ def _append_for_ever(path):
 
 @pytest.mark.parametrize("delay", [0.02, 0.05, 0.09, 0.14])
 def test_a_log_killed_while_writing_is_sound(tmp_path, delay):
-    """SIGKILL at any instant leaves whole lines and at most the beginning of one whose writing never returned.
+    """SIGKILL at any instant leaves whole lines, and at most part of the line being written.
 
-    Linux copies a line page by page and looks for a fatal signal in between.
+    Linux copies a line page by page and checks for a fatal signal in between.
     """
     path = tmp_path / "session.jsonl"
     writer = multiprocessing.get_context("fork").Process(target=_append_for_ever, args=(path,))
     writer.start()
     deadline = time.monotonic() + 10
     while not path.exists() or path.stat().st_size < 200:
-        assert time.monotonic() < deadline, "the writer did not begin"
+        assert time.monotonic() < deadline, "the writer did not start"
         time.sleep(0.001)
     time.sleep(delay)
     os.kill(writer.pid, signal.SIGKILL)
@@ -180,8 +180,8 @@ def test_a_log_killed_while_writing_is_sound(tmp_path, delay):
 
 
 @pytest.mark.parametrize(("call", "is_written"), [("fsync", True), ("write", False)])
-def test_an_exception_amid_a_write_breaks_no_chain(tmp_path, monkeypatch, call, is_written):
-    """An exception may come out of a signal at any instant: what comes after continues what is in the file."""
+def test_an_exception_during_a_write_breaks_no_chain(tmp_path, monkeypatch, call, is_written):
+    """A signal handler may raise at any instant; the next line continues what is in the file."""
 
     def out_of_nowhere(*arguments):
         monkeypatch.undo()
@@ -200,8 +200,8 @@ def test_an_exception_amid_a_write_breaks_no_chain(tmp_path, monkeypatch, call, 
     assert [event["n"] for event in chain.events] == list(range(1, len(events) + 1))
 
 
-def test_an_exception_amid_a_cut_write_ends_the_log(tmp_path, monkeypatch):
-    """Half a line stays as it is, and is declared by the session that goes on."""
+def test_an_exception_during_a_partial_write_ends_the_log(tmp_path, monkeypatch):
+    """The partial line stays as it is, and the resumed session declares it."""
 
     def cut_and_raise(descriptor, data):
         monkeypatch.undo()
@@ -222,7 +222,7 @@ def test_an_exception_amid_a_cut_write_ends_the_log(tmp_path, monkeypatch):
 
 
 def test_a_superseded_trial_does_not_count(tmp_path):
-    """A replaced trial is a new record that supersedes; the old one stays in the file."""
+    """The record of a repeated trial supersedes the earlier one, which stays in the file."""
     with begin(tmp_path / "session.jsonl") as log:
         old = log.append(
             "trial", trial=TRIAL, response={"answer": "left"}, confirmed={"confirmed": False}, supersedes=None
@@ -233,13 +233,13 @@ def test_a_superseded_trial_does_not_count(tmp_path):
         counting = log.session.trials
     session = read_session(log.path)
     assert [event["response"]["answer"] for event in session.trials] == ["both"]
-    assert counting == session.trials, "while it is written as when it is read"
+    assert counting == session.trials, "the open log and the file read back count the same trials"
     assert session.complete
     assert json.loads(log.path.read_bytes().splitlines()[1])["response"] == {"answer": "left"}
 
 
-def test_an_exception_between_writing_and_noting_it_breaks_no_chain(tmp_path, monkeypatch):
-    """As a second Ctrl-C may come: the line is on the disk, and the next one follows it."""
+def test_an_exception_between_write_and_bookkeeping_breaks_no_chain(tmp_path, monkeypatch):
+    """A second Ctrl-C may interrupt there: the line is on disk, and the next one continues it."""
 
     class OutOfNowhere(BaseException):
         pass
@@ -259,7 +259,7 @@ def test_an_exception_between_writing_and_noting_it_breaks_no_chain(tmp_path, mo
     assert [event["event"] for event in chain.events] == ["start", "trial", "stop"]
 
 
-def test_an_event_is_synced_before_anybody_hears_of_it(tmp_path, monkeypatch, rules):
+def test_an_event_is_synced_before_append_returns(tmp_path, monkeypatch, rules):
     """README: the record is written and synced before the window marks the answer; so is a new file's folder."""
     done = []
     real_write, real_sync = os.write, os.fsync
@@ -282,8 +282,8 @@ def test_an_event_is_synced_before_anybody_hears_of_it(tmp_path, monkeypatch, ru
     assert done == ["written", "file synced", "heard"]
 
 
-def test_every_line_says_its_number_and_both_clocks(tmp_path):
-    """Lines count from 1; UTC to the millisecond, the monotonic clock to the microsecond."""
+def test_every_line_has_its_number_and_both_clocks(tmp_path):
+    """Lines count from 1; UTC is in milliseconds, the monotonic clock in microseconds."""
     with begin(tmp_path / "session.jsonl") as log:
         before = time.perf_counter()
         lines = [log.append("note") for _ in range(20)]
@@ -298,8 +298,8 @@ def test_every_line_says_its_number_and_both_clocks(tmp_path):
     assert [json.loads(line)["event"] for line in log.path.read_bytes().splitlines()] == ["start"] + ["note"] * 20
 
 
-def test_what_a_cut_view_left_is_tidied_away(tmp_path):
-    """Only temporary files beside the log; they hold answers and belong to nobody."""
+def test_temporary_files_of_an_interrupted_view_are_removed(tmp_path):
+    """Only the view's temporary files beside the log are removed; they hold answers."""
     path = tmp_path / "session.jsonl"
     begin(path).close()
     (tmp_path / ".table.tsv.123.tmp").touch()
@@ -308,8 +308,8 @@ def test_what_a_cut_view_left_is_tidied_away(tmp_path):
     assert sorted(file.name for file in tmp_path.iterdir()) == ["notes.tmp", "session.jsonl"]
 
 
-def test_a_log_that_is_missing_or_holds_no_line_is_not_continued(tmp_path):
-    """The message names the file; a refused log can be taken again."""
+def test_a_missing_log_or_one_without_a_line_is_not_continued(tmp_path):
+    """The error gives the file; a refused log is unlocked again."""
     path = tmp_path / "session.jsonl"
     with pytest.raises(RecordError, match=r"session.jsonl: cannot be opened for writing"):
         SessionLog.reopen(path)
@@ -319,15 +319,15 @@ def test_a_log_that_is_missing_or_holds_no_line_is_not_continued(tmp_path):
             SessionLog.reopen(path)
 
 
-def test_a_folder_that_cannot_be_made_is_said(tmp_path):
-    """A file stands where the folder should be."""
+def test_a_folder_that_cannot_be_created_is_reported(tmp_path):
+    """A file occupies the path of the folder; the error points to --results."""
     (tmp_path / "file").touch()
     with pytest.raises(RecordError, match=r"cannot be created .*--results"):
         begin(tmp_path / "file" / "session.jsonl")
 
 
-def test_a_session_says_whose_it_is():
-    """The start record; of a log that was cut before it, nothing is known."""
+def test_a_session_is_identified_by_its_start_record():
+    """Without a start record the mode is unknown and the names are empty."""
     start = {"n": 1, "event": "start", "mode": "pilot", "participant": "p03", "protocol": "demo", "session": 4}
     session = Session(Path("session.jsonl"), (start,))
     assert (session.mode, session.participant, session.protocol, session.drawn_as) == ("pilot", "p03", "demo", 4)
@@ -340,8 +340,8 @@ def test_a_session_says_whose_it_is():
         assert not unknown.complete
 
 
-def test_a_session_begun_anew_says_as_which():
-    """The last closing counts; a session that may go on has none."""
+def test_a_session_started_over_gives_its_new_number():
+    """The last `closed` event counts; a session without one was not started over."""
     start = {"n": 1, "event": "start"}
     closed = [{"n": n, "event": "closed", "begun_anew_as": n + 1} for n in (2, 3)]
     assert Session(Path("session.jsonl"), (start,)).started_over_as is None
@@ -349,8 +349,8 @@ def test_a_session_begun_anew_says_as_which():
     assert Session(Path("session.jsonl"), (start, *closed)).started_over_as == 4
 
 
-def test_why_a_session_is_not_analysed_is_said():
-    """One that was begun anew cannot be continued; one that lacks answers can; one that lacks none is used."""
+def test_the_reason_for_leaving_out_a_session_is_given():
+    """It was started over, or answers are missing and it can be resumed; a complete session has no reason."""
     start = {"n": 1, "event": "start", "schedule": {"n_trials": 1}}
     closed = {"n": 2, "event": "closed", "begun_anew_as": 2}
     trial = {"n": 2, "event": "trial", "trial": TRIAL, "confirmed": {"confirmed": True}}
@@ -361,8 +361,8 @@ def test_why_a_session_is_not_analysed_is_said():
     assert Session(path, (start, trial)).unfit == ""
 
 
-def test_a_running_session_is_not_to_be_resumed(tmp_path):
-    """It is left out, and said to run, until its program ends."""
+def test_a_running_session_is_reported_as_running(tmp_path):
+    """While the log is locked the session is called running; afterwards the message points to resume."""
     path = tmp_path / "session.jsonl"
     with SessionLog.create(path, "start", schedule={"n_trials": 1}):
         assert read_session(path).unfit == "running: 0 of 1 trials answered"
@@ -370,7 +370,7 @@ def test_a_running_session_is_not_to_be_resumed(tmp_path):
 
 
 def test_only_confirmed_answers_to_scheduled_trials_complete_a_session():
-    """Practice, withdrawn and unconfirmed answers do not count; the trials they were for are asked again."""
+    """Practice, withdrawn and unconfirmed answers do not count; their trials are asked again."""
 
     def trial(n, index, *, practice=False, confirmed=True):
         said = {"index": index, "block": 1, "practice": practice}
@@ -389,8 +389,8 @@ def test_only_confirmed_answers_to_scheduled_trials_complete_a_session():
     assert not withdrawn.complete
 
 
-def test_levels_in_multiples_of_the_own_threshold_come_in_pairs():
-    """What multiple each level is; a record that lacks one is not read as if it were whole."""
+def test_levels_and_multiples_of_the_threshold_are_paired():
+    """Each level has its multiple of the participant's threshold; a record with one missing is refused."""
     start = {"n": 1, "event": "start", "sensation_levels": {"levels_mm_s": [20.0, 40.0], "multiples": [2.0, 4.0]}}
     assert Session(Path("session.jsonl"), (start,)).multiples == {20.0: 2.0, 40.0: 4.0}
     assert Session(Path("session.jsonl"), ({"n": 1, "event": "start"},)).multiples == {}

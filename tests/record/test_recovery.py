@@ -1,4 +1,4 @@
-"""What a damaged log still proves, and the new log of it."""
+"""Recovery of a damaged log: which lines are still proved, and the new log written from them."""
 
 import hashlib
 import json
@@ -17,7 +17,7 @@ from modaltouch.record.session import Session, read_session
 
 @pytest.fixture(scope="module")
 def sound(tmp_path_factory):
-    """The bytes of a whole simulated session's log."""
+    """The bytes of the log of a complete simulated session."""
     results = tmp_path_factory.mktemp("sound")
     words = [
         "run",
@@ -39,7 +39,7 @@ def sound(tmp_path_factory):
 
 @pytest.fixture
 def damaged(tmp_path, sound):
-    """Write a spoilt copy of the log and return its path."""
+    """Write a damaged copy of the log and return its path."""
 
     def spoil(change):
         path = tmp_path / "session.jsonl"
@@ -55,12 +55,12 @@ def answers_of(path):
 
 
 def trial_lines(sound):
-    """Return where the answers stand in the log, from 0."""
+    """Return the line numbers of the answers in the log, from 0."""
     return [number for number, line in enumerate(sound.splitlines()) if b'"event":"trial"' in line]
 
 
-def test_a_sound_log_is_said_to_be_sound(damaged):
-    """Nothing is left out, nothing is missing."""
+def test_a_sound_log_is_reported_as_sound(damaged):
+    """No line is left out and none is missing."""
     found = survey(damaged(lambda lines: lines))
     assert found.is_sound
     assert found.left_out == ()
@@ -74,8 +74,8 @@ def test_a_sound_log_is_said_to_be_sound(damaged):
         (b"\xef\xbb\xbf", b"\r\n", "every line ends in CR LF"),
     ],
 )
-def test_a_log_that_was_converted_as_a_whole_loses_nothing(damaged, sound, tmp_path, first, end, told):
-    """As a version control system, a mail program or an editor for Windows converts text."""
+def test_a_log_with_converted_line_ends_loses_no_answer(damaged, sound, tmp_path, first, end, told):
+    """Version control, mail programs and Windows editors convert line ends or add a byte order mark."""
     path = damaged(lambda lines: [first, *(line.replace(b"\n", end) for line in lines)])
     found = survey(path)
     assert not found.is_sound
@@ -86,8 +86,8 @@ def test_a_log_that_was_converted_as_a_whole_loses_nothing(damaged, sound, tmp_p
     assert f":1: {told}" in said
 
 
-def test_a_changed_answer_costs_that_answer_and_no_other(damaged, sound, tmp_path):
-    """One byte of one line: the line is left out, kept beside the new log, and all others are recovered."""
+def test_a_changed_answer_loses_that_answer_only(damaged, sound, tmp_path):
+    """With one byte changed, that line is left out and kept beside the new log; all others are recovered."""
     spoilt = trial_lines(sound)[3]
 
     def change(lines):
@@ -104,15 +104,15 @@ def test_a_changed_answer_costs_that_answer_and_no_other(damaged, sound, tmp_pat
     assert log.with_name("left_out.txt").read_bytes() == before.splitlines(keepends=True)[spoilt]
     session = read_session(log)
     assert session.problems == ()
-    # Its answer had been written down before its stimulus was over, and is kept as unconfirmed.
+    # Its answer was recorded before its stimulus was over, and is kept as unconfirmed.
     assert [event["event"] for event in session.trials if not event["confirmed"]["confirmed"]] == ["answered"]
     assert len(session.trials) == len(trial_lines(sound))
     assert session.events[-1]["event"] == "recovered"
     assert session.events[-1]["missing"] == [spoilt + 1]
 
 
-def test_moved_and_doubled_lines_cost_nothing(damaged, sound, tmp_path):
-    """Their own checks tell where they belong."""
+def test_moved_and_duplicated_lines_lose_nothing(damaged, sound, tmp_path):
+    """Their checksums show where they belong."""
     whole = damaged(lambda lines: lines)
     expected = answers_of(whole)
 
@@ -128,32 +128,32 @@ def test_moved_and_doubled_lines_cost_nothing(damaged, sound, tmp_path):
     assert audit_session(Session.find(log)).problems == ()
 
 
-def test_a_removed_line_takes_the_next_along_and_no_more(damaged):
-    """Nothing vouches for the line after a gap; the line after that one is vouched for."""
+def test_a_removed_line_loses_the_next_one_only(damaged):
+    """The line after a gap cannot be verified; the line after that can."""
     found = survey(damaged(lambda lines: [*lines[:6], *lines[7:]]))
     assert found.missing == (7, 8)
     assert [line.number for line in found.left_out] == [7]
     assert "cannot be verified" in found.left_out[0].reason
 
 
-def test_a_log_without_its_start_is_left_as_it_is(damaged, tmp_path):
-    """Answers that belong to no known experiment are no data."""
+def test_a_log_without_its_start_record_is_not_recovered(damaged, tmp_path):
+    """Without the start record the answers belong to no known experiment."""
     found = survey(damaged(lambda lines: lines[1:]))
     with pytest.raises(RecordError, match="start record is not intact"):
         found.write(tmp_path / "recovered")
     assert not (tmp_path / "recovered").exists()
 
 
-def test_nothing_is_recovered_over_another_session(damaged, tmp_path):
-    """The new folder may hold sessions already, never the same one."""
+def test_recovery_does_not_overwrite_a_session(damaged, tmp_path):
+    """The new folder may hold other sessions, but not the same one."""
     found = survey(damaged(lambda lines: lines[:-3]))
     found.write(tmp_path / "recovered")
     with pytest.raises(RecordError, match="exists already and is never overwritten"):
         found.write(tmp_path / "recovered")
 
 
-def test_what_is_lost_is_said_in_words_and_values(damaged, sound):
-    """Line numbers of the file, from 1, and runs of missing numbers written as such."""
+def test_losses_are_reported_as_text_and_values(damaged, sound):
+    """Line numbers count from 1; runs of missing numbers are written as ranges."""
     n_lines, answers = len(sound.splitlines()), len(trial_lines(sound))
     first, *_, last = trial_lines(sound)
     whole = survey(damaged(lambda lines: lines))
@@ -182,8 +182,8 @@ def test_what_is_lost_is_said_in_words_and_values(damaged, sound):
     assert plain["lines"] == found.lines
 
 
-def test_moved_lines_are_said_to_be_moved(damaged):
-    """Nothing is lost, but the file is not as it was written."""
+def test_moved_lines_are_reported(damaged):
+    """No line is lost, but the file is not as it was written."""
 
     def swap(lines):
         lines[4], lines[9] = lines[9], lines[4]
@@ -195,16 +195,16 @@ def test_moved_lines_are_said_to_be_moved(damaged):
     assert sorted(found.numbers) == list(range(1, len(found.numbers) + 1))
 
 
-def test_a_cut_line_and_one_without_its_end_are_said_to_be_cut(damaged, sound):
-    """Nothing of a line counts whose check is gone."""
+def test_a_cut_last_line_is_reported_as_cut(damaged, sound):
+    """A line without its checksum is left out."""
     found = survey(damaged(lambda lines: [*lines[:-1], lines[-1][:-9]]))
     assert [(line.number, line.reason) for line in found.left_out] == [
         (len(sound.splitlines()), "it was cut or its end was changed")
     ]
 
 
-def test_the_remains_that_a_later_line_declares_are_no_loss(tmp_path):
-    """A cut that the session itself went on after is part of a sound record."""
+def test_declared_remains_are_not_a_loss(tmp_path):
+    """A cut that the resumed session declared is part of a sound record."""
     path = tmp_path / "session.jsonl"
     with SessionLog.create(path, "start", mode="simulated") as log:
         log.append("note", text="first")
@@ -218,7 +218,7 @@ def test_the_remains_that_a_later_line_declares_are_no_loss(tmp_path):
 
 
 def test_a_replaced_answer_stays_replaced_under_its_new_number(tmp_path, damaged, sound):
-    """Line numbers move up when a line is lost; `supersedes` moves with them."""
+    """Line numbers shift when a line is lost, and `supersedes` shifts with them."""
     events = [json.loads(line) for line in sound.splitlines()]
     path = tmp_path / "session.jsonl"
     data, check = b"", GENESIS
@@ -229,7 +229,7 @@ def test_a_replaced_answer_stays_replaced_under_its_new_number(tmp_path, damaged
         line, check = encode_line(event, check)
         data += line
     lines = data.splitlines(keepends=True)
-    path.write_bytes(b"".join([lines[0], *lines[2:]]))  # two lines gone: one removed, the next unproved
+    path.write_bytes(b"".join([lines[0], *lines[2:]]))  # two lines lost: one removed, the next unproved
     log = survey(path).write(tmp_path / "recovered")
     session = read_session(log)
     assert session.problems == ()
@@ -245,7 +245,7 @@ def test_a_replaced_answer_stays_replaced_under_its_new_number(tmp_path, damaged
 
 
 def test_a_withdrawn_answer_stays_withdrawn_under_its_new_number(tmp_path):
-    """Line numbers move up when a line is lost; what was withdrawn is still that answer and no other."""
+    """Line numbers shift when a line is lost; `withdrawn` still refers to the same answers."""
     path = tmp_path / "session.jsonl"
     start = {"mode": "simulated", "protocol": "demo", "participant": "p07", "session": 1}
     condition = {"finger_condition": "one_hand", "zone_left": "A", "zone_right": "B", "velocity_mm_s": 150}
@@ -265,15 +265,15 @@ def test_a_withdrawn_answer_stays_withdrawn_under_its_new_number(tmp_path):
     assert [event["lines"] for event in session.events if event["event"] == "withdrawn"] == [[2]]
 
 
-def test_a_cut_line_that_the_view_shows_is_for_resume_to_mend(damaged, sound, tmp_path):
-    """The view of all lines, and the last of them cut: nothing need be recovered into a new log."""
+def test_a_cut_last_line_is_left_to_resume_even_with_a_full_view(damaged, sound, tmp_path):
+    """The view was made from all lines and only the last is cut: no recovery into a new log is needed."""
     log = survey(damaged(lambda lines: lines)).write(tmp_path / "whole")
     log.write_bytes(log.read_bytes()[:-9])
     assert survey(log).is_cut
 
 
 def test_an_empty_file_proves_nothing(tmp_path):
-    """No line is proved and none can be called missing."""
+    """No line is proved, and none is known to be missing."""
     (tmp_path / "session.jsonl").touch()
     found = survey(tmp_path / "session.jsonl")
     assert (found.events, found.left_out, found.missing) == ((), (), ())
@@ -282,8 +282,8 @@ def test_an_empty_file_proves_nothing(tmp_path):
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_whatever_is_recovered_was_written(damaged, sound, tmp_path, seed):
-    """Random damage: every recovered answer is one of the original's, in its order, and the new log is sound."""
+def test_every_recovered_answer_was_recorded(damaged, sound, tmp_path, seed):
+    """After random damage, recovered answers are a subset of the original's in its order, and the new log is sound."""
     rng = random.Random(seed)
 
     def change(lines):
@@ -309,8 +309,8 @@ def test_whatever_is_recovered_was_written(damaged, sound, tmp_path, seed):
         assert session.problems == ()
 
 
-def test_the_command_says_what_can_be_saved_and_saves_it(damaged, tmp_path):
-    """Exit status 4 while it is damaged and not recovered; 0 once it is recovered."""
+def test_doctor_reports_and_recovers_a_damaged_log(damaged, tmp_path):
+    """Exit status 4 while the log is damaged and not recovered, 0 once it is recovered."""
     path = damaged(lambda lines: [*lines[:6], *lines[7:]])
     looked = CliRunner().invoke(app, ["doctor", str(path)])
     assert looked.exit_code == 4
@@ -322,10 +322,10 @@ def test_the_command_says_what_can_be_saved_and_saves_it(damaged, tmp_path):
     assert next((tmp_path / "new").rglob("*_beh.tsv")).read_text().count("\n") > 1
 
 
-def test_lines_that_are_gone_from_the_end_are_missed_by_the_view(damaged, sound, tmp_path):
-    """A log that ends early is whole by its own checks; its view was made from more lines, and tells which are gone."""
+def test_lines_lost_from_the_end_are_detected_through_the_view(damaged, sound, tmp_path):
+    """A log that ends early is valid by its checksums; its view was made from more lines and gives the missing ones."""
     n_lines = len(sound.splitlines())
-    log = survey(damaged(lambda lines: lines)).write(tmp_path / "whole")  # one more line: that it was recovered
+    log = survey(damaged(lambda lines: lines)).write(tmp_path / "whole")  # one more line: the note of the recovery
     log.write_bytes(b"".join(sound.splitlines(keepends=True)[:-9]))
     found = survey(log)
     assert found.missing == tuple(range(n_lines - 8, n_lines + 2))

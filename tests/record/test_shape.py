@@ -1,4 +1,4 @@
-"""A log whose lines are whole but do not say what a session says: another version's, or somebody's own."""
+"""A log with valid checksums whose lines lack members of a session: of another version, or written by hand."""
 
 import json
 
@@ -14,13 +14,13 @@ from modaltouch.session.wiring import simulate_session
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory):
-    """A whole session's log."""
+    """The log of a complete session."""
     return simulate_session("protocols/demo.yaml", "p01", tmp_path_factory.mktemp("shape")).path
 
 
 @pytest.fixture
 def rewritten(log):
-    """Write the log anew with one event changed, every check right."""
+    """Rewrite the log with changed events and valid checksums."""
     kept = log.read_bytes()
 
     def rewrite(change):
@@ -37,8 +37,8 @@ def rewritten(log):
     log.write_bytes(kept)
 
 
-def test_a_session_of_today_says_all_it_must(log):
-    """No problem with what this version writes."""
+def test_a_session_of_this_version_has_every_member(log):
+    """What this version writes has no problem."""
     assert read_session(log).problems == ()
 
 
@@ -56,8 +56,8 @@ def test_a_session_of_today_says_all_it_must(log):
         (lambda events: events[1].pop("event"), "session.jsonl:2: is not an event of a session"),
     ],
 )
-def test_another_format_is_told_by_every_reader(rewritten, change, said):
-    """Verify names the line, resume refuses, the analysis leaves the session out with the reason."""
+def test_another_format_is_refused_by_every_reader(rewritten, change, said):
+    """Verify gives the line, resume refuses, and the analysis leaves the session out with the reason."""
     path = rewritten(change)
     assert said in audit_session(Session.find(path)).problems[0]
     with pytest.raises(RecordError, match="format 3|does not say|is not an event"):
@@ -76,8 +76,8 @@ def test_another_format_is_told_by_every_reader(rewritten, change, said):
         (lambda events: events[0]["sources"]["texts"].pop("text"), "does not say its sources.texts.text"),
     ],
 )
-def test_what_cannot_be_repeated_is_told_where_it_would_be(rewritten, change, said):
-    """Verify and resume compute order and drive again; the answers can still be analysed."""
+def test_members_needed_for_recomputation_are_checked_by_verify_and_resume(rewritten, change, said):
+    """Verify and resume recompute the order and the drive; the answers can still be analysed."""
     path = rewritten(change)
     assert said in audit_session(Session.find(path)).problems[0]
     with pytest.raises(RecordError, match="does not say"):
@@ -85,8 +85,8 @@ def test_what_cannot_be_repeated_is_told_where_it_would_be(rewritten, change, sa
     assert read_session(path).problems == ()
 
 
-def test_an_answer_without_its_words_is_named(rewritten):
-    """The first of the missing members, with its line."""
+def test_a_trial_without_its_answer_is_reported(rewritten):
+    """The problem gives the first missing member of the `trial` event."""
 
     def change(events):
         next(event for event in events if event["event"] == "trial")["response"].pop("answer")
@@ -98,7 +98,7 @@ def test_an_answer_without_its_words_is_named(rewritten):
     "line", [{"n": 1}, {"n": 1, "event": ["trial"]}, {"event": "trial"}, {"n": "1", "event": "start"}]
 )
 def test_a_line_without_a_number_or_a_name_is_one_problem(line):
-    """Nothing is asked of a line that is no event; the lines after it are still looked at."""
+    """The members of an invalid line are not checked; the lines after it are."""
     no_event = "is not an event of a session"
     after = {"n": 2, "event": "trial"}
     assert check_shape([line, after], "log") == (
@@ -108,7 +108,7 @@ def test_a_line_without_a_number_or_a_name_is_one_problem(line):
 
 
 def test_an_event_of_another_kind_needs_no_members():
-    """What a later version adds is no fault of this one's records."""
+    """An event kind added by a later version is not a fault."""
     assert check_shape([{"n": 1, "event": "note"}], "log") == ()
 
 
@@ -130,8 +130,8 @@ TRIALS = (
     [*(("start", member) for member in (*STARTS, *REPEATS)), *(("trial", member) for member in TRIALS)],
 )
 @pytest.mark.parametrize("spoilt", [None, [], b""])
-def test_every_member_that_is_needed_is_missed(log, kind, member, spoilt):
-    """Absent, or of a type that nothing can be computed from."""
+def test_every_required_member_is_checked(log, kind, member, spoilt):
+    """A required member is reported when absent or of a wrong type."""
     events = json.loads(json.dumps(read_chain(log).events))
     assert check_shape(events, "log", to_repeat=True) == ()
     number, event = next((n, event) for n, event in enumerate(events, 1) if event["event"] == kind)
@@ -158,8 +158,8 @@ def test_every_member_that_is_needed_is_missed(log, kind, member, spoilt):
         (("trial.condition.velocity_mm_s", "response.reaction_time"), True),
     ],
 )
-def test_members_that_are_all_of_one_wrong_type_are_missed(log, members, wrong):
-    """Another version's file may write them all so; the first is named."""
+def test_members_of_one_wrong_type_are_reported(log, members, wrong):
+    """Another version may write all members with another type; the first is reported."""
     events = json.loads(json.dumps(read_chain(log).events))
     number, event = next((n, event) for n, event in enumerate(events, 1) if event["event"] == "trial")
     for member in members:
@@ -171,8 +171,8 @@ def test_members_that_are_all_of_one_wrong_type_are_missed(log, members, wrong):
     assert check_shape(events, "log") == (f"log:{number}: the event `trial` does not say its {members[0]}",)
 
 
-def test_a_truth_value_is_no_number(log):
-    """JSON's true is an int to Python; it is none to a protocol."""
+def test_a_boolean_is_not_a_number(log):
+    """JSON's true is an int in Python, but not a valid number of trials."""
     events = json.loads(json.dumps(read_chain(log).events))
     events[0]["schedule"]["n_trials"] = True
     assert check_shape(events, "log") == ("log:1: the event `start` does not say its schedule.n_trials",)

@@ -1,4 +1,4 @@
-"""The BIDS view: every value of the log in its column, every column described, never half a file."""
+"""The BIDS view: every value of the log has its column, every column is described, no file is half written."""
 
 import json
 import stat
@@ -43,14 +43,14 @@ def session(tmp_path):
 
 @pytest.fixture
 def place(tmp_path):
-    """Where it lives."""
+    """The folder of the session."""
     place = SessionFolder(tmp_path, "simulated", "demo", "p01")
     place.folder.mkdir(parents=True)
     return place
 
 
-def test_a_row_says_what_was_presented_and_answered(session):
-    """Values of the trial event, times in seconds, velocity in mm/s."""
+def test_a_row_holds_what_was_presented_and_answered(session):
+    """Values come from the trial event; times are in seconds, velocities in mm/s."""
     header, row = (line.split("\t") for line in table_text(session).splitlines())
     values = dict(zip(header, row, strict=True))
     assert values == {
@@ -75,8 +75,8 @@ def test_a_row_says_what_was_presented_and_answered(session):
     }
 
 
-def test_every_column_is_described_in_the_side_file(place, session):
-    """BIDS: the JSON file beside a table describes its columns, with units and levels."""
+def test_every_column_is_described_in_the_sidecar(place, session):
+    """BIDS: the JSON sidecar of a table describes its columns, with units and levels."""
     write_view(place, session, {"lines": 7, "check": "0" * 64})
     side = json.loads(place.table.with_suffix(".json").read_text())
     assert set(COLUMNS) <= set(side)
@@ -95,8 +95,8 @@ def test_the_dataset_is_described_and_lists_its_participants(place):
     assert "*.jsonl" in (place.dataset / ".bidsignore").read_text()
 
 
-def test_what_a_lab_wrote_about_its_participants_stays(place):
-    """Columns and rows of others are kept; a new participant gets a row of ``n/a``."""
+def test_a_labs_entries_about_participants_are_kept(place):
+    """Existing columns and rows are kept; a new participant gets a row of ``n/a``."""
     path = place.dataset / "participants.tsv"
     path.write_text("participant_id\tage\tsex\nsub-p09\t34\tF\n")
     place.list_participants()
@@ -106,8 +106,8 @@ def test_what_a_lab_wrote_about_its_participants_stays(place):
     assert path.stat().st_mtime_ns == before
 
 
-def test_every_file_of_the_view_is_its_owners_alone(session, place):
-    """It holds what a participant did."""
+def test_every_file_of_the_view_is_readable_by_its_owner_only(session, place):
+    """The view holds a participant's answers: the mode is 0600."""
     place.describe_dataset("A title")
     place.list_participants()
     write_view(place, session, {"lines": 2, "check": "0" * 16})
@@ -116,15 +116,15 @@ def test_every_file_of_the_view_is_its_owners_alone(session, place):
     assert {stat.S_IMODE(path.stat().st_mode) for path in files} == {0o600}
 
 
-def test_a_view_that_cannot_be_written_is_named_and_the_log_is_intact(session, place):
-    """A folder stands in the table's place."""
+def test_a_failed_view_is_reported_with_the_log_intact(session, place):
+    """A folder occupies the path of the table."""
     place.table.mkdir(parents=True)
     with pytest.raises(RecordError, match=r"_beh.tsv: cannot be written .* the session log is intact"):
         write_view(place, session, {"lines": 2, "check": "0" * 16})
 
 
-def test_catch_trials_and_the_answer_none_are_described_where_there_are_any(session, place):
-    """A protocol with neither keeps the table it had; one with both gets a column and a level more."""
+def test_catch_trials_and_the_answer_none_are_described_where_used(session, place):
+    """A protocol with both gets a column and a level more; the table of one with neither is unchanged."""
     start, trial = session.events
     design = {"schedule": {"catch_trials": 2}, "answers": {"keys": {"left": [], "none": []}}}
     caught = {**trial, "trial": {**trial["trial"], "condition": {**CONDITION, "velocity_mm_s": 0.0}}}
@@ -141,8 +141,8 @@ def test_catch_trials_and_the_answer_none_are_described_where_there_are_any(sess
     assert plain["response"]["Levels"] == {"left": "left finger", "right": "right finger", "both": "both fingers"}
 
 
-def test_the_side_file_says_what_the_table_is_of(place, session):
-    """TaskName is BIDS's; how far the log had come lets a log that lost its end be noticed."""
+def test_the_sidecar_identifies_the_table(place, session):
+    """TaskName is required by BIDS; the number of log lines and the last checksum reveal a log that lost its end."""
     write_view(place, session, {"lines": 7, "check": "ab" * 32})
     side = json.loads(place.table.with_suffix(".json").read_text())
     assert side["TaskName"] == "demo"
@@ -155,8 +155,8 @@ def test_the_side_file_says_what_the_table_is_of(place, session):
         assert column["Description"].strip(), name
 
 
-def test_every_further_column_that_a_session_has_is_described(session, place):
-    """A log of format 2 counts bursts, and a question asked after the first has its answer and its time."""
+def test_every_optional_column_of_a_session_is_described(session, place):
+    """A log of format 2 counts bursts, and a follow-up question has its answer and its response time."""
     start, trial = session.events
     further = {"answer": "yes", "reaction_time": 1.25}
     answered = {
@@ -188,7 +188,7 @@ LEVELS = {
 
 
 def test_every_level_of_a_column_is_described():
-    """BIDS: Levels of categorical variables; units of the others."""
+    """BIDS: categorical columns have Levels, the others Units."""
     assert {name: set(column["Levels"]) for name, column in COLUMNS.items() if "Levels" in column} == LEVELS
     for name in ("practice", "confirmed"):
         assert COLUMNS[name]["Levels"] == {"0": "no", "1": "yes"}
@@ -196,8 +196,8 @@ def test_every_level_of_a_column_is_described():
     assert units == {"velocity_mm_s": "mm/s", "response_time": "s"}
 
 
-def test_the_description_of_the_dataset_is_that_of_bids(place):
-    """BIDS 1.10: Name, BIDSVersion, DatasetType, GeneratedBy; written once, then the lab's own."""
+def test_the_dataset_description_follows_bids(place):
+    """BIDS 1.10: Name, BIDSVersion, DatasetType, GeneratedBy; written once and then left to the lab."""
     place.describe_dataset("")
     path = place.dataset / "dataset_description.json"
     assert json.loads(path.read_text()) == {
@@ -216,8 +216,8 @@ def test_the_description_of_the_dataset_is_that_of_bids(place):
 
 
 @pytest.mark.parametrize("at", ["README", ".bidsignore", "dataset_description.json"])
-def test_a_dataset_whose_description_was_interrupted_is_described_by_the_next_session(place, monkeypatch, at):
-    """Killed at any of the three files, the next session writes what is missing."""
+def test_an_interrupted_dataset_description_is_completed_by_the_next_session(place, monkeypatch, at):
+    """After a kill at any of the three files, the next session writes the missing ones."""
 
     def kill(path, text):
         if path.name == at:
@@ -232,8 +232,8 @@ def test_a_dataset_whose_description_was_interrupted_is_described_by_the_next_se
     assert all((place.dataset / name).read_text() for name in ("README", ".bidsignore", "dataset_description.json"))
 
 
-def test_masking_and_stimuli_have_columns_where_there_are_any(session, place):
-    """A protocol with neither keeps its table; values are those of the trial."""
+def test_masking_and_stimuli_have_columns_where_used(session, place):
+    """The values are those of the trial; the table of a protocol with neither is unchanged."""
     start, trial = session.events
     design = {"masking": {"noise": "pink"}, "stimuli": {"narrow": {}}}
     named = {**trial, "masked": True, "trial": {**trial["trial"], "condition": {**CONDITION, "stimulus": "narrow"}}}
@@ -251,8 +251,8 @@ def test_masking_and_stimuli_have_columns_where_there_are_any(session, place):
     assert not {"masked", "stimulus"} & set(table_text(session).splitlines()[0].split("\t"))
 
 
-def test_no_value_can_break_the_table(session):
-    """A tab or a line end within a value becomes a space; a way that was not asked is n/a."""
+def test_tabs_and_line_ends_in_values_cannot_break_the_table(session):
+    """A tab or line end in a value becomes a space; a way of answering that was not asked is n/a."""
     start, trial = session.events
     odd = {**trial, "fingers": ["left\tindex", "right\nindex"], "response": {**trial["response"], "way": None}}
     header, row = (line.split("\t") for line in table_text(Session(session.path, (start, odd))).splitlines())
@@ -260,8 +260,8 @@ def test_no_value_can_break_the_table(session):
     assert (values["finger_left"], values["finger_right"], values["way"]) == ("left index", "right index", "n/a")
 
 
-def test_a_list_of_participants_that_is_no_text_is_named(place):
-    """It may be a spreadsheet; nothing is written over it."""
+def test_a_participants_file_that_is_not_text_is_refused(place):
+    """It may be a spreadsheet; it is not overwritten."""
     path = place.dataset / "participants.tsv"
     path.write_bytes(b"\xff\xfe\x00")
     with pytest.raises(RecordError, match=r"participants.tsv: cannot be read .*repair it or move it away"):
@@ -269,8 +269,8 @@ def test_a_list_of_participants_that_is_no_text_is_named(place):
     assert path.read_bytes() == b"\xff\xfe\x00"
 
 
-def test_a_list_is_begun_where_there_is_none_and_an_empty_one_gets_its_header(place):
-    """A header alone is a valid list; files beside the folders are no participants."""
+def test_a_dataset_without_participants_gets_a_header(place):
+    """A header alone is a valid participants.tsv; a file called sub-* is not a participant."""
     place.folder.rmdir()
     place.folder.parent.rmdir()
     place.folder.parent.parent.rmdir()
@@ -279,8 +279,8 @@ def test_a_list_is_begun_where_there_is_none_and_an_empty_one_gets_its_header(pl
     assert (place.dataset / "participants.tsv").read_text() == "participant_id\n"
 
 
-def test_the_row_of_an_answer_is_made_once(session, monkeypatch):
-    """However many answers follow: a late trial costs what an early one does, also once one was asked again."""
+def test_the_row_of_an_answer_is_formatted_once(session, monkeypatch):
+    """A late trial costs no more than an early one, also after a trial was repeated."""
     start, first = session.events
     second = {**first, "n": first["n"] + 1, "supersedes": first["n"]}
     third = {**first, "n": first["n"] + 2}

@@ -1,6 +1,6 @@
-"""Windows' rules for files: that they are imposed, that they find what breaks them, and what is done about them."""
+"""Windows' rules for files: they are imposed, they reveal code that breaks them, and the record complies with them."""
 
-# What os and open do is the very subject.
+# os and open are themselves under test.
 # ruff: noqa: PTH107, PTH123
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ BUSY = "being used by another process"
 
 @pytest.fixture
 def file(tmp_path: Path) -> Path:
-    """Return a file of one line."""
+    """Return a file with one line."""
     path = tmp_path / "file.txt"
     path.write_bytes(b"line\n")
     return path
@@ -49,7 +49,7 @@ def file(tmp_path: Path) -> Path:
 @WINDOWS
 @pytest.mark.parametrize(("flag", "content"), [("O_BINARY", b"a\nb\n"), ("O_TEXT", b"a\r\nb\r\n")])
 def test_a_descriptor_translates_line_feeds_unless_it_is_binary(tmp_path: Path, flag: str, content: bytes) -> None:
-    """As `_write` of the C run-time library, which counts the bytes that it was given; reading turns them back."""
+    """As `_write` of the C run-time library: it counts the bytes it was given, and reading translates back."""
     descriptor = os.open(tmp_path / "file", os.O_RDWR | os.O_CREAT | getattr(os, flag))
     assert os.write(descriptor, b"a\nb\n") == 4
     os.lseek(descriptor, 0, os.SEEK_SET)
@@ -59,8 +59,8 @@ def test_a_descriptor_translates_line_feeds_unless_it_is_binary(tmp_path: Path, 
 
 
 @WINDOWS
-def test_a_reused_number_is_another_descriptor(file: Path) -> None:
-    """What is known of a closed one does not hold for a pipe of the same number."""
+def test_a_reused_descriptor_number_is_a_new_descriptor(file: Path) -> None:
+    """The mode of a closed file does not carry over to a pipe with the same descriptor number."""
     number = os.open(file, os.O_WRONLY)
     os.close(number)
     reading, writing = os.pipe()
@@ -73,8 +73,8 @@ def test_a_reused_number_is_another_descriptor(file: Path) -> None:
 
 @WINDOWS
 @pytest.mark.parametrize("way", ["descriptor", "reading", "writing", "path"])
-def test_a_file_that_is_open_keeps_its_names(file: Path, way: str) -> None:
-    """Neither unlinked nor renamed nor replaced, by whichever name; once it is closed, it is."""
+def test_an_open_file_cannot_be_unlinked_or_renamed(file: Path, way: str) -> None:
+    """No hard link of an open file can be unlinked, renamed or replaced; after closing it can."""
     other, second = file.with_name("other"), file.with_name("second")
     other.touch()
     os.link(file, second)
@@ -106,7 +106,7 @@ def test_a_file_that_is_open_keeps_its_names(file: Path, way: str) -> None:
 
 @WINDOWS
 def test_a_rename_never_replaces(file: Path) -> None:
-    """WinError 183; `Path.replace` is there for that."""
+    """It raises WinError 183; only `Path.replace` replaces."""
     other = file.with_name("other")
     other.write_bytes(b"other")
     with pytest.raises(FileExistsError, match="already exists"):
@@ -123,13 +123,13 @@ def _keep_open(path: Path, ready: Any) -> None:
 
 
 @WINDOWS
-def test_what_another_process_has_open_or_locked_is_so_until_it_dies(file: Path) -> None:
-    """Of whichever process: the system gives it free when that ends, however it does."""
+def test_open_files_and_locks_of_another_process_end_with_it(file: Path) -> None:
+    """The system releases both when the process ends, even by a kill."""
     here, there = Pipe()
     process = multiprocessing.get_context("fork").Process(target=_keep_open, args=(file, there))
     process.start()
     try:
-        assert here.poll(20), "the other process did not begin"
+        assert here.poll(20), "the other process did not start"
         assert here.recv() is True
         assert is_locked(file)
         with pytest.raises(PermissionError, match=BUSY):
@@ -142,8 +142,8 @@ def test_what_another_process_has_open_or_locked_is_so_until_it_dies(file: Path)
 
 
 @WINDOWS
-def test_what_is_locked_is_for_its_own_handle_alone(file: Path) -> None:
-    """Not even this process reads or writes it through another handle; what is beside it is read."""
+def test_a_locked_range_is_accessible_to_its_handle_only(file: Path) -> None:
+    """Even the same process cannot read or write it through another handle; bytes outside the range can be read."""
     msvcrt = importlib.import_module("msvcrt")
     descriptor = os.open(file, os.O_RDWR)
     msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 2)
@@ -166,8 +166,8 @@ def test_what_is_locked_is_for_its_own_handle_alone(file: Path) -> None:
 
 
 @WINDOWS
-def test_no_folder_is_opened_and_no_reader_synced(file: Path) -> None:
-    """`CreateFile` wants a flag for folders that nobody gives; FlushFileBuffers wants a handle that writes."""
+def test_folders_cannot_be_opened_nor_read_only_files_synced(file: Path) -> None:
+    """`CreateFile` requires a flag for folders that CPython does not set; FlushFileBuffers requires write access."""
     with pytest.raises(PermissionError, match="Permission denied"):
         os.open(file.parent, os.O_RDONLY)
     descriptor = os.open(file, os.O_RDONLY)
@@ -178,8 +178,8 @@ def test_no_folder_is_opened_and_no_reader_synced(file: Path) -> None:
 
 
 @WINDOWS
-def test_text_is_the_country_s(tmp_path: Path) -> None:
-    """CR LF and code page 1252, unless a program says otherwise."""
+def test_text_defaults_to_the_local_code_page(tmp_path: Path) -> None:
+    """Without an explicit encoding, text is written in code page 1252 with CR LF."""
     (tmp_path / "a").write_text("µ\n")
     assert (tmp_path / "a").read_bytes() == b"\xb5\r\n"
     assert (tmp_path / "a").read_text() == "µ\n"
@@ -191,8 +191,8 @@ def test_text_is_the_country_s(tmp_path: Path) -> None:
 
 @WINDOWS
 @pytest.mark.parametrize("name", ["CON", "nul.txt", "a:b", "what?", "end.", "end "])
-def test_some_names_are_none(tmp_path: Path, file: Path, name: str) -> None:
-    """Devices, letters with a meaning, and ends that Windows cuts off."""
+def test_reserved_file_names_are_refused(tmp_path: Path, file: Path, name: str) -> None:
+    """Device names, reserved characters, and a trailing dot or space, which Windows strips."""
     for make in (
         (tmp_path / name).touch,
         (tmp_path / name).mkdir,
@@ -205,8 +205,8 @@ def test_some_names_are_none(tmp_path: Path, file: Path, name: str) -> None:
 
 
 @WINDOWS
-def test_what_unix_alone_has_is_absent(file: Path) -> None:
-    """Modules, functions, and waiting for anything but sockets."""
+def test_unix_only_features_are_absent(file: Path) -> None:
+    """Modules and functions of Unix are missing, and select takes sockets only."""
     for module in ("fcntl", "termios", "resource"):
         with pytest.raises(ImportError):
             importlib.import_module(module)
@@ -219,8 +219,8 @@ def test_what_unix_alone_has_is_absent(file: Path) -> None:
 
 
 @UNIX
-def test_the_rules_end_where_they_should(file: Path) -> None:
-    """What comes after them finds Linux as it was."""
+def test_the_rules_end_with_their_context(file: Path) -> None:
+    """After the context Linux's functions are restored."""
     before = os.open, os.write, os.unlink, os.remove, builtins.open, io.open, select.select, sys.platform
     with windows_rules():
         assert os.open != before[0]
@@ -230,12 +230,12 @@ def test_the_rules_end_where_they_should(file: Path) -> None:
         file.unlink()
 
 
-# They find the mistakes that they are there for
+# The rules reveal the mistakes they are meant to reveal.
 
 
 @WINDOWS
-def test_a_log_that_is_not_binary_is_found_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """One byte more for each line than was written: no session could be begun."""
+def test_a_log_opened_in_text_mode_is_detected(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each line is one byte longer than written, so that no session could start."""
     monkeypatch.setattr(os, "O_BINARY", 0)
     with pytest.raises(RecordError, match="a line was cut while being written"):
         SessionLog.create(tmp_path / "session.jsonl", "start")
@@ -244,10 +244,10 @@ def test_a_log_that_is_not_binary_is_found_out(tmp_path: Path, monkeypatch: pyte
 
 @WINDOWS
 @pytest.mark.parametrize("way", ["link", "rename"])
-def test_a_draft_that_gets_its_name_while_it_is_open_is_found_out(
+def test_publishing_a_draft_while_it_is_open_is_detected(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, way: str
 ) -> None:
-    """What does on Unix, with hard links or without: no session could be begun."""
+    """It works on Unix, by hard link or by rename, but on Windows no session could start."""
 
     def publish(log: SessionLog, draft: Path) -> None:
         if way == "link":
@@ -261,8 +261,8 @@ def test_a_draft_that_gets_its_name_while_it_is_open_is_found_out(
 
 
 @WINDOWS
-def test_a_lock_on_what_is_read_is_found_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nobody else could read the record of a session that is being run."""
+def test_a_lock_on_bytes_that_are_read_is_detected(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Other programs could not read the record of a running session."""
     monkeypatch.setattr(operating_system, "LOCKED_BYTE", 0)
     with (
         SessionLog.create(tmp_path / "session.jsonl", "start") as log,
@@ -271,12 +271,12 @@ def test_a_lock_on_what_is_read_is_found_out(tmp_path: Path, monkeypatch: pytest
         read_chain(log.path)
 
 
-# What is done about them
+# The record complies with the rules.
 
 
 @WINDOWS
-def test_a_session_is_begun_read_meanwhile_and_continued(tmp_path: Path) -> None:
-    """Line by line the bytes of Unix; while it is open others read it and know that it is being run."""
+def test_a_session_is_started_read_while_running_and_continued(tmp_path: Path) -> None:
+    """Other programs can read the log while it is open and see that it is locked."""
     path = tmp_path / "session.jsonl"
     with SessionLog.create(path, "start") as log:
         log.append("note", text="µ")
@@ -296,7 +296,7 @@ def test_a_session_is_begun_read_meanwhile_and_continued(tmp_path: Path) -> None
 
 
 class Scanner:
-    """A virus scanner: has a file open, until somebody has waited some times."""
+    """A virus scanner, which holds a file open until it has been waited for a number of times."""
 
     def __init__(self, path: Path, monkeypatch: pytest.MonkeyPatch, n_waits: int) -> None:
         self.waits_left = n_waits
@@ -311,10 +311,8 @@ class Scanner:
 
 
 @WINDOWS
-def test_a_file_that_somebody_looks_at_is_replaced_once_it_is_closed(
-    file: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A virus scanner has each new file open for a moment."""
+def test_a_file_open_elsewhere_is_replaced_once_it_is_closed(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A virus scanner opens each new file for a moment."""
     scanner = Scanner(file, monkeypatch, n_waits=3)
     replace_file(file, b"new\n", "close it")
     assert scanner.waits_left == 0
@@ -322,8 +320,8 @@ def test_a_file_that_somebody_looks_at_is_replaced_once_it_is_closed(
 
 
 @WINDOWS
-def test_a_file_that_stays_open_is_told_and_kept(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A spreadsheet has the table open: after a second of patience, the sentence; the old file is whole."""
+def test_a_file_that_stays_open_is_reported_and_kept(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A spreadsheet holds the table open: after the waiting time an error is raised, and the old file is whole."""
     monkeypatch.setattr(files, "PATIENCE", 0.05)
     with (
         file.open("rb"),
@@ -334,8 +332,8 @@ def test_a_file_that_stays_open_is_told_and_kept(file: Path, monkeypatch: pytest
 
 
 @UNIX
-def test_on_unix_a_refused_rename_is_refused_at_once(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """There it means a folder of somebody else's."""
+def test_on_unix_a_refused_rename_is_not_retried(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On Unix it means that the folder belongs to another user."""
 
     def refuse(target: Path) -> None:
         raise PermissionError(13, "Permission denied")
@@ -346,10 +344,10 @@ def test_on_unix_a_refused_rename_is_refused_at_once(file: Path, monkeypatch: py
 
 
 @WINDOWS
-def test_a_log_that_is_taken_as_it_gets_its_name_is_left_to_whoever_has_it(
+def test_a_log_locked_by_another_process_when_published_is_left_to_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Between its name and its lock there is a moment: a session that is resumed in it is not written to."""
+    """Between the rename and the lock another process may resume the session; it is then not written to."""
     path, real = tmp_path / "session.jsonl", files.move
     taken: list[SessionLog] = []
 
@@ -368,10 +366,8 @@ def test_a_log_that_is_taken_as_it_gets_its_name_is_left_to_whoever_has_it(
 
 
 @pytest.mark.parametrize("of", ["log", "folder"])
-def test_a_lock_that_is_kept_for_a_moment_is_waited_for(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, of: str
-) -> None:
-    """Whoever asks whether a session is being run has its lock for an instant."""
+def test_a_briefly_held_lock_is_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, of: str) -> None:
+    """Checking whether a session is running holds its lock for an instant."""
     path = tmp_path / ("session.jsonl" if of == "log" else ".lock")
     if of == "log":
         SessionLog.create(path, "start").close()
@@ -386,8 +382,8 @@ def test_a_lock_that_is_kept_for_a_moment_is_waited_for(
     assert not is_locked(path)
 
 
-def test_a_lock_that_is_kept_is_waited_for_no_longer_than_is_said(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The clock goes a second at each look."""
+def test_waiting_for_a_lock_ends_at_the_timeout(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The simulated clock advances one second per reading."""
     seconds = iter(range(100))
     monkeypatch.setattr("time.monotonic", lambda: next(seconds))
     monkeypatch.setattr("time.sleep", lambda seconds: None)
@@ -400,8 +396,8 @@ def test_a_lock_that_is_kept_is_waited_for_no_longer_than_is_said(file: Path, mo
     os.close(second)
 
 
-def test_a_log_for_other_programs_has_bare_line_feeds(tmp_path: Path) -> None:
-    """`--events`, which may be a pipe."""
+def test_the_event_log_has_bare_line_feeds(tmp_path: Path) -> None:
+    """The target of `--events` may be a pipe."""
     generator = {"last_error": "", "outputs": [False, False]}
     lines = EventLines(tmp_path / "events.jsonl")
     for _ in range(2):
@@ -412,8 +408,8 @@ def test_a_log_for_other_programs_has_bare_line_feeds(tmp_path: Path) -> None:
     assert b"\r" not in content
 
 
-def test_what_is_written_to_a_file_is_what_was_given(tmp_path: Path) -> None:
-    """Byte by byte, control characters and ends of lines of all kinds; and its owner's alone."""
+def test_a_file_holds_exactly_the_bytes_written(tmp_path: Path) -> None:
+    """All byte values and all kinds of line ends are kept, and the mode is 0600."""
     content = bytes(range(256)) + b"\r\n\n\r\x1a"
     descriptor = open_file(tmp_path / "file", os.O_RDWR | os.O_CREAT)
     assert os.write(descriptor, content) == len(content)

@@ -1,20 +1,20 @@
-"""The rules that Windows has for files, imposed on this process where it runs Linux.
+"""The rules of Windows for files, imposed on this process under Linux.
 
-What a record meets otherwise there, as CPython and the C run-time library behind it have it:
+Where Windows differs, as implemented by CPython and the C run-time library:
 
 - A descriptor of `os.open` without ``O_BINARY`` turns every line feed into CR LF, and back.
-- A file that any program has open is neither unlinked nor renamed nor replaced, by whichever of its names (Python opens
+- A file that any program has open cannot be unlinked, renamed or replaced, by any of its hard links (Python opens
   none with ``FILE_SHARE_DELETE``); a rename never replaces.
-- A lock (`msvcrt.locking`) belongs to a handle and is mandatory: nobody else reads or writes what is locked.
-- A folder cannot be opened, nor a descriptor synced that is read only. Pipes cannot be selected.
-- Text without an encoding is in the code page of the country, with CR LF.
-- Some names are devices, some letters are not allowed. What only Unix has is absent.
+- A lock (`msvcrt.locking`) belongs to a handle and is mandatory: no other handle reads or writes locked bytes.
+- A folder cannot be opened, a read-only descriptor cannot be synced, pipes cannot be selected.
+- Text without an explicit encoding is in the local code page, with CR LF.
+- Some names are devices, some characters are not allowed. Unix-only features are absent.
 
-Other processes under these rules are seen: what is open, and what is locked, is marked by locks of the kernel's that
-belong to an open file (``F_OFD_SETLK``) and go with it, far beyond any content.
+Other processes under these rules are respected: open files and locked bytes are marked by kernel locks that
+belong to an open file description (``F_OFD_SETLK``) and end with it, at offsets far beyond any content.
 """
 
-# What os and open do is the very subject.
+# os and open are themselves what is replaced.
 # ruff: noqa: PTH112, PTH113, PTH119
 
 from __future__ import annotations
@@ -62,13 +62,13 @@ def refusal(winerror: int, words: str, path: object, kind: type[OSError] = Permi
 
 
 def in_use(path: object) -> OSError:
-    """Return the error that meets a file that some program has open."""
+    """Return the error for a file that another program has open."""
     words = "The process cannot access the file because it is being used by another process"
     return refusal(SHARING_VIOLATION, words, path)
 
 
 def locking(descriptor: int, kind: int, start: int, length: int, *, ask: bool = False) -> bool:
-    """Lock bytes of an open file, or ask whether it could be done; return whether another open file is in the way."""
+    """Lock bytes of an open file, or test whether they can be locked; return whether another open file prevents it."""
     command = fcntl.F_OFD_GETLK if ask else fcntl.F_OFD_SETLK
     wanted = struct.pack("hhqqi4x", kind, os.SEEK_SET, start, length, 0)
     try:
@@ -81,7 +81,7 @@ def locking(descriptor: int, kind: int, start: int, length: int, *, ask: bool = 
 
 
 class Rules:
-    """The functions that stand in place of those of `os`, `io` and `msvcrt`."""
+    """The replacements for functions of `os`, `io` and `msvcrt`."""
 
     def __init__(self) -> None:
         self._real = {name: getattr(os, name) for name in ("open", "read", "write", "unlink", "rename", "replace")}
@@ -100,7 +100,7 @@ class Rules:
         descriptor = self._open_for_locks(path, real_flags, mode)
         about = os.fstat(descriptor)
         if stat.S_ISREG(about.st_mode):
-            # A lock that excludes needs a descriptor that writes.
+            # An exclusive lock requires a writable descriptor.
             kind = fcntl.F_WRLCK if writes(descriptor) else fcntl.F_RDLCK
             assert not locking(descriptor, kind, MARKS + (os.getpid() << 20) + next(_numbers), 1), (
                 "the mark of another file"
@@ -116,7 +116,7 @@ class Rules:
         return int(self._real["open"](path, flags, mode))
 
     def _known(self, descriptor: int) -> tuple[bool, bool] | None:
-        """Return whether a descriptor is of the text kind and whether it writes; None of what was opened otherwise."""
+        """Return whether a descriptor is in text mode and whether it is writable; None if it was not opened here."""
         known = self._opened.get(descriptor)
         if known is None:
             return None
@@ -133,7 +133,7 @@ class Rules:
         return data.replace(b"\r\n", b"\n") if known[0] else data
 
     def write(self, descriptor: int, data: Any) -> int:
-        """`os.write`; returns the bytes that were asked for, not those that were added."""
+        """`os.write`; returns the number of bytes requested, without those added."""
         known = self._known(descriptor)
         if known is None:
             return int(self._real["write"](descriptor, data))
@@ -181,7 +181,7 @@ class Rules:
         self._real["replace"](source, target)
 
     def link(self, source: Any, target: Any) -> None:
-        """`os.link`; of an open file as well."""
+        """`os.link`; allowed for an open file too."""
         refuse_name(target)
         self._real["link"](source, target)
 
@@ -243,7 +243,7 @@ class Rules:
         return self._real["select"](reading, writing, odd, timeout)
 
     def msvcrt(self) -> ModuleType:
-        """Return the module."""
+        """Return the replacement of the module."""
         module = ModuleType("msvcrt")
         module.LK_UNLCK, module.LK_LOCK, module.LK_NBLCK = 0, 1, 2  # type: ignore[attr-defined]
 
@@ -257,7 +257,7 @@ class Rules:
 
 
 class _File(io.FileIO):
-    """A file of bytes that meets the locks of others."""
+    """A binary file that respects the locks of other handles."""
 
     def readinto(self, buffer: Any) -> Any:
         refuse_locked(self.fileno(), len(memoryview(buffer).cast("B")))
@@ -279,7 +279,7 @@ class _File(io.FileIO):
 
 
 def writes(descriptor: int) -> bool:
-    """Return whether a descriptor may be written to."""
+    """Return whether a descriptor is writable."""
     return fcntl.fcntl(descriptor, fcntl.F_GETFL) & os.O_ACCMODE != os.O_RDONLY
 
 
@@ -296,7 +296,7 @@ def refuse_locked(descriptor: int, n: int) -> None:
 
 
 def refuse_name(path: Any) -> None:
-    """Raise if a file cannot be called so."""
+    """Raise if Windows does not allow the file name."""
     if isinstance(path, int):
         return
     name = os.path.basename(os.fsdecode(path))
@@ -307,7 +307,7 @@ def refuse_name(path: Any) -> None:
 
 @contextlib.contextmanager
 def windows_rules() -> Iterator[None]:
-    """Impose the rules on this process; what was opened before keeps those it had."""
+    """Impose the rules on this process; files opened earlier keep the old ones."""
     rules = Rules()
     with pytest.MonkeyPatch.context() as patch:
         for name in ("open", "read", "write", "fsync", "unlink", "rename", "replace", "link", "mkdir"):
