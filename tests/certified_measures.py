@@ -1,9 +1,9 @@
-"""Certificates of what is told of each participant: d', thresholds, exponents and ratings, and of their means.
+"""Certificates of the measures of each participant and of their means: d', thresholds, exponents and ratings.
 
-People are drawn from a population and answer by the very model that is fitted; what is told of one is a row by itself.
-A mean is certified by experiments that draw participants from 2,000 such people (500 of those who are fitted twice):
-against their true mean, and "as estimated" against the mean of the estimates from as many trials over all of them,
-including its bias.
+People are drawn from a population and answer by the model that is fitted; each measure of one person is a row of its
+own. A mean is certified by experiments that draw participants from 2,000 such people (500 of those who are fitted
+twice): against their true mean, and "as estimated" against the mean of the estimates from as many trials over all of
+them, including its bias.
 """
 
 from __future__ import annotations
@@ -73,18 +73,18 @@ Errors = Iterator[tuple[str, np.ndarray]]
 
 @dataclass(frozen=True)
 class Task:
-    """What a population is asked, and what it is like.
+    """The task of a population, and its parameters.
 
     Attributes
     ----------
     signals, noises : int
         Trials with and without a signal.
     tries : int
-        Trials at each of the levels that are fixed.
+        Trials at each fixed level.
     run : int
         Trials of an adaptive run.
     alternatives : int
-        Of a forced choice.
+        Alternatives of a forced choice.
     d_prime, spread_dB, lapse : float
         Mean d', spread of the psychometric function [dB], and share of lapses [1].
     """
@@ -114,7 +114,7 @@ class Task:
 
 
 def errors_of_measures(number: int, participants: int, n: int) -> Errors:
-    """Yield the name of each certificate of a population, and whether the test or interval errs, in n experiments."""
+    """Yield each certificate of a population, and whether its test or interval errs, in n experiments."""
     task, rng = Task.draw(number), np.random.default_rng([1907, number])
     yield from _of_tests(task, rng, (n, participants))
     yield from _of_sensitivity(task, rng, (n, participants))
@@ -135,12 +135,12 @@ def errors_of_measures(number: int, participants: int, n: int) -> Errors:
 
 
 def _of_tests(task: Task, rng: np.random.Generator, shape: tuple[int, int]) -> Errors:
-    """Yield tests where nobody differs."""
-    # Differences of ratings, coarse and of heavy tails, as likely with either sign.
+    """Yield tests of populations without any difference."""
+    # Differences of ratings, coarse and heavy-tailed, symmetric about zero.
     gaps = np.rint(2 * rng.laplace(size=shape))
     yield "rank", rank_test(gaps).quick_p <= ALPHA * TIES
     yield "rank interval", _missed(by_ranks(gaps)[1], 0.0)
-    # Who feels nothing answers "yes" at a rate of the own.
+    # People who feel nothing answer "yes" at individual rates.
     rates = rng.beta(1, 4, shape)
     contrasts = rng.binomial(task.signals, rates) / task.signals - rng.binomial(task.noises, rates) / task.noises
     yield "d'", flip_test(contrasts).quick_p <= ALPHA * TIES
@@ -168,7 +168,7 @@ def _of_sensitivity(task: Task, rng: np.random.Generator, shape: tuple[int, int]
 
 
 def _of_criteria(task: Task, rng: np.random.Generator, shape: tuple[int, int]) -> Errors:
-    """Yield mean criteria of people who are biased as strongly as the mean d' of their task."""
+    """Yield mean criteria of people whose bias is as strong as the mean d' of their task."""
     own = np.abs(rng.normal(task.d_prime, 0.5, shape[0]))
     criterion = rng.normal(task.d_prime / 2, 0.4, shape[0])
     found = _each(yes_no, rng, task, (ndtr(own / 2 - criterion), ndtr(-own / 2 - criterion)))
@@ -178,7 +178,7 @@ def _of_criteria(task: Task, rng: np.random.Generator, shape: tuple[int, int]) -
 def _of_compared(task: Task, rng: np.random.Generator, shape: tuple[int, int]) -> Errors:
     """Yield sign flips of differences between two conditions.
 
-    Shares differ in neither direction, but the numbers of answers do; d' and criterion rise in most people.
+    Shares have no systematic difference, but the numbers of answers differ; d' and criterion rise in most people.
     """
     rates = rng.beta(1, 4, (2, *shape))
     shares = [rng.binomial(n, rate) / n for n, rate in zip((task.signals, task.noises), rates, strict=True)]
@@ -194,7 +194,7 @@ def _of_compared(task: Task, rng: np.random.Generator, shape: tuple[int, int]) -
 
 
 def _of_magnitudes(rng: np.random.Generator, shape: tuple[int, int]) -> Errors:
-    """Yield geometric means of magnitudes, three each; a fifth of the people use numbers ten times as large."""
+    """Yield geometric means of three magnitudes each; a fifth of the people use numbers ten times as large."""
     own = rng.normal(2, 0.5, shape[0]) + (rng.random(shape[0]) < 0.2) * math.log(10)
     given = np.exp(own[:, None] + rng.normal(0, 0.25, (shape[0], 3)))
     digit = 10.0 ** (np.floor(np.log10(given)) - 1)
@@ -212,7 +212,7 @@ FIXED_DB = np.arange(-9.0, 9.5, 3.0)
 def _of_fits_compared(task: Task, rng: np.random.Generator, shape: tuple[int, int]) -> Errors:
     """Yield sign flips of differences of fitted values between two conditions, and detection thresholds alone.
 
-    In the second condition, thresholds are 1 dB higher in most people, and spreads a tenth larger.
+    In the second condition thresholds are 1 dB higher on average, and spreads a tenth larger.
     """
     n = min(shape[0], FITTED)
     own, spread = _people(task, rng, n)
@@ -246,7 +246,7 @@ def _choice(task: Task, rng: np.random.Generator, own: np.ndarray, spread: np.nd
 
 
 def _felt(task: Task, rng: np.random.Generator, own: np.ndarray, spread: np.ndarray) -> Fits:
-    """Return the fits of what is felt at fixed levels, with catch trials; each person has a false-alarm rate."""
+    """Return the fits of yes/no detection at fixed levels, with catch trials; false-alarm rates are individual."""
     guess, n = rng.beta(1, 12, own.size), min(task.noises, 20)
     false = rng.binomial(n, guess)
     rising = ndtr((FIXED_DB - own[:, None]) / spread[:, None])
@@ -270,14 +270,14 @@ def _felt(task: Task, rng: np.random.Generator, own: np.ndarray, spread: np.ndar
 
 
 def _of_exponents_compared(rng: np.random.Generator, shape: tuple[int, int]) -> Errors:
-    """Yield sign flips of differences of exponents between two conditions, a tenth steeper in the second."""
+    """Yield sign flips of differences of exponents between two conditions, 0.1 steeper in the second."""
     own, rise = rng.normal(0.6, 0.2, shape[0]), rng.normal(0.1, 0.1, shape[0])
     first, second = (_exponents(rng, each).estimate for each in (own, own + rise))
     yield from _of_mean("exponent compared", rng, second - first, rise, shape, 0.02)
 
 
 def _of_differences(task: Task, rng: np.random.Generator, shape: tuple[int, int]) -> Errors:
-    """Yield d' and criteria of same and different: the criterion of one, means, and differences of two conditions."""
+    """Yield d' and criteria of same-different tasks: single criteria, means, and differences of two conditions."""
     own, apart = np.abs(rng.normal(task.d_prime, 0.5, shape[0])), rng.uniform(1.0, 2.0, shape[0])
     rise, later, found = rng.normal(0.5, 0.3, shape[0]), rng.normal(0.3, 0.2, shape[0]), []
     for d_prime, criterion in ((own, apart), (own + rise, apart + later)):
@@ -295,7 +295,7 @@ def _of_differences(task: Task, rng: np.random.Generator, shape: tuple[int, int]
 
 
 def _of_alternatives(task: Task, rng: np.random.Generator, shape: tuple[int, int]) -> Errors:
-    """Yield d' of one of three alternatives and of the odd one of three: null, means, and differences."""
+    """Yield d' of three-alternative and oddity tasks: null, means, and differences."""
     own = np.abs(rng.normal(task.d_prime, 0.5, shape[0]))
     rise, n = rng.normal(0.5, 0.3, shape[0]), task.signals
     guessed = rng.binomial(n, 1 / 3, shape) / n - 1 / 3
@@ -313,13 +313,13 @@ def _of_alternatives(task: Task, rng: np.random.Generator, shape: tuple[int, int
 
 
 def _stacked(each: Iterable[Interval]) -> Interval:
-    """Return intervals of people as one of arrays."""
+    """Stack the intervals of several people into one of arrays."""
     rows = [(own.estimate, own.low, own.high) for own in each]
     return Interval(*np.array(rows).T, len(rows))
 
 
 def _of_ratings(task: Task, rng: np.random.Generator, shape: tuple[int, int]) -> Errors:
-    """Yield mean ratings: on a scale from 1 to 7, of numbers without ends, and when correct minus when not."""
+    """Yield mean ratings: on a scale from 1 to 7, of unbounded numbers, and of correct minus other answers."""
     rated, gaps = _rated(task, rng, shape[0])
     known = rated[:, :4].mean(axis=1)
     drawn = known[rng.integers(shape[0], size=shape)]
@@ -330,7 +330,7 @@ def _of_ratings(task: Task, rng: np.random.Generator, shape: tuple[int, int]) ->
 
 
 def _of_gaps_compared(task: Task, rng: np.random.Generator, shape: tuple[int, int]) -> Errors:
-    """Yield sign flips of how much more the gap of ratings is in one condition than in another."""
+    """Yield sign flips of the difference in rating gap between two conditions."""
     (_, first), (_, second) = (_rated(task, rng, shape[0]) for _ in range(2))
     gaps = first - second
     yield from islice(_of_mean("gap of ratings compared", rng, gaps, np.full(1, np.nanmean(gaps)), shape, 0.05), 1)
@@ -339,7 +339,7 @@ def _of_gaps_compared(task: Task, rng: np.random.Generator, shape: tuple[int, in
 def _rated(task: Task, rng: np.random.Generator, n: int) -> tuple[np.ndarray, np.ndarray]:
     """Return ratings from 1 to 7, and each person's difference between those of correct answers and of others.
 
-    A fifth of the people rate much higher, to the end of the scale; ratings are higher when correct in most people.
+    A fifth of the people rate much higher, up to the end of the scale; most rate correct answers higher.
     """
     chance, often = rng.uniform(0.6, 0.9, n), task.signals
     felt = rng.normal(-0.5, 1, n) + 3 * (rng.random(n) < 0.2)
@@ -359,7 +359,7 @@ def _of_groups_together(task: Task, rng: np.random.Generator, shape: tuple[int, 
 
 
 def _each(model, rng, task, chances):
-    """Return what a model tells of each of some people, whose counts are drawn."""
+    """Return the estimates of a model for each of some people, whose counts are drawn."""
     counts = list(zip(*(rng.binomial(n, chance).tolist() for n, chance in zip(
         (task.signals, task.noises), chances, strict=True)), strict=True))  # fmt: skip
     told = {pair: model((pair[0], task.signals), (pair[1], task.noises)) for pair in set(counts)}
@@ -367,7 +367,7 @@ def _each(model, rng, task, chances):
 
 
 def _of_fixed_levels(task: Task, rng: np.random.Generator, shape: tuple[int, int]) -> Errors:
-    """Yield thresholds of a forced choice at fixed levels; points of subjective equality and what is just noticed."""
+    """Yield thresholds of forced choice at fixed levels, and points of subjective equality and JNDs."""
     own, spread = _people(task, rng, shape[0])
     found = _forced(task, rng, own, spread)
     yield "threshold of one", _missed(found.threshold, own)[found.is_determined]
@@ -381,7 +381,7 @@ def _of_fixed_levels(task: Task, rng: np.random.Generator, shape: tuple[int, int
 
 
 def _of_runs(task: Task, rng: np.random.Generator, shape: tuple[int, int]) -> Errors:
-    """Yield thresholds of adaptive runs: of a forced choice, down after two successes, and of what is felt."""
+    """Yield thresholds of adaptive runs: two-down forced choice, and yes/no detection."""
     for name in ("forced choice", "felt"):
         own, spread = _people(task, rng, shape[0])
         yield from _of_thresholds(name, rng, _run_of(task, rng, own, spread, name), own, shape)
@@ -423,18 +423,18 @@ def _run_of(task: Task, rng: np.random.Generator, own: np.ndarray, spread: np.nd
 
 
 def staircases(rule, rng, n_trials, chances):
-    """Return the places of the levels of some runs, and which answers succeed, (n_runs, n_trials) arrays.
+    """Return the level indices of some runs and which answers succeed, (n_runs, n_trials) arrays.
 
     Parameters
     ----------
     rule : StaircaseSection
-        Steps of whole multiples of 2 dB, as large up as down.
+        Steps that are multiples of 2 dB, equal up and down.
     rng : Generator
-        Source of chance.
+        Source of random numbers.
     n_trials : int
         Trials of each run.
     chances : (n_runs, n_levels) array
-        Chance of success at each level [1].
+        Probability of success at each level [1].
     """
     steps = np.array(rule.steps_dB) / 2
     rows, n = np.arange(len(chances)), len(chances)
@@ -456,10 +456,10 @@ def staircases(rule, rng, n_trials, chances):
 
 
 def quests(guess, rng, n_trials, chances):
-    """Return the places of the levels of QUEST+ runs, and which answers succeed, as `staircases` does.
+    """Return the level indices of QUEST+ runs and which answers succeed, as `staircases` does.
 
-    The level with the least expected entropy has the largest mutual information of answer and parameters; of two
-    answers it takes two products with the posterior, over all runs at once.
+    The level with the least expected entropy has the largest mutual information of answer and parameters; with two
+    answers this takes two products with the posterior, for all runs together.
 
     Parameters
     ----------
@@ -487,12 +487,12 @@ def quests(guess, rng, n_trials, chances):
 
 @lru_cache
 def quest_of(guess: float) -> Quest:
-    """Return the rule of QUEST+ runs from the highest but four of the levels, lapses up to 6 %."""
+    """Return the rule of QUEST+ runs that start at the fifth-highest level, with lapses up to 6 %."""
     return Quest((LEVELS_DB[0], LEVELS_DB[-1]), LEVELS_DB[START], guess, 0.06)
 
 
 def _of_exponents(rng: np.random.Generator, shape: tuple[int, int]) -> Errors:
-    """Yield exponents of magnitudes of five levels, three times each, rounded to two digits as people answer."""
+    """Yield exponents of magnitudes at five levels, three times each, rounded to two digits as people answer."""
     own = rng.normal(0.6, 0.2, shape[0])
     exponents = _exponents(rng, own)
     yield "exponent of one", _missed(exponents, own)
@@ -518,9 +518,9 @@ def _known(found: Fits, estimate: Interval) -> np.ndarray:
 
 
 def _of_mean(name: str, rng, known, own, shape, least) -> Errors:
-    """Yield where sign flips of people's numbers, rounded, reject the true mean, and that of all such numbers.
+    """Yield where sign flips of people's rounded numbers reject the true mean, and the mean of all estimates.
 
-    Those who have none are left out.
+    People without an estimate are left out.
     """
     drawn = rng.integers(len(known), size=shape)
     for kind, mean in ((name, own.mean()), (f"{name}, as estimated", np.nanmean(known))):
@@ -529,5 +529,5 @@ def _of_mean(name: str, rng, known, own, shape, least) -> Errors:
 
 
 def _missed(interval: Interval, truth: np.ndarray | float) -> np.ndarray:
-    """Return which intervals do not hold the truth."""
+    """Return which intervals miss the true value."""
     return (truth < interval.low - 1e-9) | (interval.high + 1e-9 < truth)

@@ -1,8 +1,8 @@
-"""Certificates: how often each test and interval of the report errs, in populations whose truth is known.
+"""Certificates: how often each test and interval of the report errs, in populations with known true values.
 
-Every row is a test or interval in one population: the share of simulated experiments in which a test rejects what is
-true, or a 95 % interval misses what is true. The functions are those of the report. A row fails where that share is
-above 0.05 beyond doubt, by an exact bound that allows for all rows (Bonferroni).
+Every row is a test or interval in one population: the share of simulated experiments in which a test rejects a true
+hypothesis, or a 95 % interval misses the true value. The functions are those of the report. A row fails if that share
+is significantly above 0.05, by an exact bound corrected for all rows (Bonferroni).
 """
 
 from __future__ import annotations
@@ -61,26 +61,26 @@ TIES = 1 + 1e-9
 
 @dataclass(frozen=True)
 class Population:
-    """People, and how many of them answer how often.
+    """A population of participants, and the size of the experiments.
 
     Attributes
     ----------
     kind : str
-        What they do: the same with either hand and pair (alike, sure, guessing, spread), a minority the opposite of the
-        others (minority), the others a little against it so that the mean difference is near zero (skew), or each with
-        a slope of the own (slopes).
+        How they answer: the same with either hand and pair (alike, sure, guessing, spread), a minority opposite to the
+        others (minority), the others slightly against it so that the mean difference is near zero (skew), or each with
+        an individual slope (slopes).
     participants, repetitions : int
         Size of the experiments.
     minority : float
-        Share of those who do the opposite [1].
+        Share of people who answer the opposite way [1].
     slope_sd : float
-        Standard deviation of slopes of mean zero [logit per 50 mm/s].
+        Standard deviation of slopes with zero mean [logit per 50 mm/s].
     lapses : float
         Share of answers that are guesses [1].
     correlation : float
         Correlation of the answers of one participant to one pair under one finger condition [1].
     missing : float
-        Chance of an answer to be missing [1].
+        Probability that an answer is missing [1].
     """
 
     kind: str
@@ -111,7 +111,7 @@ class Population:
         return cls(kind, n, repetitions, opposite, sd, one_of(0.0, 0.05, 0.15), one_of(0.0, 0.2, 0.5), missing)
 
     def chances(self, rng, shape, null):
-        """Return the chances of dominant zone, both and other zone, (*shape, 2, 2, 4, 3); of a null, nobody differs."""
+        """Return chances of dominant zone, both and other zone, (*shape, 2, 2, 4, 3); `null`: without differences."""
         few = rng.random(shape) < self.minority
         base = {"guessing": 0.0, "sure": 4.0}.get(self.kind, 2.0) + (self.kind == "spread") * rng.normal(0, 1.5, shape)
         hand = {"minority": -5.0 * few, "skew": np.where(few, -5.0, 0.7)}.get(self.kind, np.zeros(shape))
@@ -123,17 +123,17 @@ class Population:
         undecided = 0.5 if null else np.array([0.3, 0.7])[:, None]
         both = (1 - first) * undecided
         chances = np.stack([first, both, 1 - first - both], axis=-1)
-        if null:  # as many lean one way as the other
+        if null:  # as many people lean one way as the other
             turned = (rng.random(shape) < 0.5)[..., None, None, None, None]
             chances = np.where(turned, chances[..., ::-1], chances)
         return (1 - self.lapses) * chances + self.lapses / 3
 
     def answers(self, rng, shape, *, null=False, guesses=False):
-        """Return the counted answers of some experiments of participants, and the chances before they correlate."""
+        """Return the counted answers of some experiments, and the chances before answers correlate."""
         chances = np.full((*shape, 2, 2, 4, 3), 1 / 3) if guesses else self.chances(rng, shape, null)
         own = chances
         if self.correlation and not guesses:
-            # One draw for a pair under a finger condition, whichever level: the same mean, varying together.
+            # One draw for a pair under a finger condition at all levels: the same mean, varying together.
             strength = (1 - self.correlation) / self.correlation
             uniform = rng.random((*shape, 2, 2, 1, 1))
             picked = (uniform > np.cumsum(chances, axis=-1)[..., :-1]).sum(axis=-1)
@@ -156,7 +156,7 @@ class Population:
 
 
 def errors_of_means(answers, truths, margins):
-    """Yield the name of each mean, whether its interval misses the truth, and half its width."""
+    """Yield the name of each mean, whether its interval misses the true value, and half its width."""
     for name, scores in {
         "a2 mean": dominance(answers).scores,
         "b mean": slopes(answers),
@@ -171,7 +171,7 @@ def errors_of_means(answers, truths, margins):
 
 
 def truths_of(population, rng):
-    """Return what a very large crowd shows."""
+    """Return the measures of a very large crowd."""
     answers, chances = population.answers(rng, (CROWD,))
     mean = chances.mean(axis=0)
     weights = 100 * (np.array(LEVELS) - np.mean(LEVELS)) / ((np.array(LEVELS) - np.mean(LEVELS)) ** 2).sum()
@@ -201,7 +201,7 @@ def truths_of(population, rng):
 
 
 def errors_of_shares(answers, truth):
-    """Yield the name of each other interval and whether it misses the truth."""
+    """Yield the name of each other interval and whether it misses the true value."""
     place = answers.dominant_place(answers.pairs[0])
     kinds = answers.n_modal[..., 0, 0, 0, :]
     yield "a1 share", missed(clopper_pearson(kinds[..., place], kinds.sum(axis=-1)), truth["a1 share"])
@@ -228,32 +228,32 @@ def errors_of_shares(answers, truth):
 
 
 def missed(interval, truth):
-    """Return which intervals do not hold the truth."""
+    """Return which intervals miss the true value."""
     return (truth < interval.low - 1e-9) | (interval.high + 1e-9 < truth)
 
 
 def errors_of_tests(population, rng, shape):
-    """Yield the name of each exact test and whether it rejects, where nobody differs, and their families after Holm."""
+    """Yield each exact test and whether it rejects in a population without differences, and families after Holm."""
     nobody, _ = population.answers(rng, shape, null=True)
     guesses, _ = population.answers(rng, shape, guesses=True)
     for family, statistic in STATISTICS.items():
-        if " " in family:  # means and their equivalence have truths of their own
+        if " " in family:  # means and their equivalence have their own true values
             continue
         p = statistic.compute(guesses if statistic.against_guessing else nobody).test.quick_p
         yield family, p[:, 0] <= ALPHA * TIES
         yield f"{family} Holm", (holm(p) <= ALPHA * TIES).any(axis=-1)
     score = (nobody.dominant - nobody.other)[..., 0, 0, :, :].sum(axis=-1)
     yield "leaning", sign_test(score).quick_p <= ALPHA * TIES
-    # Medians of reaction times [0.02 s]: heavy tails, and every difference as likely with either sign.
+    # Medians of reaction times [0.02 s]: heavy-tailed, and differences symmetric about zero.
     medians = np.exp(rng.normal(-0.5, 0.4, (*shape, 2)))
     gaps = np.rint(50 * (medians[..., 0] - medians[..., 1])).astype(int)
     yield "time", sign_flip_test(gaps).quick_p <= ALPHA * TIES
 
 
 def errors_together(population, rng, n_experiments):
-    """Yield tests of all answers together, unordered, where nobody differs: over levels, and between finger conditions.
+    """Yield joint tests of all unordered answers without differences, over levels and between finger conditions.
 
-    Their chance is their own, so that the other rows stay as they are.
+    They have their own random stream, so that the other rows do not change.
     """
     for start in range(0, n_experiments, BATCH):
         shape = (min(BATCH, n_experiments - start), population.participants)
@@ -295,7 +295,7 @@ def certify(number, n_experiments):
 
 
 def program() -> dict[str, str]:
-    """Return what the figures hang on: a hash of the program and of this file, and the versions of the libraries."""
+    """Return what the figures depend on: a hash of the program and this file, and the library versions."""
     files = [Path(__file__), Path(certified_measures.__file__), *sorted(Path(modaltouch.__file__).parent.rglob("*.py"))]
     source = hashlib.sha256(b"\0".join(file.read_bytes() for file in files)).hexdigest()
     return {"source": source, "numpy": np.__version__, "scipy": scipy.__version__}
@@ -310,7 +310,7 @@ def unlike(expected: dict[str, str]) -> list[str]:
 def certify_alike(expected: dict[str, str], number: int, n_experiments: int) -> dict:
     """Return the rows of one population, if this worker runs the submitter's program.
 
-    A worker may join after `check_workers` has asked them all.
+    A worker may join after `check_workers` has checked them all.
     """
     if others := unlike(expected):
         raise RuntimeError(f"a worker has another {' and '.join(others)}: install this very program there")
@@ -318,12 +318,12 @@ def certify_alike(expected: dict[str, str], number: int, n_experiments: int) -> 
 
 
 def certify_on(address: str, n_populations: int, n_experiments: int, kept: Path) -> list[dict]:
-    """Certify populations on a Dask cluster; what is done stands in `kept`, and is not done again.
+    """Certify populations on a Dask cluster; finished ones are kept in `kept` and not repeated.
 
     Raises
     ------
     SystemExit
-        If a worker's program is another one, no worker is left for a minute, or the scheduler is lost.
+        If a worker has another program, there is no worker for a minute, or the scheduler is lost.
     """
     import cloudpickle
     from distributed import Client
@@ -365,7 +365,7 @@ def certify_on(address: str, n_populations: int, n_experiments: int, kept: Path)
 
 
 def check_workers(client, address: str) -> None:
-    """Refuse a cluster without workers, and workers whose program is another one or not to be found."""
+    """Refuse a cluster without workers, and workers with another program or none."""
     others = client.run(unlike, program(), on_error="return")
     if not others:
         raise SystemExit(f"no worker at {address}; start some with `dask worker {address}`")
@@ -397,7 +397,7 @@ def judge(parts):
 
 
 def draw(certificates, place):
-    """Write the picture: the error rate of every test and interval in every population."""
+    """Draw the error rate of every test and interval in every population."""
     from matplotlib.figure import Figure
 
     rng, names = np.random.default_rng(1), list(certificates)
@@ -449,13 +449,13 @@ def main() -> None:
 
 
 def brief_of(name, each):
-    """Return what the report says of a certificate, a line: its mean and worst rate, and why it fails, if it does."""
+    """Return a certificate as one line of the report: its mean and worst rate, and the reason if it fails."""
     why = certified_measures.REASONS.get(name, "the reason is not known yet") if each["fails"] else ""
     return f"{json.dumps(name)}: {json.dumps([each['mean_rate'], each['worst_rate'], why])}"
 
 
 def compact(about, certificates, populations):
-    """Return everything as JSON, a certificate or a population a line."""
+    """Return everything as JSON, one certificate or population per line."""
     parts = [f'"{key}": {json.dumps(value)}' for key, value in about.items()]
     lines = ",\n".join(f"{json.dumps(name)}: {json.dumps(each)}" for name, each in certificates.items())
     parts.append('"certificates": {\n' + lines + "\n}")

@@ -1,4 +1,4 @@
-"""A copy of the shipped protocols that a test may spoil; how the tests are shared out among processes."""
+"""An editable copy of the shipped protocols, and the distribution of the tests over processes."""
 
 from __future__ import annotations
 
@@ -48,8 +48,8 @@ SPLIT = (
 )
 """Files of which each test may run in another process: one takes longer than most files."""
 
-# How long an example takes says more of what else the machine does than of the test. The suite tries the same examples
-# every time, so that a change is judged by itself; `make fuzz` looks for new ones.
+# The time of an example depends more on the load of the machine than on the test. The suite tries the same examples
+# every time, so that a change is judged by itself; `make fuzz` searches for new ones.
 _ANY_MACHINE: dict[str, Any] = {"deadline": None, "suppress_health_check": [HealthCheck.too_slow]}
 settings.register_profile("modaltouch", derandomize=True, **_ANY_MACHINE)
 settings.register_profile("search", derandomize=False, max_examples=500, **_ANY_MACHINE)
@@ -58,24 +58,24 @@ settings.load_profile("modaltouch")
 
 @pytest.hookimpl(wrapper=True)
 def pytest_collect_file() -> Generator[None, list[pytest.Collector], list[pytest.Collector]]:
-    """Look for doctests in the source alone: looking through the tests takes every process seconds."""
+    """Collect doctests from the source only: searching the tests takes seconds in every process."""
     return [found for found in (yield) if not isinstance(found, DoctestModule)]
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Put the longest files first."""
+    """Run the longest files first."""
     order = {name: place for place, name in enumerate(LONGEST)}
     items.sort(key=lambda item: order.get(item.nodeid.partition("::")[0], len(LONGEST)))
 
 
 def pytest_collection_finish() -> None:
-    """Keep the garbage collector from going through what is collected, which stays, again and again."""
+    """Exempt the collected tests, which stay in memory, from further garbage collection."""
     gc.freeze()
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
-    """Keep the tests of a file together under ``--dist loadfile``, but for the files to be split."""
+    """Keep the tests of a file together under ``--dist loadfile``, except for the files to be split."""
     if config.getvalue("dist") != "loadfile":
         return None
     from xdist.scheduler import LoadFileScheduling
@@ -92,7 +92,7 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
 
 @contextmanager
 def _blank(*kinds: str) -> Iterator[None]:
-    """Make every figure, and leave its files of some kinds undrawn: drawing takes longer than most analyses."""
+    """Compute every figure, but write blank files of some kinds: drawing takes longer than most analyses."""
     from modaltouch.report import page
 
     render = page.render
@@ -103,21 +103,21 @@ def _blank(*kinds: str) -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def svg_alone() -> Iterator[None]:
-    """Draw every figure as SVG and leave its PNG blank, where one format shows what a file claims."""
+    """Draw every figure as SVG only and leave its PNG blank, for files whose claims need one format."""
     with _blank("png"):
         yield
 
 
 @pytest.fixture(scope="module")
 def undrawn() -> Iterator[None]:
-    """Leave the files of every figure blank, where a file's claims are not of pictures."""
+    """Leave the files of every figure blank, for files whose claims do not concern pictures."""
     with _blank("png", "svg"):
         yield
 
 
 @pytest.fixture
 def shipped() -> Path:
-    """Folder of the shipped protocols."""
+    """The folder of the shipped protocols."""
     return SHIPPED
 
 
@@ -134,7 +134,7 @@ def edit(tmp_path: Path) -> Edit:
         file = folder / name
         text = file.read_text(encoding="utf-8")
         for old, new in changes:
-            assert text.count(old) == 1, f"{old!r} stands {text.count(old)} times in {name}"
+            assert text.count(old) == 1, f"{old!r} occurs {text.count(old)} times in {name}"
             text = text.replace(old, new)
         file.write_text(text, encoding="utf-8")
         return file
@@ -144,7 +144,7 @@ def edit(tmp_path: Path) -> Edit:
 
 @pytest.fixture(scope="session")
 def scribe() -> Callable[..., Path]:
-    """Return a function that records a session as a sitting does, in format 1, without a rig."""
+    """Return a function that records a session in format 1, as a session does, without a rig."""
     return _record_session
 
 
@@ -159,7 +159,7 @@ def _record_session(
     answer: Callable[[Any], str] = lambda trial: "both",
     also: tuple[dict[str, Any], ...] = (),
 ) -> Path:
-    """Record the answers that a function of the trial gives, and `also` further events; return the log."""
+    """Record the answers that a function of the trial gives, and the further events in `also`; return the log."""
     from modaltouch.protocol.schedule import Schedule
     from modaltouch.record.folders import SessionFolder
     from modaltouch.record.log import SessionLog

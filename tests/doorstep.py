@@ -1,7 +1,7 @@
-"""The doorstep on machines that are not this one: bare Debian roots, clone and wheel, as root and as a user.
+"""Installation on other machines: bare Debian roots, clone and wheel, as root and as a user.
 
-``python3 tests/doorstep.py --out results/benchmarks/doorstep.json``, as root, with debootstrap on the path.
-Python 3.11 or 3.12 is the distribution's own where it has one; else ``--python FOLDER`` is put into the root.
+``python3 tests/doorstep.py --out results/benchmarks/doorstep.json``, as root, with debootstrap on the path. Python 3.11
+or 3.12 is the distribution's where it has one; otherwise ``--python FOLDER`` is copied into the root.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ modaltouch demo
 
 @dataclass
 class Trial:
-    """One way over the doorstep, and what came of it."""
+    """One way to install, and its result."""
 
     suite: str
     user: str
@@ -72,13 +72,13 @@ class Trial:
 
     @property
     def holds(self) -> bool:
-        """Whether it ended as it should, and no stack of calls was shown to anybody."""
+        """Whether it ended with the expected status and showed no traceback."""
         as_it_should = self.status == 0 if self.expected == 0 else self.status not in (0, None)
         return as_it_should and not self.n_tracebacks and not self.hung
 
 
 class Debian:
-    """A bare root of a distribution, made once and kept; ways are tried in copies."""
+    """A bare root of a distribution, made once and kept; each way to install is tried in a copy."""
 
     def __init__(self, suite: str, python: Path | None) -> None:
         self.suite = suite
@@ -87,7 +87,7 @@ class Debian:
         self.root = BUILD / f"{suite}-tried"
 
     def renew(self) -> None:
-        """Put a bare copy in place, with a user, and with the way this machine reaches the registries."""
+        """Create a bare copy with a user and with this machine's access to the registries."""
         if not (self._bare / "usr" / "bin" / "git").exists():
             shutil.rmtree(self._bare, ignore_errors=True)
             included = "--include=python3,make,git,ca-certificates"
@@ -101,14 +101,14 @@ class Debian:
                 place.unlink(missing_ok=True)
                 shutil.copyfile(name, place)
         if self._python is not None:
-            # At the very place that it was built for, readable to everybody.
+            # At the path that it was built for, readable by everybody.
             shutil.copytree(self._python, self.root / str(self._python).lstrip("/"), symlinks=True)
             script = f"chmod a+rx /root; echo {self._python}/lib > /etc/ld.so.conf.d/python.conf; ldconfig"
             self.run(f"{script}; ln -s {self._python}/bin/python3.1? /usr/local/bin", "root", LIMIT)
         self.run("useradd --create-home ordinary && git config --system --add safe.directory '*'", "root", LIMIT)
 
     def run(self, script: str, user: str, limit: float) -> tuple[int | None, str]:
-        """Return status and output of a shell script inside, in its own process space; no status if it hangs."""
+        """Return status and output of a shell script inside, in a separate PID namespace; status None if it hangs."""
         home = "/root" if user == "root" else f"/home/{user}"
         variables = {name: value for name, value in os.environ.items() if PASSED_ON.match(name)}
         variables |= {"HOME": home, "USER": user, "TERM": "dumb"}
@@ -120,7 +120,7 @@ class Debian:
         mounts = [f"mount -t proc proc {self.root}/proc", f"mount -t tmpfs tmpfs {self.root}/tmp"]
         mounts += [f"mount --rbind /dev {self.root}/dev", f"mkdir -p {self.root}/source {self.root}/wheel"]
         mounts += [f"mount --bind {ROOT} {self.root}/source", f"mount --bind {BUILD}/wheel {self.root}/wheel"]
-        # When the shell that is first in this space ends, everything in it ends.
+        # When the first shell of this namespace ends, everything in it ends.
         command = ["unshare", "--mount", "--pid", "--fork", "--kill-child", "sh", "-ec", "; ".join([*mounts, inside])]
         with subprocess.Popen(
             command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
@@ -136,7 +136,7 @@ class Debian:
 
 @contextmanager
 def busy(n_loops: int) -> Iterator[None]:
-    """Keep this many loops running beside."""
+    """Keep this many loops running in the background."""
     loops = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(n_loops)]
     try:
         yield
@@ -147,7 +147,7 @@ def busy(n_loops: int) -> Iterator[None]:
 
 
 def attempt(debian: Debian, trial: Trial, script: str, logs: Path) -> Trial:
-    """Go one way over the doorstep, and note what came of it."""
+    """Try one way to install, and record the result."""
     print(f"{trial.suite} {trial.user:9} {trial.way} ({trial.load} busy loops) ...", end=" ", flush=True)
     began = time.monotonic()
     with busy(trial.load):
@@ -163,14 +163,14 @@ def attempt(debian: Debian, trial: Trial, script: str, logs: Path) -> Trial:
 
 
 def try_all(suite: str, python: Path | None) -> Iterator[Trial]:
-    """Yield every way of one distribution."""
+    """Yield every way to install on one distribution."""
     debian = Debian(suite, python)
     debian.renew()
     name = f"{python}/bin/python3" if python is not None else "python3"
     _, version = debian.run(f"{name} -c 'import platform; print(platform.python_version())'", "root", LIMIT)
     wheel = "/wheel/" + next((BUILD / "wheel").glob("*.whl")).name
     ways = [
-        # Nobody but root may install what the window needs: said in a sentence.
+        # Only root may install what the window needs: an error says so.
         ("ordinary", "clone, nothing installed", CLONE, 0, 2),
         ("root", "clone", CLONE, 0, 0),
         ("ordinary", "clone", "rm -rf {home}/modaltouch" + CLONE, 0, 0),
@@ -186,14 +186,14 @@ def try_all(suite: str, python: Path | None) -> Iterator[Trial]:
 
 
 def build_wheel() -> None:
-    """Build the wheel that a user would be given."""
+    """Build the wheel that a user would install."""
     shutil.rmtree(BUILD / "wheel", ignore_errors=True)
     python = ROOT / ".venv" / "bin" / "python"
     subprocess.run([python, "-m", "hatchling", "build", "-t", "wheel", "-d", BUILD / "wheel"], cwd=ROOT, check=True)
 
 
 def main() -> int:
-    """Try every way and write what came of it."""
+    """Try every way to install and write the results."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("--suites", nargs="+", default=["bookworm", "trixie"])
     parser.add_argument("--python", type=Path, default=None, help="folder of a Python 3.11 or 3.12, for suites without")

@@ -1,12 +1,12 @@
-"""Tests that cannot fail, found by spoiling the code: one small mistake at a time, and a test must notice.
+"""Mutation testing: each mutant is the code with one small mistake, which a test must detect.
 
     python tests/mutation.py [--each 15] [--only record/chain.py] [--match TEXT] [--out results/benchmarks/mutants.json]
 
-Of every module in ``mutation.toml`` this makes all mutants (a comparison flipped, a sum made a difference, a constant
-moved, a condition negated, nothing returned, a statement left out), takes the first `--each` by a seeded hash of what
-they change, so that an edit elsewhere leaves the sample as it is, and runs the tests named there on each. A mutant that
-no test notices survives, and fails the run unless ``mutation.toml`` says why it breaks no promise. No file is touched:
-each mutant lives in a forked child. Programs that a test starts are unspoilt. POSIX only.
+For every module in ``mutation.toml`` this lists all mutants (a comparison flipped, a sum made a difference, a constant
+changed, a condition negated, nothing returned, a statement removed), takes the first `--each` by a seeded hash of what
+they change, so that an edit elsewhere leaves the sample as it is, and runs the tests listed there on each. A mutant
+that no test detects survives, and fails the run unless ``mutation.toml`` argues that it breaks no promise. No file
+changes: each mutant exists in a forked child only. Programs that a test starts are not mutated. POSIX only.
 """
 
 from __future__ import annotations
@@ -38,11 +38,11 @@ from typing import Any
 import hypothesis
 import pytest
 
-PHASES = (hypothesis.Phase.explicit, hypothesis.Phase.generate)  # the least example is of no interest here
+PHASES = (hypothesis.Phase.explicit, hypothesis.Phase.generate)  # the smallest example does not matter here
 ROOT = Path(__file__).parents[1]
 SEED = "modaltouch"
-LIMIT = 5.0  # CPU seconds a mutant may take beyond twice what the unspoilt tests take
-LONGEST = 900.0  # seconds, as a mutant may also wait for ever, where no limit of a test reaches it
+LIMIT = 5.0  # CPU seconds a mutant may take beyond twice the time of the unchanged tests
+LONGEST = 900.0  # seconds, as a mutant may also wait for ever where no limit of a test applies
 OPTIONS = """-x -q -p no:cacheprovider -p no:xdist --hypothesis-profile=mutation --timeout=90
  -W ignore::pytest.PytestAssertRewriteWarning --basetemp"""
 SWAPS: dict[type[ast.AST], type[ast.AST]] = {
@@ -54,7 +54,7 @@ SWAPS: dict[type[ast.AST], type[ast.AST]] = {
 
 
 def variants(node: ast.AST, parent: ast.AST, field: str) -> Iterator[ast.AST]:
-    """Yield what may stand in place of a node."""
+    """Yield the replacements of a node."""
     if isinstance(node, ast.Compare):
         for place, operator in enumerate(node.ops):
             swapped = copy.deepcopy(node)
@@ -86,10 +86,10 @@ def variants(node: ast.AST, parent: ast.AST, field: str) -> Iterator[ast.AST]:
 
 
 def sites(node: ast.AST, where: str = "", line: str = "") -> Iterator[tuple[str, Callable[[], None]]]:
-    """Yield name and deed of every mistake that can be made below a node."""
+    """Yield name and action of every mistake that can be made below a node."""
     for field, value in ast.iter_fields(node):
         if field in {"annotation", "returns", "decorator_list"} or isinstance(node, ast.JoinedStr):
-            continue  # types, and the words of messages
+            continue  # types, and texts of messages
         inside = where
         if isinstance(node, (ast.FunctionDef, ast.ClassDef)) and field == "body":
             inside = f"{where}.{node.name}".removeprefix(".")
@@ -112,7 +112,7 @@ def _put(node: ast.AST, field: str, place: int, new: ast.AST) -> None:
 
 
 def mutants(tree: ast.Module) -> dict[str, Callable[[], None]]:
-    """Return every mistake that can be made in a module, by its name, in the order of the sample."""
+    """Return every mistake that can be made in a module, by name, in the order of the sample."""
     seen: Counter[str] = Counter()
     short: Counter[str] = Counter()
     found = []
@@ -142,7 +142,7 @@ def functions(code: CodeType) -> dict[tuple[str, int], CodeType]:
 
 
 class Part(SourceFileLoader):
-    """A module with its tests, and the children that try them on one mutant each."""
+    """A module with its tests, and the child processes that try them on one mutant each."""
 
     def __init__(self, module: str, tests: list[str], folder: Path) -> None:
         super().__init__(f"modaltouch.{module[:-3].replace('/', '.')}", str(ROOT / "src" / "modaltouch" / module))
@@ -152,14 +152,14 @@ class Part(SourceFileLoader):
         self.spoilt, self.asked, self.verdicts = "", [""], folder / "verdicts.json"
 
     def compiled(self, mutant: str) -> CodeType:
-        """Return the module's code with one mutant in it, or with none."""
+        """Return the module's code with one mutant, or unchanged."""
         tree = ast.parse(self.source)
         if mutant:
             mutants(tree)[mutant]()
         return compile(ast.fix_missing_locations(tree), self.path, "exec")
 
     def find_spec(self, name: str, path: object = None, target: object = None) -> ModuleSpec | None:
-        """Stand before the interpreter's own finders for this one module."""
+        """Find this one module before the interpreter's own finders do."""
         return spec_from_file_location(name, self.path, loader=self) if name == self.name else None
 
     def get_code(self, fullname: str) -> CodeType:
@@ -177,20 +177,20 @@ class Part(SourceFileLoader):
         return pytest.main(self.arguments, plugins=[self])
 
     def pytest_runtestloop(self) -> bool | None:
-        """Run the collected tests once for every mutant asked for, each time in a child."""
-        import_module(self.name)  # a test may be the first to import it, in the child, and then nothing were spoilt
+        """Run the collected tests once for every requested mutant, each time in a child."""
+        import_module(self.name)  # otherwise a test may import it first, in the child, without the mutant
         plain, found = functions(self.compiled("")), {}
         for name in self.asked if not self.spoilt else ():
             fresh = functions(self.compiled(name))
             if name and fresh == plain:
-                continue  # the import itself is spoilt: not in a process that has imported already
+                continue  # the import itself is mutated: not in a process that has imported already
             if not (child := os.fork()):
                 limited(self.limit if name else 3600)
-                gc.unfreeze()  # what is collected is frozen by the suite, and only the rest would be spoilt
+                gc.unfreeze()  # the suite freezes what is collected; without this only the rest would be mutated
                 for item in gc.get_objects():
                     if isinstance(item, FunctionType) and item.__module__ == self.name:
                         item.__code__ = fresh.get((item.__qualname__, item.__code__.co_firstlineno), item.__code__)
-                return None  # and pytest runs the tests
+                return None  # pytest then runs the tests
             found[name], taken = wait(child)
             if not name:
                 self.limit = LIMIT + 2 * taken
@@ -200,7 +200,7 @@ class Part(SourceFileLoader):
         return None if self.spoilt else True
 
     def judge(self, names: list[str]) -> dict[str, str]:
-        """Return passed or failed for each mutant, and for none."""
+        """Return passed or failed for each mutant, and for the unchanged module."""
         self.asked = ["", *names]
         wait(forked(self.test))
         self.limit, found = json.loads(self.verdicts.read_text(encoding="utf-8"))
@@ -235,7 +235,7 @@ def wait(child: int) -> tuple[str, float]:
 
 def limited(seconds: float) -> None:
     """End this process once it has computed that long, or waited for `LONGEST`; a mutant may never return."""
-    from resource import RLIMIT_CPU, setrlimit  # not on Windows, where pytest still looks into this file for examples
+    from resource import RLIMIT_CPU, setrlimit  # not on Windows, where pytest still searches this file for doctests
 
     waited = Timer(LONGEST, os._exit, (3,))
     waited.daemon = True
@@ -244,7 +244,7 @@ def limited(seconds: float) -> None:
 
 
 def examine(module: str, plan: dict[str, Any], each: int, match: str, folder: Path) -> dict[str, int]:
-    """Try a sample of a module's mutants, print what survives and return the counts."""
+    """Try a sample of a module's mutants, print the survivors and return the counts."""
     part, argued = Part(module, plan["tests"], folder), plan.get("argued", {})
     for name in argued.keys() - set(part.names):
         print(f"{module}: argued, but no mutant any more: {name}")
@@ -262,7 +262,7 @@ def examine(module: str, plan: dict[str, Any], each: int, match: str, folder: Pa
 
 
 def main() -> int:
-    """Examine the modules asked for, write the counts and fail where a survivor is not argued."""
+    """Examine the requested modules, write the counts and fail if a survivor is not argued."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--each", type=int, default=15, help="mutants of each module (default 15)")
     parser.add_argument("--only", nargs="*", help="these modules alone, such as record/chain.py")
@@ -270,7 +270,7 @@ def main() -> int:
     parser.add_argument("--out", type=Path, help="JSON file for the counts")
     given = parser.parse_args()
     os.nice(15)
-    os.chdir(ROOT)  # where the tests expect to be
+    os.chdir(ROOT)  # the tests expect this working directory
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     for package in ("numpy", "pandas", "scipy.stats", "scipy.optimize", "scipy.signal", "pydantic", "ruamel.yaml"):
         import_module(package)  # once, for all children

@@ -1,4 +1,4 @@
-"""One word, one meaning: fails where two public classes of the package have the same name. Part of ``make check``."""
+"""Fails where two public classes of the package have the same name. Part of ``make check``."""
 
 import ast
 import sys

@@ -1,4 +1,4 @@
-"""The mutants that ``mutation.toml`` argues away are mutants of the code as it stands."""
+"""The modules, tests and mutants that ``mutation.toml`` lists exist."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ def mutants():
 
 
 @pytest.mark.parametrize("module", PLAN)
-def test_the_tests_that_must_notice_are_there(module: str) -> None:
-    """A module that went, a test that was renamed: its mutants would no longer be examined."""
+def test_the_tests_listed_for_a_module_exist(module: str) -> None:
+    """After a module is removed or a test renamed, its mutants would no longer be examined."""
     assert (TESTS.parent / "src" / "modaltouch" / module).is_file()
     for test in PLAN[module]["tests"]:
         file, *names = test.split("::")
@@ -31,7 +31,7 @@ def test_the_tests_that_must_notice_are_there(module: str) -> None:
 
 
 @pytest.mark.parametrize("module", ARGUED)
-def test_what_is_argued_away_can_still_be_made(module: str, mutants) -> None:
-    """A renamed class or a joined module takes its arguments along."""
+def test_every_argued_mutant_still_exists(module: str, mutants) -> None:
+    """A renamed class or a merged module needs its entries updated."""
     source = (TESTS.parent / "src" / "modaltouch" / module).read_text(encoding="utf-8")
     assert set(ARGUED[module]) <= set(mutants(ast.parse(source)))

@@ -1,4 +1,4 @@
-"""The certificates themselves: what they count, and that an interval that errs too often fails."""
+"""The certification script: what it counts, and that an interval with too many errors fails."""
 
 import importlib.util
 import sys
@@ -16,24 +16,24 @@ PLACE = Path(__file__).with_name("certify.py")
 
 @pytest.fixture(scope="module")
 def certify():
-    """The script."""
+    """The script as a module."""
     sys.path.insert(0, str(PLACE.parent))
     spec = importlib.util.spec_from_file_location("certify", PLACE)
     module = importlib.util.module_from_spec(spec)
-    sys.modules["certify"] = module  # dataclasses look their module up
+    sys.modules["certify"] = module  # dataclasses look up their module
     spec.loader.exec_module(module)
     return module
 
 
 @pytest.fixture
 def small_crowd(certify, monkeypatch):
-    """Truths from fewer people, for speed."""
+    """True values from 2,000 people, for speed."""
     monkeypatch.setattr(certify, "CROWD", 2000)
 
 
 @pytest.mark.usefixtures("small_crowd")
-def test_a_population_gives_a_row_for_each_family_of_tests(certify) -> None:
-    """One population with missing answers: every family, each experiment counted once."""
+def test_a_population_yields_a_row_for_each_family_of_tests(certify) -> None:
+    """One population with missing answers yields every family, each experiment counted once."""
     number = next(
         n for n in range(50) if certify.Population.draw(n).missing and certify.Population.draw(n).participants < 9
     )
@@ -49,8 +49,8 @@ def test_a_population_gives_a_row_for_each_family_of_tests(certify) -> None:
 
 
 @pytest.mark.parametrize(("errors", "fails"), [(100, []), (125, []), (200, [0])])
-def test_a_rate_above_five_percent_beyond_doubt_fails(certify, errors, fails) -> None:
-    """100, 125 and 200 of 2,000: the second is seldom by chance in one row, but not among two hundred."""
+def test_an_error_rate_significantly_above_five_percent_fails(certify, errors, fails) -> None:
+    """100, 125 and 200 errors of 2,000: 125 is significant in a single row, but not among two hundred rows."""
     quiet = [{"rows": [{"certificate": "x", "n": 2000, "errors": 90}]} for _ in range(200)]
     told = certify.judge([{"rows": [{"certificate": "x", "n": 2000, "errors": errors}]}, *quiet])
     assert told["x"]["fails"] == fails
@@ -58,12 +58,12 @@ def test_a_rate_above_five_percent_beyond_doubt_fails(certify, errors, fails) ->
 
 
 def test_a_new_row_that_fails_is_written_without_a_reason(certify) -> None:
-    """The rows of an hour's work are not lost for want of a sentence."""
+    """The rows of an hour's run are kept even if no reason for a failure has been written yet."""
     told = {"mean_rate": 0.1, "worst_rate": 0.2, "fails": [3]}
     assert certify.brief_of("a new row", told) == '"a new row": [0.1, 0.2, "the reason is not known yet"]'
 
 
-def test_the_populations_are_those_that_are_promised(certify) -> None:
+def test_the_populations_cover_the_stated_ranges(certify) -> None:
     """Minorities of 5 to 30 %, slopes to 2 logit, lapses to 0.15, gaps to 10 %, 6 to 60 people, 1 to 8 repetitions."""
     drawn = [certify.Population.draw(number) for number in range(210)]
     ends = {
@@ -78,8 +78,8 @@ def test_the_populations_are_those_that_are_promised(certify) -> None:
     assert {each.kind for each in drawn} == set(certify.KINDS)
 
 
-def test_simulated_quests_follow_the_rule_of_sessions(certify) -> None:
-    """Reference: the rule that sets the levels of a session, answer by answer."""
+def test_simulated_quest_runs_follow_the_rule_of_a_session(certify) -> None:
+    """The levels equal those of `Quest`, the rule that sets the levels of a session, answer by answer."""
     measures = certify.certified_measures
     rng, levels = np.random.default_rng(3), measures.LEVELS_DB
     places, successes = measures.quests(0.5, rng, 12, np.linspace(0.5, 0.98, 21) * np.ones((3, 1)))
@@ -91,8 +91,8 @@ def test_simulated_quests_follow_the_rule_of_sessions(certify) -> None:
 
 
 @pytest.mark.parametrize("down_after", [1, 2])
-def test_runs_follow_the_rule_of_a_session(certify, down_after) -> None:
-    """A run of 40 trials against `follow`, which decides the levels of a session."""
+def test_simulated_staircases_follow_the_rule_of_a_session(certify, down_after) -> None:
+    """The levels of a run of 40 trials equal those of `follow`, which sets the levels of a session."""
     measures, rule = certify.certified_measures, StaircaseSection(down_after=down_after, steps_dB=(8.0, 4.0, 2.0))
     levels, chances = measures.LEVELS_DB, np.linspace(0.2, 0.9, 21)[None]
     (places,), (successes,) = measures.staircases(rule, np.random.default_rng(3), 40, chances)
@@ -101,8 +101,8 @@ def test_runs_follow_the_rule_of_a_session(certify, down_after) -> None:
 
 
 @pytest.mark.usefixtures("small_crowd")
-def test_a_worker_with_another_program_certifies_nothing(certify) -> None:
-    """Asked before the work begins, and again with each part of it: a worker may join later."""
+def test_a_worker_with_another_program_is_refused(certify) -> None:
+    """The program is checked with each part of the work, because a worker may join late."""
     mine = certify.program()
     assert certify.certify_alike(mine, 3, 2) == certify.certify(3, 2)
     with pytest.raises(RuntimeError, match="a worker has another source and numpy: install this very program there"):

@@ -1,4 +1,4 @@
-"""What CONTRIBUTING.md shows works, and what it points to is there."""
+"""The code and changes shown in CONTRIBUTING.md work, and the files it points to exist."""
 
 import re
 import shutil
@@ -45,8 +45,8 @@ def run_in(folder, program):
     return done.stdout
 
 
-def test_a_field_shape_takes_the_lines_shown(tmp_path):
-    """The change applies to a copy of the source, and the protocol is checked with the new shape."""
+def test_the_shown_change_adds_a_field_shape(tmp_path):
+    """The change applies to a copy of the source, and a protocol with the new shape passes the check."""
     changed(tmp_path, 0)
     protocol = tmp_path / "protocols" / "differentiated_stimulation.yaml"
     text = protocol.read_text(encoding="utf-8")
@@ -55,8 +55,8 @@ def test_a_field_shape_takes_the_lines_shown(tmp_path):
     assert run_in(tmp_path, program) == "0\n"
 
 
-def test_another_generator_takes_the_files_shown(tmp_path):
-    """A session runs on its twin; its own limit is checked, and its own words switch the outputs off."""
+def test_the_shown_change_adds_a_generator(tmp_path):
+    """A session runs on its twin, its own sample limit is checked, and its own command switches the outputs off."""
     changed(tmp_path, 1)
     beam = tmp_path / "protocols" / "apparatus" / "keysight_33522b.yaml"
     beam.write_text(beam.read_text(encoding="utf-8").replace("model: 33522B", "model: WG2"), encoding="utf-8")
@@ -85,8 +85,8 @@ print(*examine("protocols/long.yaml").problems)
     assert "given 200002; allowed: at most 200000, the points of a record of the WG2" in refused
 
 
-def test_a_generator_an_answer_device_and_a_statistic_take_the_code_shown(tmp_path, monkeypatch):
-    """The blocks of code run one after the other, with their assertions."""
+def test_the_shown_code_adds_a_generator_an_answer_device_and_a_statistic(tmp_path, monkeypatch):
+    """The code blocks run one after another, assertions included."""
     monkeypatch.chdir(ROOT)
     namespace = {"results": tmp_path}
     code = blocks("python")
@@ -98,8 +98,8 @@ def test_a_generator_an_answer_device_and_a_statistic_take_the_code_shown(tmp_pa
         STATISTICS.pop("both", None)
 
 
-def test_the_keys_of_a_foot_switch_are_a_protocol(edit):
-    """The YAML shown replaces the keys of a protocol."""
+def test_the_foot_switch_keys_shown_are_valid(edit):
+    """A protocol with the keys shown passes the check."""
     from modaltouch.preflight import examine
 
     (block,) = blocks("yaml")
@@ -113,8 +113,8 @@ def test_the_keys_of_a_foot_switch_are_a_protocol(edit):
     assert examine(file).experiment.protocol.answers.keys["both"] == ("f2",)
 
 
-def test_every_target_named_exists():
-    """`make` targets in the list are in the Makefile."""
+def test_every_make_target_shown_exists():
+    """Each `make` target in the text is in the Makefile."""
     targets = set(re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), flags=re.MULTILINE))
     named = set(re.findall(r"make ([a-z]+)", TEXT))
     assert named
@@ -122,8 +122,8 @@ def test_every_target_named_exists():
 
 
 @pytest.mark.parametrize("page", sorted(DECISIONS.glob("0*.md")), ids=lambda page: page.stem)
-def test_a_decision_says_what_why_and_what_follows_on_a_page(page):
-    """At most thirty lines, numbered as its file."""
+def test_a_decision_record_has_its_three_parts_on_one_page(page):
+    """It has at most thirty lines and the number of its file name."""
     text = page.read_text(encoding="utf-8")
     assert len(text.splitlines()) <= 30
     assert text.startswith(f"# {int(page.stem[:4])}. ")
@@ -131,8 +131,8 @@ def test_a_decision_says_what_why_and_what_follows_on_a_page(page):
         assert part in text
 
 
-def test_the_tour_passes_files_that_are_there():
-    """At most 25 files from a level to its volts, and 16 from a key to the figure."""
+def test_the_files_of_the_code_tour_exist():
+    """At most 25 files lead from a level to its voltages, and 16 from a key to the figure."""
     tour = TEXT.partition("## A tour of the code")[2].partition("\n## ")[0]
     walks = [re.findall(r"`(\w+/\w+\.py)`", walk) for walk in tour.split("**An answer")]
     assert all((ROOT / "src" / "modaltouch" / file).is_file() for walk in walks for file in walk)

@@ -1,4 +1,4 @@
-"""What each package offers: names that exist, told in one place, and none that one of its modules would hide."""
+"""The public names of each package: they exist, are listed once, and are not hidden by a submodule."""
 
 from importlib import import_module
 from pathlib import Path
@@ -12,8 +12,8 @@ FACES = sorted(file.parent.name for file in PACKAGE.glob("*/__init__.py") if "la
 
 
 @pytest.mark.parametrize("room", FACES)
-def test_a_face_offers_what_it_says(room):
-    """Every name can be had; what is no name of it is refused with those that are."""
+def test_a_package_provides_every_name_it_lists(room):
+    """Every name in `__all__` can be imported; the error for any other name lists those that exist."""
     face = import_module(f"modaltouch.{room}")
     assert len(face.__all__) == len(set(face.__all__)) > 0
     for name in face.__all__:
@@ -23,13 +23,13 @@ def test_a_face_offers_what_it_says(room):
 
 
 @pytest.mark.parametrize("room", FACES)
-def test_a_face_is_small_enough_to_know_by_heart(room):
-    """Twelve names; twice as many for protocol and stimulus, whose values every room speaks of."""
+def test_a_package_has_few_public_names(room):
+    """At most twelve names; 24 for protocol and stimulus, whose values all packages use."""
     assert len(import_module(f"modaltouch.{room}").__all__) <= (24 if room in ("protocol", "stimulus") else 12)
 
 
 @pytest.mark.parametrize("room", FACES)
-def test_no_module_hides_what_the_face_offers(room):
-    """Importing a submodule binds its name in the face: a function of that name would be gone."""
+def test_no_submodule_hides_a_public_name(room):
+    """Importing a submodule binds its name in the package and would hide a function of that name."""
     inside = {path.stem for path in (PACKAGE / room).iterdir() if path.suffix == ".py" or path.is_dir()}
     assert not inside & set(import_module(f"modaltouch.{room}").__all__)

@@ -1,4 +1,4 @@
-"""A command loads what it uses: the lines of modaltouch that are in memory when it ends have a bound each."""
+"""A command loads only what it uses: the lines of modaltouch it leaves loaded are bounded."""
 
 import json
 import subprocess
@@ -23,7 +23,7 @@ sys.stderr.write("LOADED " + json.dumps(files))
 
 
 def load(*words):
-    """Return the modules of modaltouch that a command leaves loaded, and the number of their lines."""
+    """Return the modules of modaltouch that a command leaves loaded, and their number of lines."""
     command = [sys.executable, "-c", PROGRAM, *map(str, words)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=150, check=True)
     files = json.loads(done.stderr.split("LOADED ")[1])
@@ -33,7 +33,7 @@ def load(*words):
 
 
 def rooms(modules):
-    """Return the packages that modules are in."""
+    """Return the packages that contain the modules."""
     return {name.partition(".")[0] for name in modules}
 
 
@@ -72,16 +72,16 @@ def test_a_simulated_session_loads_neither_lab_nor_analysis_nor_screen(tmp_path)
     assert lines <= 19_900
 
 
-def test_an_analysis_of_sessions_loads_what_reads_and_audits_them(results, tmp_path):
-    """The drive is computed again by the audit, as `verify` does it; nothing that plays, asks or plans is loaded."""
+def test_an_analysis_of_sessions_loads_only_reading_and_auditing(results, tmp_path):
+    """The audit recomputes the drive as `verify` does; no code for playing, asking or planning is loaded."""
     loaded, lines = load("analyse", results, "--out", tmp_path / "out", "--json")
     assert not rooms(loaded) & {"lab", "planning", "session", "window"}
     assert not loaded & {"rig.generator", "rig.simulator", "analysis.tidy", "analysis.runs", "record.recovery"}
     assert lines <= 20_250
 
 
-def test_a_check_loads_no_library_that_it_does_not_use():
-    """What looks for plugins would load e-mail and sockets; a sound file needs ruamel.yaml no more than SciPy."""
+def test_check_loads_no_library_that_it_does_not_use():
+    """A search for plugins would load e-mail and sockets; a valid file needs neither ruamel.yaml nor SciPy."""
     program = (
         PROGRAM
         + """
@@ -94,8 +94,8 @@ sys.stderr.write(" ".join({"email", "socket", "ruamel", "scipy", "pandas", "psyc
 
 
 @pytest.mark.parametrize("words", ["check nothing_there", "run nothing_there", "analyse nothing_there"])
-def test_what_is_not_there_is_told_before_anything_heavy_is_loaded(words):
-    """NumPy takes two thirds, and pydantic as much, of what all of such an error may take."""
+def test_a_missing_file_is_reported_before_heavy_imports(words):
+    """Importing NumPy takes two thirds of the time allowed for such an error, and pydantic as much."""
     program = PROGRAM.replace("    assert not left.code, left.code\n", "    assert left.code == 2\n").replace(
         'if name.partition(".")[0] == "modaltouch"',
         'if name in ("numpy", "pandas", "pydantic_core", "yaml", "rich")',
@@ -106,7 +106,7 @@ def test_what_is_not_there_is_told_before_anything_heavy_is_loaded(words):
 
 
 def test_an_analysis_of_a_table_designs_nothing(tmp_path):
-    """A CSV has no drive and no session: no physics, no instrument, no protocol file, no log."""
+    """A CSV has no drive and no session, so no physics, instrument, protocol file or log is loaded."""
     rows = ["participant,finger_condition,zone_left,zone_right,velocity_mm_s,response"]
     rows += [f"p{n},one_hand,A,C,80,right" for n in range(3)]
     (tmp_path / "answers.csv").write_text("\n".join(rows) + "\n")

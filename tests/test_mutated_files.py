@@ -1,6 +1,6 @@
-"""Spoilt files of every kind through every reader: a clear refusal or sound contents, never a traceback or a hang.
+"""Corrupted files of every kind are refused clearly or read correctly, without a traceback or a hang.
 
-``MODALTOUCH_MUTATIONS`` sets how many spoilt files there are in all; ``make fuzz`` takes 20,000.
+``MODALTOUCH_MUTATIONS`` sets the total number of corrupted files; ``make fuzz`` takes 20,000.
 """
 
 import gc
@@ -37,7 +37,7 @@ WORDS = """-1 0 1e400 .nan .inf 1e308 true ~ [] {} '' *a &a !!int | 5e F [[A,C]]
 
 
 def mutate(data: bytes, rng: random.Random) -> bytes:
-    """Return bytes with some words, lines or bytes changed, doubled, moved or lost."""
+    """Return bytes with some words, lines or bytes changed, duplicated, moved or removed."""
     text = bytearray(data)
     for _ in range(rng.randint(1, 4)):
         if not text:
@@ -77,7 +77,7 @@ def mutate(data: bytes, rng: random.Random) -> bytes:
 
 
 class Kind:
-    """A kind of file: its sound text, where it stands, what reads it, and a command that does."""
+    """A kind of file: its valid content, its path, its readers, and a command that reads it."""
 
     def __init__(self, name, sound, place, readers, command):
         self.name, self.sound, self.place, self.readers, self.command = name, sound, place, readers, command
@@ -120,7 +120,7 @@ def kinds(tmp_path_factory):
 
 
 def meet(kind, spoilt):
-    """Let every reader of its kind meet a spoilt file."""
+    """Read a corrupted file with every reader of its kind."""
     kind.place.write_bytes(spoilt)
     for reader in kind.readers:
         try:
@@ -129,18 +129,18 @@ def meet(kind, spoilt):
             said = str(refused)
         else:
             said = "read"
-        assert said, f"{kind.name}: a refusal without words"
+        assert said, f"{kind.name}: refused without a message"
 
 
 def memory():
-    """Return the most memory that this process has had [bytes]."""
+    """Return the peak memory of this process [bytes]."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
 
 
 @pytest.mark.timeout(3600)
 @pytest.mark.filterwarnings("ignore")
-def test_spoilt_files_are_refused_in_words_or_read(kinds):
-    """Of every kind the same number, each met by all its readers; the process does not grow."""
+def test_corrupted_files_are_refused_with_a_message_or_read(kinds):
+    """Each kind has the same number of files, read by all its readers; the memory of the process does not grow."""
     before = None
     for number in range(N_MUTATIONS):
         kind = kinds[number % len(kinds)]
@@ -164,8 +164,8 @@ def test_spoilt_files_are_refused_in_words_or_read(kinds):
 
 
 @pytest.mark.parametrize("number", range(24))
-def test_a_command_ends_with_its_status_whatever_it_is_given(kinds, number):
-    """0, 2 or 4, a message, no traceback."""
+def test_a_command_on_a_corrupted_file_ends_with_a_documented_status(kinds, number):
+    """The exit status is 0, 2 or 4, with a message and no traceback."""
     kind = kinds[number % len(kinds)]
     kind.place.write_bytes(mutate(kind.sound, random.Random(1000 + number)))
     try:

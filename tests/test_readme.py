@@ -1,4 +1,4 @@
-"""What the README says is so: its commands and code run, what it names exists."""
+"""The README is correct: its commands and code run, and the files it mentions exist."""
 
 import json
 import os
@@ -36,7 +36,7 @@ def console_lines():
 
 @contextmanager
 def hurried_hands(name):
-    """Type Space and the left arrow in turn on a display."""
+    """Type Space and the left arrow alternately on a display."""
     connection, stop = display.Display(name), threading.Event()
     codes = [connection.keysym_to_keycode(XK.string_to_keysym(key)) for key in ("space", "Left")]
 
@@ -60,7 +60,7 @@ def hurried_hands(name):
 
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory):
-    """A folder with the shipped protocols, the paper's made short, and a simulated generator."""
+    """A folder with the shipped protocols (the paper's shortened) and a simulated generator."""
     folder = tmp_path_factory.mktemp("lab")
     shutil.copytree(ROOT / "protocols", folder / "protocols")
     file = folder / "protocols" / "differentiated_stimulation.yaml"
@@ -87,8 +87,8 @@ def answers_in(folder):
 
 
 def run(line, folder, address, environment):
-    """Run a command of the README with the simulated generator in the place of the lab's; return its exit status."""
-    # What is recorded at a simulated generator lands in the simulated tree.
+    """Run a README command with the simulated generator instead of the lab's; return its exit status."""
+    # Sessions at a simulated generator are recorded in the tree of simulated sessions.
     line = line.replace(GENERATOR, address).replace("results/diff", "results/simulated/diff")
     words = shlex.split(line)
     command = [sys.executable, "-m", "modaltouch", *words[1:]]
@@ -105,8 +105,8 @@ def run(line, folder, address, environment):
 
 @pytest.mark.window
 @pytest.mark.timeout(1500)
-def test_every_command_of_the_readme_works_in_its_order(lab):
-    """From `check` to `analyse`, at a simulated generator; the session is interrupted and resumed."""
+def test_every_command_of_the_readme_works_in_order(lab):
+    """From `check` to `analyse` at a simulated generator; the session is interrupted and resumed."""
     folder, address = lab
     commands = [line for line in console_lines() if line.startswith("modaltouch ")]
     assert len(commands) >= 7
@@ -120,16 +120,16 @@ def test_every_command_of_the_readme_works_in_its_order(lab):
             assert "Traceback" not in said
 
 
-def test_the_targets_of_make_are_there():
-    """`make demo` and `make test` would run."""
+def test_the_make_targets_of_the_readme_exist():
+    """`make -n` accepts `demo` and `test`."""
     targets = [line.split()[1] for line in console_lines() if line.startswith("make ")]
     assert targets == ["demo", "test"]
     for target in targets:
         subprocess.run(["make", "-n", target], cwd=ROOT, check=True, capture_output=True)
 
 
-def test_what_the_readme_links_to_exists():
-    """Files and headings of every relative link and picture."""
+def test_every_link_of_the_readme_has_a_target():
+    """The files and headings of all relative links and pictures exist."""
     for target in re.findall(r"\]\(([^)\s]+)\)", TEXT):
         if target.startswith("http"):
             continue
@@ -142,8 +142,8 @@ def test_what_the_readme_links_to_exists():
             assert heading in slugs, target
 
 
-def test_its_speed_and_accuracy_are_those_of_the_results():
-    """How much faster than peers, how near to the target, and what fewer samples would save and cost."""
+def test_speed_and_accuracy_in_the_readme_match_the_results():
+    """The speed relative to other methods, the error to the target, and the saving and cost of fewer samples."""
     told = TEXT.replace("\n", " ")
     points = json.loads((ROOT / "results" / "benchmarks" / "tradeoff.json").read_text())["points"]
 
@@ -172,8 +172,8 @@ def test_its_speed_and_accuracy_are_those_of_the_results():
         assert few[who]["error"] / all_of_them[who]["error"] == pytest.approx(30, rel=0.15)
 
 
-def test_its_figures_are_those_of_the_results():
-    """Minutes of a first demonstration, how soon the beam is at rest, and what is left of a level under fingers."""
+def test_figures_in_the_readme_match_the_results():
+    """Minutes of a first demonstration, time until the beam is at rest, and level remaining under fingers."""
     doorstep = json.loads((ROOT / "results" / "benchmarks" / "doorstep.json").read_text())["trials"]
     seconds = [trial["seconds"] for trial in doorstep if trial["way"] == "clone" and trial["load"] == 0]
     assert f"about {round(max(seconds) / 60)} minutes" in TEXT

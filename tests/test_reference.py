@@ -1,4 +1,4 @@
-"""What stands in results/reference is what the program makes (`make results`), where that does not hang on noise."""
+"""The files in results/reference are what the program produces (`make results`), as far as noise allows."""
 
 from pathlib import Path
 
@@ -14,8 +14,8 @@ REFERENCE = ROOT / "results" / "reference"
 PROTOCOL = ROOT / "protocols" / "differentiated_stimulation.yaml"
 
 
-def test_fig_2_is_the_wish_of_the_shipped_protocol():
-    """The wished coefficients, of which the strongest modelled ones are selected."""
+def test_fig_2_is_the_target_field_of_the_shipped_protocol():
+    """The target coefficients of the selected modes, the strongest of those modelled, agree within 6 %."""
     table = pd.read_csv(REFERENCE / "fig_2.csv").set_index("mode")
     stimulus = examine(PROTOCOL).stimulus
     wished = dict(zip(stimulus.model.label, stimulus.target * 1e3, strict=True))
@@ -24,11 +24,11 @@ def test_fig_2_is_the_wish_of_the_shipped_protocol():
         assert table.loc[label, column] == pytest.approx(wished[label], rel=0.06), label
 
 
-def test_table_1_identified_on_the_twin_is_its_table():
-    """Frequencies within 0.1 %, damping within 5 %, gains within 5 % of the larger of their mode; signs right.
+def test_identification_on_the_twin_recovers_table_1():
+    """Frequencies within 0.1 %, damping within 5 %, gains within 5 % of the largest of their mode, signs correct.
 
-    The shipped twin differs from the table by its own stated mismatch (0.1, 2 and 2 %), so three of its standard
-    deviations are allowed on top.
+    The shipped twin deviates from the table by its stated mismatch (0.1, 2 and 2 %), so three of its standard
+    deviations are allowed in addition.
     """
     table = pd.read_csv(REFERENCE / "table_1.csv").dropna(subset=["mode"]).set_index("mode")
     apparatus = Apparatus.read(ROOT / "protocols" / "apparatus" / "beam_100x6x2.yaml")

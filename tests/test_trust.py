@@ -1,4 +1,4 @@
-"""What a lab trusts without looking: no code in data, no shell, a lock with hashes."""
+"""What a lab must be able to trust: no code in data, no shell, requirements locked by hashes."""
 
 import ast
 import re
@@ -22,8 +22,8 @@ def calls(path):
             yield name, {keyword.arg: ast.unparse(keyword.value) for keyword in node.keywords}
 
 
-def test_no_data_is_ever_run():
-    """No pickle, no eval or exec, no YAML that builds objects, no shell."""
+def test_no_data_is_executed():
+    """The source has no pickle, eval, exec, object-building YAML or shell."""
     for path in SOURCES:
         text = path.read_text(encoding="utf-8")
         assert not re.search(r"^\s*(import|from) (pickle|shelve|dill|marshal)\b", text, flags=re.MULTILINE), path
@@ -38,7 +38,7 @@ def test_no_data_is_ever_run():
 
 
 def test_every_page_escapes_what_it_shows():
-    """Templates of HTML are made by environments that escape."""
+    """HTML templates come from environments with autoescape."""
     made = [(path, keywords) for path in SOURCES for name, keywords in calls(path) if name.endswith("Environment")]
     assert made
     for path, keywords in made:
@@ -47,7 +47,7 @@ def test_every_page_escapes_what_it_shows():
 
 @pytest.mark.parametrize(("lock", "n_packages"), [("requirements.lock", 100), ("docs/requirements.lock", 25)])
 def test_every_requirement_is_locked_by_its_hash(lock, n_packages):
-    """A lock names a version and at least one SHA-256 to each package, and no address."""
+    """A lock file gives each package a version and at least one SHA-256, and no URL."""
     text = (ROOT / lock).read_text(encoding="utf-8")
     packages = re.findall(r"^([a-z0-9][\w.\-\[\]]*)==", text, flags=re.MULTILINE)
     assert len(packages) > n_packages
@@ -56,8 +56,8 @@ def test_every_requirement_is_locked_by_its_hash(lock, n_packages):
     assert "://" not in text
 
 
-def test_the_twin_listens_on_this_machine_alone():
-    """Its port answers on 127.0.0.1 and on no address by which others reach this machine."""
+def test_the_twin_listens_on_the_loopback_address_only():
+    """Its port accepts connections on 127.0.0.1 and on no other address of this machine."""
     apparatus = Apparatus.read(ROOT / "protocols" / "apparatus" / "beam_100x6x2.yaml")
     with Simulator(apparatus) as simulator:
         port = int(re.search(r",(\d+)::", simulator.address).group(1))

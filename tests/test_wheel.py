@@ -1,4 +1,4 @@
-"""The wheel, installed in an environment of its own: a command that works in any folder and names its commit."""
+"""The wheel in a separate environment: the command works in any folder and reports its commit."""
 
 import json
 import os
@@ -19,7 +19,7 @@ UV = shutil.which("uv") or Path(sys.prefix).parent / ".uv" / "bin" / "uv"
 
 
 def build_in(tree, kind, folder):
-    """Build a wheel, a source distribution or an editable wheel of a tree and return its file."""
+    """Build a wheel, source distribution or editable wheel of a tree; return its file."""
     command = [sys.executable, "-c", f"from hatchling import build; print(build.build_{kind}({str(folder)!r}))"]
     done = subprocess.run(command, cwd=tree, check=True, capture_output=True, text=True)
     return folder / done.stdout.strip()
@@ -33,7 +33,7 @@ def wheel(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def told(wheel):
-    """Version and commit that the build wrote down; no commit where the tree is in no repository."""
+    """Version and commit recorded by the build; the commit is empty outside a repository."""
     with zipfile.ZipFile(wheel) as archive:
         version, _, commit = archive.read("modaltouch/build.txt").decode().strip().partition(" ")
     return version, commit
@@ -41,7 +41,7 @@ def told(wheel):
 
 @pytest.fixture(scope="module")
 def environment(wheel, tmp_path_factory):
-    """A fresh environment with the wheel, inside a repository of somebody else; what it needs is lent by this one."""
+    """A fresh environment with the wheel, inside another repository; it uses the dependencies of this one."""
     project = tmp_path_factory.mktemp("theirs")
     folder = project / ".venv"
     subprocess.run([UV, "venv", "--quiet", "--python", sys.executable, folder], check=True)
@@ -57,7 +57,7 @@ def environment(wheel, tmp_path_factory):
 
 @pytest.fixture
 def run(environment, tmp_path):
-    """Run the installed command away from the repository, with an empty home; it ends well."""
+    """Run the installed command outside the repository, with an empty home; it must succeed."""
 
     def run(*words):
         without = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
@@ -71,7 +71,7 @@ def run(environment, tmp_path):
     return run
 
 
-def test_the_wheel_holds_all_that_the_package_and_the_protocols_hold(environment):
+def test_the_wheel_contains_the_package_and_the_protocols(environment):
     """Modules, templates, decisions; protocols, apparatus, texts, observers, schemas."""
     (package,) = environment.glob("lib/*/site-packages/modaltouch")
     kept = (".j2", ".py", ".md", ".yaml", ".json")
@@ -81,8 +81,8 @@ def test_the_wheel_holds_all_that_the_package_and_the_protocols_hold(environment
         assert [str(file) for file in files if not (installed / file).is_file()] == []
 
 
-def test_a_build_is_of_the_commit_of_its_tree(wheel, told):
-    """Another than the tests began with, perhaps: somebody may commit meanwhile."""
+def test_a_build_records_the_commit_of_its_tree(wheel, told):
+    """The commit itself is not compared, since someone may commit while the tests run."""
     version, commit = told
     assert wheel.name == f"modaltouch-{version}-py3-none-any.whl"
     assert bool(commit) == bool(provenance.commit())
@@ -91,7 +91,7 @@ def test_a_build_is_of_the_commit_of_its_tree(wheel, told):
 
 
 def test_a_study_in_any_folder_from_the_first_command_to_the_report(run, told, tmp_path):
-    """What the README tells who installed the program; record and report name the commit of the build."""
+    """The README's steps for an installed program work; record and report give the commit of the build."""
     version, commit = told
     assert run("--version") == f"{version}\n"
     assert run("check", "demo").startswith("Demonstration: 12 trials")
@@ -107,15 +107,15 @@ def test_a_study_in_any_folder_from_the_first_command_to_the_report(run, told, t
     assert by in Path(report).read_text(encoding="utf-8")
 
 
-def test_the_installed_package_has_the_version_of_its_metadata(run, environment):
-    """Whatever asks the package manager is told what the program says of itself."""
+def test_the_metadata_has_the_version_of_the_program(run, environment):
+    """The package manager and `--version` report the same version."""
     ask = "from importlib.metadata import version; print(version('modaltouch'))"
     done = subprocess.run([environment / "bin" / "python", "-I", "-c", ask], check=True, capture_output=True, text=True)
     assert done.stdout == run("--version")
 
 
-def test_a_wheel_of_the_source_distribution_is_of_the_same_commit(tmp_path):
-    """The unpacked source distribution has no git to be asked."""
+def test_a_wheel_of_the_source_distribution_has_the_same_commit(tmp_path):
+    """The unpacked source distribution has no git repository."""
     source = build_in(ROOT, "sdist", tmp_path)
     with tarfile.open(source) as archive:
         archive.extractall(tmp_path / "unpacked", **({"filter": "data"} if hasattr(tarfile, "data_filter") else {}))
@@ -126,8 +126,8 @@ def test_a_wheel_of_the_source_distribution_is_of_the_same_commit(tmp_path):
         assert archive.read("modaltouch/build.txt") == (tree / "src" / "modaltouch" / "build.txt").read_bytes()
 
 
-def test_an_editable_build_asks_git_each_time(tmp_path):
-    """It keeps no commit, which the next one would make untrue."""
+def test_an_editable_build_records_no_commit(tmp_path):
+    """The next commit would make it wrong, so git is asked at each start."""
     with zipfile.ZipFile(build_in(ROOT, "editable", tmp_path)) as editable:
         names = editable.namelist()
     assert any(name.endswith(".pth") for name in names)
