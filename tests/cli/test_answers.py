@@ -1,4 +1,4 @@
-"""Answers are data: lists that no module names go the whole way from the protocol to the report."""
+"""Answers are data: lists that no module hard-codes work from the protocol to the report."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ KEYS = {
 
 
 def call(*words: object, cwd: Path) -> Result:
-    """Return what ``modaltouch`` comes to in a folder."""
+    """Run ``modaltouch`` in a folder and return the result."""
     with chdir(cwd):
         return CliRunner().invoke(app, [*map(str, words)], catch_exceptions=False)
 
@@ -68,7 +68,7 @@ def study(request, tmp_path_factory) -> tuple[tuple[str, ...], Path]:
 
 @pytest.fixture(scope="module")
 def found(study) -> dict:
-    """What the analysis of these sessions says as JSON."""
+    """The JSON output of the analysis of these sessions."""
     return json.loads(run("analyse", "results", "--out", "out", "--json", cwd=study[1]))
 
 
@@ -82,7 +82,7 @@ def tables(folder: Path) -> list[dict[str, str]]:
 
 
 def test_recorded_sessions_verify_and_describe_their_answers(study) -> None:
-    """Expected: the record agrees with its own protocol, and the side file has a level for each answer."""
+    """The record agrees with its protocol, and the sidecar has a level for each answer."""
     names, folder = study
     assert "12 trials drawn again" in run("verify", "results/simulated/two_answers/sub-sim01/ses-1", cwd=folder)
     (side,) = (folder / "results").rglob("sub-sim01*_beh.json")
@@ -90,8 +90,8 @@ def test_recorded_sessions_verify_and_describe_their_answers(study) -> None:
     assert {row["response"] for row in tables(folder)} == set(names)
 
 
-def test_a_session_that_was_cut_is_resumed_with_the_same_answers(study, tmp_path) -> None:
-    """Expected: the answers of the whole session, though the log ended within a trial."""
+def test_a_cut_session_is_resumed_with_the_same_answers(study, tmp_path) -> None:
+    """A log cut within a trial and resumed has the answers of the complete session."""
     _, folder = study
     whole, cut = (
         folder / "results/simulated/two_answers/sub-sim02/ses-1",
@@ -110,8 +110,8 @@ def test_a_session_that_was_cut_is_resumed_with_the_same_answers(study, tmp_path
     assert answers(cut) == answers(whole)
 
 
-def test_counts_and_exact_tests_are_those_of_the_tables(study, found) -> None:
-    """Counted again from the BIDS tables; the test of a cell against an even split over two answers."""
+def test_counts_and_exact_tests_agree_with_the_tables(study, found) -> None:
+    """Counts are recounted from the BIDS tables; each cell's p value is that of an even split over two answers."""
     names, folder = study
     given = Counter(
         (row["finger_condition"], row["zone_left"], float(row["velocity_mm_s"]), row["response"])
@@ -127,8 +127,8 @@ def test_counts_and_exact_tests_are_those_of_the_tables(study, found) -> None:
     assert {"counts.csv", "fig_10.csv", "fig_10.svg", "report.html"} <= set(found["files"])
 
 
-def test_the_report_tells_what_does_not_apply(study, found) -> None:
-    """Expected: no dominant zone where no finger is named; zones as in the paper where both sides are."""
+def test_the_report_states_what_does_not_apply(study, found) -> None:
+    """There is no dominant zone if no answer has a finger; with both sides the zones are as in the paper."""
     names, folder = study
     report = (folder / "out" / "report.html").read_text(encoding="utf-8")
     questions = {row["question"] for row in found["tests"]}
@@ -146,8 +146,8 @@ def test_the_report_tells_what_does_not_apply(study, found) -> None:
         assert [row.split(",")[1] for row in rows] == ["C", "A"]
 
 
-def test_a_table_is_read_with_the_protocol_of_its_answers(study, found) -> None:
-    """Expected: the counts of the sessions; words that are no answers of the paper need their protocol."""
+def test_a_table_of_other_answers_is_read_with_its_protocol(study, found) -> None:
+    """The counts equal those of the sessions; answers other than the paper's require their protocol."""
     names, folder = study
     columns = ["participant", "finger_condition", "zone_left", "zone_right", "velocity_mm_s", "response"]
     with (folder / "table.csv").open("w", encoding="utf-8", newline="") as file:
@@ -165,8 +165,8 @@ def test_a_table_is_read_with_the_protocol_of_its_answers(study, found) -> None:
         assert "or name the protocol that offers other answers with --protocol" in done.stderr
 
 
-def test_answers_of_other_names_for_the_same_fingers_give_the_same_numbers(tmp_path) -> None:
-    """A list in German beside the shipped one, catch trials with it: the same draws, counts and p values."""
+def test_renamed_answers_give_the_same_numbers(tmp_path) -> None:
+    """A German list, catch trials included, gives the same draws, counts and p values as the shipped one."""
     keys = (
         "  keys:\n    links: [left]\n    beide: [up]\n    rechts: [right]\n    nirgends: [down]\n"
         "  fingers: {links: [left], beide: [left, right], rechts: [right], nirgends: []}\n"
@@ -186,8 +186,8 @@ def test_answers_of_other_names_for_the_same_fingers_give_the_same_numbers(tmp_p
     assert caught == [row["answers"] for row in shipped["catch_trials"]]
 
 
-def test_a_missing_label_is_named_with_its_place(tmp_path) -> None:
-    """Expected: file, line and column of the texts; a typing error is told in the protocol."""
+def test_a_missing_label_is_reported_with_its_place(tmp_path) -> None:
+    """The message gives file, line and column of the texts; a misspelt answer is reported in the protocol."""
     keys = "  keys:\n    stronger: [up]\n    weaker: [down]\n    lfet: [left]\n"
     write_protocol(tmp_path / "protocols", "demo", "grades", keys, {"stronger": "Stronger"})
     done = call("check", "protocols/grades.yaml", cwd=tmp_path)
@@ -199,16 +199,16 @@ def test_a_missing_label_is_named_with_its_place(tmp_path) -> None:
     assert "did you mean 'left'?" in done.stderr
 
 
-def test_what_compares_two_fingers_refuses_other_answers(study) -> None:
-    """Power simulates the comparison of two fingers with its three outcomes; without them it has no meaning."""
+def test_power_refuses_answers_that_are_not_of_two_fingers(study) -> None:
+    """Power simulates the comparison of two fingers with its three outcomes; other answers have no meaning there."""
     names, folder = study
     done = call("power", "protocols/two_answers.yaml", "--participants", "6", cwd=folder)
     assert done.exit_code == 2
     assert f"answers.keys: given the answers {', '.join(names)}, which an observer" in done.stderr
 
 
-def test_check_says_that_answers_without_fingers_are_simulated_at_random(study) -> None:
-    """Expected: a warning where no answer names a finger, none where one does."""
+def test_check_warns_that_answers_without_fingers_are_simulated_at_random(study) -> None:
+    """The warning is given if no answer has a finger, and not otherwise."""
     names, folder = study
     warnings = json.loads(run("check", "protocols/two_answers.yaml", "--json", cwd=folder))["warnings"]
     assert any("simulated participant answers at random" in each for each in warnings) is (names == GRADES)

@@ -1,4 +1,4 @@
-"""The command line as a user meets it: words, exit statuses, one JSON object, never a traceback."""
+"""The command line as a user meets it: messages, exit statuses, one JSON object, never a traceback."""
 
 import io
 import json
@@ -27,13 +27,13 @@ def _here(monkeypatch):
 
 
 def run_in_a_process(*words):
-    """Run ``python -m modaltouch`` in a process of its own."""
+    """Run ``python -m modaltouch`` in a separate process."""
     command = [sys.executable, "-m", "modaltouch", *map(str, words)]
     return subprocess.run(command, capture_output=True, text=True, timeout=120, cwd=REPOSITORY)
 
 
 def run(*words):
-    """Run the same in this process; whatever is raised but an exit is a traceback to the user, and raised here."""
+    """Run the command in this process; any exception but an exit would be a traceback and is raised."""
     said, complained = io.StringIO(), io.StringIO()
     with redirect_stdout(said), redirect_stderr(complained), pytest.raises(SystemExit) as left:
         main([str(word) for word in words])
@@ -56,14 +56,14 @@ def loaded_modules(*words):
 
 @pytest.fixture(scope="module")
 def checked():
-    """What ``check --json`` says of the paper's protocol."""
+    """The output of ``check --json`` for the paper's protocol."""
     done = run_in_a_process("check", PROTOCOL, "--json")
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout)
 
 
 def test_help_names_every_command_and_loads_nothing_heavy():
-    """``--help`` never imports psychopy; it needs neither numpy nor pandas either."""
+    """``--help`` imports neither psychopy nor numpy nor pandas."""
     done = run_in_a_process("--help")
     assert done.returncode == 0
     for command in (*COMMANDS, "rig"):
@@ -71,8 +71,8 @@ def test_help_names_every_command_and_loads_nothing_heavy():
     assert not loaded_modules("--help") & {"psychopy", "numpy", "pandas", "pyvisa", "pydantic", "matplotlib"}
 
 
-def test_a_ctrl_c_while_the_program_is_still_being_loaded_is_no_traceback(tmp_path):
-    """Loading takes some tenths of a second: a change of mind comes within them."""
+def test_ctrl_c_while_the_program_loads_gives_no_traceback(tmp_path):
+    """Loading takes some tenths of a second, in which the user may press Ctrl-C."""
     program = (
         "import sys, runpy; sys.path.insert(0, sys.argv.pop(1)); "
         "runpy.run_module('modaltouch.__main__', run_name='__main__')"
@@ -85,8 +85,8 @@ def test_a_ctrl_c_while_the_program_is_still_being_loaded_is_no_traceback(tmp_pa
         assert (done.returncode, done.stderr) == (130, said)
 
 
-def test_a_terminal_that_hung_up_does_not_change_the_exit_status(monkeypatch):
-    """An interrupted session is 130 to whatever program started it, though nobody reads the words any more."""
+def test_a_closed_terminal_does_not_change_the_exit_status(monkeypatch):
+    """An interrupted session exits with 130 even if its message can no longer be written."""
     import typer
 
     from modaltouch.cli import INTERRUPTED, leave
@@ -112,8 +112,8 @@ def test_a_terminal_that_hung_up_does_not_change_the_exit_status(monkeypatch):
         ["analyse", "{}/p/simulated"],
     ],
 )
-def test_the_sessions_of_another_user_are_not_for_this_one(monkeypatch, tmp_path, words):
-    """Folders of sessions are their owner's alone: even to ask for a file in them is refused by the system."""
+def test_the_sessions_of_another_user_are_refused(monkeypatch, tmp_path, words):
+    """Session folders are readable by their owner only: even looking up a file in them is denied."""
     from typer.testing import CliRunner
 
     from modaltouch.cli import app
@@ -133,8 +133,8 @@ def test_the_sessions_of_another_user_are_not_for_this_one(monkeypatch, tmp_path
 
 
 @pytest.mark.parametrize("title", ["Grip [/x] test", "Grip [red] and [b]", "[/]", "Grip :a: and :b:"])
-def test_brackets_and_colons_in_a_title_are_words_and_no_markup(tmp_path, title):
-    """A title may hold anything: none of it is left out, and none of it ends the program."""
+def test_brackets_and_colons_in_a_title_are_not_markup(tmp_path, title):
+    """Any title is printed completely and does not end the program."""
     shutil.copytree("protocols", tmp_path / "protocols")
     protocol = tmp_path / "protocols" / "demo.yaml"
     text = re.sub(r"(?m)^title:.*$", f'title: "{title}"', protocol.read_text(encoding="utf-8"))
@@ -144,8 +144,8 @@ def test_brackets_and_colons_in_a_title_are_words_and_no_markup(tmp_path, title)
     assert done.stdout.startswith(f"{title}: 12 trials")
 
 
-def test_a_narrow_terminal_cuts_no_number(monkeypatch):
-    """Without its exponent an error of 3.7e-06 would be one of 3.7; each voltage has its channel; no column is cut."""
+def test_a_narrow_terminal_truncates_no_number(monkeypatch):
+    """Without its exponent 3.7e-06 would read 3.7; each voltage has its channel, and no column is truncated."""
     monkeypatch.setenv("COLUMNS", "40")
     done = run("check", "protocols/demo.yaml")
     assert "3.7e-06" in done.stdout
@@ -154,8 +154,8 @@ def test_a_narrow_terminal_cuts_no_number(monkeypatch):
     assert "\N{HORIZONTAL ELLIPSIS}" not in done.stdout
 
 
-def test_the_version_is_told_without_a_command():
-    """One line, the release and what it departs from it by; nothing heavy is loaded for it."""
+def test_the_version_is_printed_without_a_command():
+    """One line gives the release and any deviation from it; no heavy module is loaded."""
     from modaltouch.system.provenance import RELEASE
 
     done = run("--version")
@@ -171,7 +171,7 @@ def test_check_loads_neither_window_nor_instrument():
 
 
 def test_analyse_loads_neither_window_nor_instrument(tmp_path):
-    """Contract: the analysis runs without an instrument or a screen."""
+    """The analysis runs without an instrument or a screen."""
     rows = ["participant,finger_condition,zone_left,zone_right,velocity_mm_s,response"]
     rows += [f"p{n},one_hand,A,C,80,right" for n in range(3)]
     (tmp_path / "answers.csv").write_text("\n".join(rows) + "\n")
@@ -181,8 +181,8 @@ def test_analyse_loads_neither_window_nor_instrument(tmp_path):
     assert (tmp_path / "out" / "report.html").exists()
 
 
-def test_check_json_carries_what_the_issue_asks(checked):
-    """The keys of ``check --json``."""
+def test_check_json_has_the_documented_keys(checked):
+    """``check --json`` reports trials, duration, problems and every stimulus."""
     assert checked["n_trials"] == 24
     assert checked["estimated_duration_min"] > 0
     assert checked["problems"] == []
@@ -200,8 +200,8 @@ def test_check_json_carries_what_the_issue_asks(checked):
         assert stimulus["zone_at_focus_mm_s"]["C"] == pytest.approx(stimulus["velocity_mm_s"], rel=1e-3)
 
 
-def test_the_table_has_the_standard_in_its_place_and_by_its_name(monkeypatch):
-    """Levels rise from row to row; the standard is presented in every trial, but is no level of the comparison."""
+def test_the_standard_is_labelled_in_the_table_of_levels(monkeypatch):
+    """Levels rise from row to row; the standard is presented in every trial, but is not a comparison level."""
     monkeypatch.setenv("COLUMNS", "120")
     rows = re.findall(r"(?m)^│ +(\d+)( \(standard\))? │", run_in_a_process("check", "comparison_2ifc").stdout)
     assert rows == [(str(level), " (standard)" * (level == 100)) for level in (70, 80, 90, 100, 110, 125, 140)]
@@ -214,8 +214,8 @@ def test_the_modal_error_covers_every_difference_between_target_and_achieved(che
         assert max(differences) <= stimulus["worst_modal_error_mm_s"] * (1 + 1e-9)
 
 
-def test_all_faults_are_reported_at_once_with_their_place(tmp_path):
-    """Exit status 2, one line a fault with file, line and column, and no traceback."""
+def test_all_faults_are_reported_together_with_their_place(tmp_path):
+    """Exit status 2, one line per fault with file, line and column, and no traceback."""
     text = PROTOCOL.read_text()
     for name in ("apparatus", "texts"):
         text = text.replace(f"{name}: {name}/", f"{name}: {PROTOCOL.parent / name}/")
@@ -240,8 +240,8 @@ def test_all_faults_are_reported_at_once_with_their_place(tmp_path):
     assert {"file", "line", "column", "path", "given", "allowed", "message"} <= set(problems[0])
 
 
-def test_what_a_person_said_is_not_given_to_a_simulated_participant(tmp_path):
-    """A file of answers was neither read nor recorded, and a refused consent went on: it is refused before."""
+def test_simulated_answers_refuse_a_file_of_personal_data(tmp_path):
+    """Without the refusal the file would be ignored, and a refused consent would not stop the session."""
     given = ("--people", tmp_path / "people.yaml", "--results", tmp_path)
     done = run("run", PROTOCOL, "-p", "p01", "--rig", "simulated", "--answers", "simulated", "--yes", *given)
     assert done.returncode == 2
@@ -249,8 +249,8 @@ def test_what_a_person_said_is_not_given_to_a_simulated_participant(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_a_window_without_a_display_says_what_to_do(tmp_path, monkeypatch):
-    """Exit status 3 before anything is recorded: the session can be begun again."""
+def test_a_window_without_a_display_gives_a_remedy(tmp_path, monkeypatch):
+    """Exit status 3 before anything is recorded: the session can be started again."""
     monkeypatch.delenv("DISPLAY", raising=False)
     done = run_in_a_process("run", "protocols/demo.yaml", "-p", "p01", "--rig", "simulated", "--results", tmp_path)
     assert done.returncode == 3
@@ -259,8 +259,8 @@ def test_a_window_without_a_display_says_what_to_do(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(("given", "threads"), [({}, 1), ({"OPENBLAS_NUM_THREADS": "2"}, 2)])
-def test_the_program_takes_one_thread_of_blas_unless_told_otherwise(given: dict[str, str], threads: int) -> None:
-    """Further ones only wait, busily, and take the processor from window and watchdog."""
+def test_blas_uses_one_thread_unless_set_otherwise(given: dict[str, str], threads: int) -> None:
+    """Further threads only busy-wait and take the processor from window and watchdog."""
     ask = "import modaltouch.__main__, numpy, threadpoolctl; print(threadpoolctl.threadpool_info()[0]['num_threads'])"
     environment = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
     found = subprocess.run(
@@ -284,7 +284,7 @@ def test_values_are_read_as_typer_reads_them():
 
 
 def outcome(parameter, context, given, *, ours):
-    """Return what a value is read as, by us or by typer alone; of a refusal its words."""
+    """Return what a value is parsed as, by us or by typer alone, or the message of the refusal."""
     reader = parameter.get_runtime_param() if ours else type(parameter).get_runtime_param(parameter)
     try:
         return reader.coerce(given, param=parameter, ctx=context)
@@ -302,16 +302,16 @@ def outcome(parameter, context, given, *, ours):
         ("study r\udce9sultats", r"'results': given 'r\udce9sultats'; allowed: names in UTF-8; rename it"),
     ],
 )
-def test_a_value_that_an_option_cannot_take_is_told_with_what_it_can(words, told):
-    """Typer names neither the value nor the choice of whole numbers, and a name in Latin-1 has no place in a record."""
+def test_a_bad_option_value_is_reported_with_the_allowed_values(words, told):
+    """Typer gives neither the value nor the allowed whole numbers, and a record cannot hold a name in Latin-1."""
     done = run(*words.split())
     assert (done.returncode, told) == (2, done.stderr.rstrip().rpartition("Invalid value for ")[2])
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="a disk that is always full is one of Linux's devices")
 @pytest.mark.parametrize("buffered", [True, False])
-def test_output_that_cannot_be_written_is_told_and_no_traceback(buffered):
-    """A report on a full disk, and one that `head` has read enough of; written at once or at the end."""
+def test_unwritable_output_gives_a_message_and_no_traceback(buffered):
+    """A full disk gives a message, a closed pipe as of `head` none; both buffered and unbuffered."""
     command = [sys.executable, *([] if buffered else ["-u"]), "-m", "modaltouch", "--help"]
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
     with Path("/dev/full").open("w") as full:
@@ -325,8 +325,8 @@ def test_output_that_cannot_be_written_is_told_and_no_traceback(buffered):
     assert (done.returncode, done.stderr) == (1, "")
 
 
-def test_a_closed_stream_gives_its_number_to_nothing_that_is_recorded(monkeypatch):
-    """A session without standard error ended at its first line of progress, and the record would have been number 2."""
+def test_the_descriptor_of_a_closed_stream_is_not_reused(monkeypatch):
+    """Without standard error, a session ended at its first progress line; the record could take descriptor 2."""
     monkeypatch.setattr(sys, "stderr", None)
     with pytest.raises(SystemExit):
         main(["--version"])

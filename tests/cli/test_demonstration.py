@@ -1,4 +1,4 @@
-"""The demonstration beside another one: a number that is taken meanwhile is left to it."""
+"""A demonstration beside another one leaves it the session numbers that it takes meanwhile."""
 
 from contextlib import nullcontext
 from pathlib import Path
@@ -13,10 +13,10 @@ from modaltouch.record.chain import RecordExistsError
 from modaltouch.window import WindowOptions
 
 
-def test_a_number_that_another_demonstration_takes_meanwhile_is_passed_over(
+def test_a_session_number_taken_by_another_demonstration_is_skipped(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Session 1 was there; 2 and 3 are begun by others while this one opens its window; 4 is its own, in all places."""
+    """Session 1 exists, others start 2 and 3 while this one opens its window, so it uses 4 everywhere."""
     tried, said = [], []
     root = tmp_path / "simulated" / "demo"
     first = root / "sub-demo" / "ses-1" / "beh" / "session.jsonl"

@@ -1,4 +1,4 @@
-"""What a machine lacks is named with what brings it, before anybody sits down."""
+"""Doctor reports what a machine is missing, and what installs it, before a participant arrives."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from modaltouch.window.interface import WindowError
 
 
 def lack(monkeypatch: pytest.MonkeyPatch, *missing: str) -> None:
-    """Have the loader miss some libraries, as on a bare Debian."""
+    """Make the loader miss some libraries, as on a bare Debian."""
     for module in (environment, machine):
         monkeypatch.setattr(module, "is_loadable", lambda name: name not in missing)
 
 
-def test_each_missing_library_is_named_with_its_package(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A bare Debian has neither: pyglet ended in `Library "fontconfig" not found`."""
+def test_each_missing_library_is_reported_with_its_package(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a bare Debian without them pyglet ended in `Library "fontconfig" not found`."""
     lack(monkeypatch, "libfontconfig.so.1", "libGLU.so.1", "libportaudio.so.2")
     found = machine._libraries()
     assert found.state == "fault"
@@ -32,20 +32,20 @@ def test_each_missing_library_is_named_with_its_package(monkeypatch: pytest.Monk
 
 
 def test_a_missing_python_package_is_a_fault(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each package whose version a record states is needed, pyglet too, which draws the window."""
+    """Each package whose version a record states is required, including pyglet, which draws the window."""
     monkeypatch.setattr(machine, "versions", lambda: versions() | {"pyglet": "absent"})
     found = machine._packages()
     assert (found.state, found.found, found.remedy) == ("fault", "missing: pyglet", "reinstall modaltouch")
 
 
-def test_a_graphics_card_with_its_own_drivers_needs_none_of_mesa(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What Mesa would bring is no fault there; what everybody needs is."""
+def test_a_graphics_card_with_its_own_drivers_does_not_need_mesa(monkeypatch: pytest.MonkeyPatch) -> None:
+    """There Mesa's libraries are not reported missing; those that every machine needs are."""
     lack(monkeypatch, "libGLX_mesa.so.0", "libGLU.so.1")
     assert environment.missing_libraries() == {"libGLU.so.1": "libglu1-mesa"}
 
 
-def test_a_window_that_lacks_a_library_says_which(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The same words wherever a window is opened: what is missing, and what to install."""
+def test_a_window_error_identifies_the_missing_library(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The message gives the missing library and the package to install."""
     lack(monkeypatch, "libfontconfig.so.1")
     assert environment.explain(ImportError('Library "fontconfig" not found.')) == (
         "the answer window cannot be drawn: this machine lacks libfontconfig.so.1; install the Debian packages "
@@ -59,14 +59,14 @@ _BLACK = "import matplotlib.image, numpy; matplotlib.image.imread = lambda pictu
 @pytest.mark.window
 @pytest.mark.parametrize(("seen", "state"), [("", "ok"), (_BLACK, "fault")])
 def test_a_letter_is_drawn(seen: str, state: str) -> None:
-    """White pixels of an A; where none can be seen it is a fault. In a process of its own: a window has one display."""
+    """White pixels of an A are found, or it is a fault. A separate process, since a process has one display."""
     program = f"from modaltouch.window import machine; {seen}print(machine._window().state)"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert done.stdout.split()[-1] == state
 
 
 def test_a_window_that_does_not_open_is_a_fault_with_its_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The reason on one side, what to do on the other."""
+    """The reason and the remedy are separate values."""
 
     def fail() -> None:
         raise WindowError("there is no display; log in at a screen")
@@ -77,17 +77,15 @@ def test_a_window_that_does_not_open_is_a_fault_with_its_remedy(monkeypatch: pyt
 
 
 @pytest.mark.parametrize(("limit", "state"), [(0, "warning"), (10, "ok")])
-def test_a_user_who_may_not_go_before_others_is_told_how(
-    monkeypatch: pytest.MonkeyPatch, limit: int, state: str
-) -> None:
-    """The limit `rtprio` of an ordinary user; root has none."""
+def test_a_user_without_realtime_priority_is_warned(monkeypatch: pytest.MonkeyPatch, limit: int, state: str) -> None:
+    """The limit `rtprio` of an ordinary user decides; root has none."""
     monkeypatch.setattr("os.geteuid", lambda: 1000)
     monkeypatch.setattr(resource, "getrlimit", lambda which: (limit, limit))
     assert machine._precedence().state == state
 
 
-def test_the_makefile_asks_doctor() -> None:
-    """One list of packages: none is written down in the Makefile a second time."""
+def test_the_makefile_takes_its_packages_from_doctor() -> None:
+    """There is one list of packages; the Makefile does not repeat any."""
     makefile = (Path(__file__).parents[2] / "Makefile").read_text(encoding="utf-8")
     assert "doctor --packages" in makefile
     assert not [package for package in environment.LIBRARIES.values() if package in makefile]

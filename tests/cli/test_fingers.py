@@ -1,4 +1,4 @@
-"""What the probe of fingers says on the screen, and what it asks for at the beam."""
+"""The finger probe at the command line: what it prints, and what it requests from the lab."""
 
 import json
 
@@ -26,14 +26,14 @@ FOUND = {
 
 @pytest.fixture
 def asked(monkeypatch):
-    """The options that the command gives to the lab."""
+    """The options that the command passes to the lab."""
     given = []
     monkeypatch.setattr("modaltouch.lab.probe_fingers", lambda *_, **options: given.append(options) or FOUND)
     return given
 
 
-def test_what_was_found_is_said(asked):
-    """Each finger, the level with its interval, the level attainable, the file."""
+def test_the_probe_prints_its_results(asked):
+    """Each finger, the level with its interval, the attainable level and the file are printed."""
     result = CliRunner().invoke(app, ["fingers", "probe", "demo", "--pair", "A-C"], env={"COLUMNS": "160"})
     assert result.exit_code == 0
     row = next(row for row in result.stdout.splitlines() if "0.0812" in row)
@@ -44,7 +44,7 @@ def test_what_was_found_is_said(asked):
 
 
 def test_options_reach_the_lab_in_si_units(asked):
-    """Millimetres and millimetres per second at the command line."""
+    """The command line takes millimetres and millimetres per second."""
     words = ["fingers", "probe", "demo", "--laser-mm", "-46", "--speed-mm-s", "5", "--hand", "left", "--json"]
     result = CliRunner().invoke(app, words)
     assert json.loads(result.stdout) == FOUND
@@ -52,8 +52,8 @@ def test_options_reach_the_lab_in_si_units(asked):
     assert [options[name] for name in ("laser", "speed", "hand", "pair")] == [-0.046, 0.005, "left", ""]
 
 
-def test_what_is_refused_is_bad_input(monkeypatch):
-    """Exit status 2, and the sentence alone."""
+def test_a_refused_probe_is_bad_input(monkeypatch):
+    """Exit status 2 with the message only."""
 
     def refuse(*_, **options):
         raise ValueError("the records of the probe differ")

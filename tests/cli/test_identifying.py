@@ -1,4 +1,4 @@
-"""``modaltouch identify`` as a user gives it: exit status, words, one JSON object, nothing half-written."""
+"""``modaltouch identify`` as a user runs it: exit status, messages, one JSON object, nothing half written."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def responses_file(folder: Path) -> Path:
 
 
 def test_file_becomes_table_and_figures(tmp_path: Path) -> None:
-    """One JSON object on standard output; no apparatus file, since a hammer has no volts."""
+    """Standard output has one JSON object; there is no apparatus file, since a hammer has no voltage."""
     out = tmp_path / "out"
     done = RUN.invoke(app, ["identify", str(responses_file(tmp_path)), "--out", str(out), "--json"])
     assert done.exit_code == 0, done.output
@@ -61,7 +61,7 @@ def test_file_becomes_table_and_figures(tmp_path: Path) -> None:
     ],
 )
 def test_bad_input_ends_with_2_and_writes_nothing(tmp_path: Path, arguments: list[str], words: str) -> None:
-    """In words on standard error, in one JSON object with --json; the folder is not even made."""
+    """The message is on standard error, or in one JSON object with --json; the folder is not created."""
     command = ["identify", *arguments, "--apparatus", APPARATUS, "--out", str(tmp_path / "out")]
     said = RUN.invoke(app, command)
     assert said.exit_code == 2
@@ -73,14 +73,14 @@ def test_bad_input_ends_with_2_and_writes_nothing(tmp_path: Path, arguments: lis
 
 
 def test_folder_without_a_set_is_refused(tmp_path: Path) -> None:
-    """A folder that there is no scan of a set: which one, and how to go on without it."""
+    """The message gives the actuator set without a scan."""
     said = RUN.invoke(app, ["identify", str(tmp_path), "--apparatus", APPARATUS, "--out", str(tmp_path / "out")])
     assert said.exit_code == 2
     assert "there is no scan of the actuator set centre (scan_centre is missing)" in " ".join(said.stderr.split())
 
 
 def test_folder_of_another_command_is_left_alone(tmp_path: Path) -> None:
-    """A plan lies there already: exit 4, before anything is measured."""
+    """The folder holds a plan: exit status 4 before anything is measured."""
     manifest = tmp_path / "manifest.json"
     manifest.write_text(json.dumps({"generated_by": "modaltouch power", "files": {}}))
     said = RUN.invoke(app, ["identify", str(responses_file(tmp_path)), "--out", str(tmp_path)])
@@ -88,8 +88,8 @@ def test_folder_of_another_command_is_left_alone(tmp_path: Path) -> None:
     assert "contains output of `modaltouch power`" in said.stderr
 
 
-def test_nobody_to_aim_ends_the_scan(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Without a terminal nobody moves the vibrometer of a real rig: exit 2, not 41 records of one spot."""
+def test_a_scan_without_a_terminal_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without a terminal nobody can aim the vibrometer of a real rig: exit status 2, not 41 records of one point."""
 
     @contextmanager
     def open_laboratory(*parts: Any, **options: object) -> Iterator[None]:
@@ -113,10 +113,10 @@ def test_nobody_to_aim_ends_the_scan(tmp_path: Path, monkeypatch: pytest.MonkeyP
     ],
     ids=["identify", "validate", "validate without a folder", "compare"],
 )
-def test_an_interrupted_scan_says_what_is_kept(
+def test_an_interrupted_scan_reports_the_points_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: tuple[str, ...], kept: str
 ) -> None:
-    """Exit 130, how many points are on the disk, where, and how to go on."""
+    """Exit status 130; the message gives the number of points on disk, their folder and how to continue."""
     passed = iter(range(2))
 
     def check(self: Interruption) -> None:
@@ -133,8 +133,8 @@ def test_an_interrupted_scan_says_what_is_kept(
     assert len(list(tmp_path.rglob("position_*.npz"))) == 2 * ("kept" in command)
 
 
-def test_ctrl_c_while_the_vibrometer_is_aimed_says_what_is_kept(tmp_path: Path, monkeypatch) -> None:
-    """The prompt ends at once, by an exception of its own; what is on the disk is said all the same."""
+def test_ctrl_c_while_aiming_reports_the_points_kept(tmp_path: Path, monkeypatch) -> None:
+    """The prompt ends immediately by its own exception, and the points on disk are still reported."""
     monkeypatch.chdir(tmp_path)
     recorded = Laboratory.record
 

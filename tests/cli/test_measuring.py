@@ -1,4 +1,4 @@
-"""Who moves the vibrometer: asked on standard error, and Ctrl-C is heard at once."""
+"""Aiming the vibrometer by hand: prompts on standard error, and Ctrl-C takes effect immediately."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import typer
 from modaltouch.cli.lab import bars
 
 
-def test_person_is_asked_for_each_position(monkeypatch, capsys):
-    """Expected: millimetres from mid-beam with their sign, on standard error; the bars go on afterwards."""
+def test_each_position_is_prompted_for(monkeypatch, capsys):
+    """Prompts give signed millimetres from mid-beam on standard error; the progress bars resume afterwards."""
     monkeypatch.setattr("builtins.input", lambda: "")
     with bars() as showing:
         showing.show("field", 1, 2)
@@ -27,7 +27,7 @@ def test_person_is_asked_for_each_position(monkeypatch, capsys):
 
 
 def test_interrupting_while_aiming_ends_it(monkeypatch):
-    """A handler that only notes the signal would leave the prompt waiting; it is back afterwards."""
+    """A handler that only notes the signal would leave the prompt waiting; it is restored afterwards."""
     monkeypatch.setattr("builtins.input", lambda: signal.raise_signal(signal.SIGINT))
     noting = signal.signal(signal.SIGINT, lambda *_: None)
     try:
@@ -38,8 +38,8 @@ def test_interrupting_while_aiming_ends_it(monkeypatch):
         signal.signal(signal.SIGINT, noting)
 
 
-def test_nobody_there_is_said(monkeypatch):
-    """Standard input is closed: bad input with a remedy, not an endless wait."""
+def test_a_closed_standard_input_is_reported(monkeypatch):
+    """Closed standard input is bad input with a remedy, not an endless wait."""
 
     def closed():
         raise EOFError
@@ -49,8 +49,8 @@ def test_nobody_there_is_said(monkeypatch):
         showing.aim(0.0, 0.0)
 
 
-def test_a_spot_moved_by_hand_is_asked_for_once_a_place(monkeypatch, capsys):
-    """The same place twice in a row: one question."""
+def test_a_position_is_prompted_for_once(monkeypatch, capsys):
+    """The same position twice in a row gives one prompt."""
     monkeypatch.setattr("builtins.input", lambda: "")
     with bars() as showing:
         for position in (0.01, 0.01, -0.01, 0.01):

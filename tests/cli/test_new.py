@@ -1,4 +1,4 @@
-"""`modaltouch new`: a study whose every command works as it is printed, and nothing overwritten or half made."""
+"""`modaltouch new`: every command of the new study works as printed, and nothing is overwritten or half made."""
 
 import errno
 import json
@@ -17,7 +17,7 @@ pytestmark = pytest.mark.usefixtures("undrawn")
 
 
 def run(*words):
-    """Run ``modaltouch`` in this process and return what it came to."""
+    """Run ``modaltouch`` in this process and return the result."""
     done = CliRunner().invoke(app, list(map(str, words)))
     if done.exception is not None and not isinstance(done.exception, SystemExit):
         raise done.exception
@@ -30,7 +30,7 @@ def _elsewhere(tmp_path, monkeypatch):
 
 
 def commands_of(study):
-    """Return the commands of a study's README, with fewer participants; who would answer is simulated."""
+    """Return the commands of a study's README with fewer participants and simulated answers."""
     lines = re.findall(r"^\| `modaltouch (.*?)` \|", (study / "README.md").read_text("utf-8"), flags=re.MULTILINE)
     for line in lines:
         words = shlex.split(line.replace("-n 10", "-n 2"))
@@ -43,7 +43,7 @@ def commands_of(study):
 
 @pytest.mark.parametrize("template", Source.shipped("protocol"))
 def test_every_shipped_protocol_makes_a_study_whose_next_step_works(tmp_path, template):
-    """As it is printed, also where the folder's name has a space."""
+    """The printed command works, also if the folder's name has a space."""
     printed = run("new", tmp_path / "my study", "--from", template).stdout
     (following,) = re.findall(r"^Next: modaltouch (.*)$", printed, flags=re.MULTILINE)
     assert shlex.split(following)[1].endswith(f"my study/protocols/{template}.yaml")
@@ -53,8 +53,8 @@ def test_every_shipped_protocol_makes_a_study_whose_next_step_works(tmp_path, te
 
 
 @pytest.mark.parametrize("template", ["demo", "sensation_levels", "two_fields"])
-def test_the_commands_of_a_study_work_in_their_order(tmp_path, monkeypatch, template):
-    """One protocol, one that needs another before it, and one with several stimuli, each analysed by itself."""
+def test_the_commands_of_a_study_work_in_order(tmp_path, monkeypatch, template):
+    """One protocol alone, one that needs another first, and one with several stimuli, each analysed separately."""
     write_study(tmp_path / "study", template)
     monkeypatch.chdir(tmp_path / "study")
     for words in dict.fromkeys(commands_of(Path())):
@@ -63,7 +63,7 @@ def test_the_commands_of_a_study_work_in_their_order(tmp_path, monkeypatch, temp
 
 
 def test_a_study_is_used_from_any_folder(tmp_path):
-    """Protocol and results by their paths: check, simulate, analyse, verify."""
+    """Check, simulate, analyse and verify take protocol and results by their paths."""
     made = json.loads(run("new", "study", "--from", "demo", "--json").stdout)
     assert made["protocol"] == str(Path("study/protocols/demo.yaml"))
     assert all(Path(file).is_file() for file in made["files"])
@@ -75,7 +75,7 @@ def test_a_study_is_used_from_any_folder(tmp_path):
 
 
 def test_a_study_is_a_copy_in_the_shipped_layout(tmp_path):
-    """Byte by byte; every instrument, language and schema where protocol and editors look for them."""
+    """Files are copied byte by byte; instruments, languages and schemas are where protocol and editors expect them."""
     source = Source.shipped("protocol")["differentiated_stimulation"].parent
     write_study(tmp_path / "study", "differentiated_stimulation")
     copied = sorted(file for file in (tmp_path / "study" / "protocols").rglob("*") if file.is_file())
@@ -87,23 +87,23 @@ def test_a_study_is_a_copy_in_the_shipped_layout(tmp_path):
     assert [file.read_bytes() for file in copied] == [(source / name).read_bytes() for name in names]
 
 
-def test_the_session_that_finds_thresholds_is_part_of_the_study_that_needs_it(tmp_path):
-    """And comes before it."""
+def test_a_study_that_needs_thresholds_contains_their_protocol(tmp_path):
+    """The threshold session comes first in the README."""
     write_study(tmp_path / "study", "sensation_levels")
     readme = (tmp_path / "study" / "README.md").read_text(encoding="utf-8")
     assert readme.index("run protocols/threshold.yaml") < readme.index("run protocols/sensation_levels.yaml")
     assert (tmp_path / "study" / "protocols" / "threshold.yaml").is_file()
 
 
-def test_participants_stay_out_of_version_control_and_are_their_experimenters_alone(tmp_path):
-    """As sessions make it themselves where it is missing."""
+def test_results_are_private_and_kept_out_of_version_control(tmp_path):
+    """The results folder has mode 0700 and a .gitignore, as sessions create it."""
     write_study(tmp_path / "study", "demo")
     assert (tmp_path / "study" / "results" / ".gitignore").read_text(encoding="utf-8") == "*\n!.gitignore\n"
     assert (tmp_path / "study" / "results").stat().st_mode & 0o777 == 0o700
 
 
-def test_an_empty_folder_will_do(tmp_path):
-    """The one that one is in, too."""
+def test_a_study_can_be_created_in_an_empty_folder(tmp_path):
+    """It may be the current folder."""
     assert run("new", ".").exit_code == 0
     assert run("check", "protocols/differentiated_stimulation.yaml").exit_code == 0
 
@@ -120,8 +120,8 @@ def test_an_empty_folder_will_do(tmp_path):
         ),
     ],
 )
-def test_what_cannot_be_is_refused_in_a_sentence(tmp_path, words, said):
-    """Status 2, and everything as it was."""
+def test_an_invalid_study_is_refused_with_a_message(tmp_path, words, said):
+    """Exit status 2, and no file is changed."""
     (tmp_path / "taken").mkdir()
     (tmp_path / "taken" / "notes.txt").write_text("mine")
     before = sorted(tmp_path.rglob("*"))
@@ -136,8 +136,8 @@ def test_what_cannot_be_is_refused_in_a_sentence(tmp_path, words, said):
 
 
 @pytest.mark.parametrize("n_files", [0, 1, 5, 9])
-def test_a_disk_that_fills_up_leaves_nothing_half_made(tmp_path, monkeypatch, n_files):
-    """Nor the folders above; what was there before stays."""
+def test_a_full_disk_leaves_no_partial_study(tmp_path, monkeypatch, n_files):
+    """Created parent folders are removed too; what existed before stays."""
     opened, left = Path.open, [n_files]
 
     def fill(self, mode="r", **how):
@@ -156,7 +156,7 @@ def test_a_disk_that_fills_up_leaves_nothing_half_made(tmp_path, monkeypatch, n_
     assert sorted(tmp_path.rglob("*")) == [tmp_path / "mine"]
 
 
-def test_what_comes_in_between_is_not_overwritten(tmp_path, monkeypatch):
+def test_a_file_created_meanwhile_is_not_overwritten(tmp_path, monkeypatch):
     """A file that another program writes at the same moment stays, and so does its folder."""
     made = Path.mkdir
 

@@ -1,4 +1,4 @@
-"""``modaltouch power`` and ``fit`` as a user meets them."""
+"""``modaltouch power`` and ``fit`` as a user runs them."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ def run(*words: object) -> Result:
     return CliRunner().invoke(app, [str(word) for word in words])
 
 
-def test_power_json_is_one_object_with_everything(tmp_path: Path) -> None:
-    """Power with its interval, widths, floors, picture, seed; progress on standard error."""
+def test_power_json_is_one_complete_object(tmp_path: Path) -> None:
+    """It has power with its interval, widths, smallest p, figure and seed; progress goes to standard error."""
     done = run(
         "power", PROTOCOL, "--participants", "6:10:2", "--reps", "1,2", "--observer", "near_miss",
         "--experiments", 40, "--seed", 3, "--out", tmp_path / "plan", "--json",
@@ -50,8 +50,8 @@ def test_power_json_is_one_object_with_everything(tmp_path: Path) -> None:
     assert "experiments" in done.stderr
 
 
-def test_power_in_words_names_the_floor_and_the_number_needed() -> None:
-    """Expected: what a reader must know who sees only the terminal."""
+def test_power_text_gives_the_floor_and_the_number_needed() -> None:
+    """The terminal output alone gives the smallest group that can be significant and the number needed."""
     done = run("power", PROTOCOL, "-n", "6,8", "--experiments", 10, "--questions", "a2,d")
     assert done.exit_code == 0, done.stderr
     assert "never significant with fewer than 8 participants" in done.stdout
@@ -60,7 +60,7 @@ def test_power_in_words_names_the_floor_and_the_number_needed() -> None:
 
 
 def test_power_fits_a_terminal_of_80_columns(monkeypatch: pytest.MonkeyPatch) -> None:
-    """All families side by side would be cut; scopes are said in words."""
+    """All families side by side would be truncated; scopes are written out."""
     monkeypatch.setenv("COLUMNS", "80")
     done = run("power", PROTOCOL, "-n", "8:12:4", "--experiments", 4)
     assert max(map(len, done.stdout.splitlines())) <= 80
@@ -79,8 +79,8 @@ def test_power_fits_a_terminal_of_80_columns(monkeypatch: pytest.MonkeyPatch) ->
         (["--participants", "1000", "--reps", "100"], "400000 answers to each pair"),
     ],
 )
-def test_bad_options_end_with_status_2_and_no_traceback(words: list[str], said: str) -> None:
-    """Expected: what was given, what is allowed."""
+def test_bad_options_exit_with_status_2_and_no_traceback(words: list[str], said: str) -> None:
+    """The message gives the value and the allowed ones."""
     done = run("power", PROTOCOL, *words)
     assert done.exit_code == 2
     assert "Traceback" not in done.stderr
@@ -89,8 +89,8 @@ def test_bad_options_end_with_status_2_and_no_traceback(words: list[str], said: 
     assert said in flat
 
 
-def test_ctrl_c_keeps_what_is_done(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Exit status 130, and the two jobs done until then in JSON and in files."""
+def test_ctrl_c_keeps_finished_jobs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Exit status 130; the two finished jobs are in the JSON and in the files."""
     ran: list[Job] = []
 
     def interrupted_in_the_second(study: Study, job: Job) -> object:
@@ -110,8 +110,8 @@ def test_ctrl_c_keeps_what_is_done(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert "interrupted; kept: 20 to 20 of 20 experiments for 2 of 13 sizes" in done.stderr
 
 
-def test_each_stimulus_is_planned_by_itself(tmp_path: Path) -> None:
-    """Tables of both in folders of their own; one JSON object; a blunt field answers less than a sharp one."""
+def test_each_stimulus_is_planned_separately(tmp_path: Path) -> None:
+    """Each has its tables in its own folder, in one JSON object; a blunt field has less power than a sharp one."""
     words = ("-n", "10", "--experiments", 60, "--questions", "a2", "--out", tmp_path / "plan", "--json")
     done = run("power", TWO_FIELDS, *words)
     assert done.exit_code == 0, done.stderr
@@ -126,8 +126,8 @@ def test_each_stimulus_is_planned_by_itself(tmp_path: Path) -> None:
     assert "the tests of blunt alone, as by `analyse --stimulus blunt`" in said
 
 
-def test_ctrl_c_keeps_the_stimuli_that_are_done(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Status 130 in the second of two: the first whole, the second as far as it came."""
+def test_ctrl_c_keeps_finished_stimuli(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Exit status 130 in the second of two: the first is complete, the second as far as computed."""
     ran: list[Job] = []
 
     def interrupted_in_the_third(study: Study, job: Job) -> object:
@@ -147,7 +147,7 @@ def test_ctrl_c_keeps_the_stimuli_that_are_done(monkeypatch: pytest.MonkeyPatch)
 
 
 def test_planning_loads_neither_window_nor_instrument() -> None:
-    """Contract: no psychopy, no PyVISA; and `--help` loads nothing heavy."""
+    """Planning loads no psychopy, PyVISA, statsmodels or matplotlib."""
     program = (
         "import sys\nfrom modaltouch.__main__ import main\n"
         "try:\n    main(sys.argv[1:])\nexcept SystemExit:\n    pass\n"
@@ -159,8 +159,8 @@ def test_planning_loads_neither_window_nor_instrument() -> None:
     assert not loaded & {"psychopy", "pyvisa", "pyglet", "statsmodels", "scipy.signal", "scipy.optimize", "matplotlib"}
 
 
-def test_a_pilot_is_fitted_and_planned_with(tmp_path: Path) -> None:
-    """Expected: simulated sessions of one observer, an observer file fitted to them, a plan with that file."""
+def test_an_observer_fitted_to_a_pilot_is_used_for_planning(tmp_path: Path) -> None:
+    """An observer file fitted to simulated sessions of one observer is accepted by `power`."""
     assert run("simulate", DEMO, "-n", 2, "--observer", "envelope", "--results", tmp_path / "r").exit_code == 0
     log = next((tmp_path / "r").rglob("session.jsonl")).read_text(encoding="utf-8").splitlines()[0]
     assert json.loads(log)["observer"]["front_end"] == "envelope"
@@ -174,8 +174,8 @@ def test_a_pilot_is_fitted_and_planned_with(tmp_path: Path) -> None:
     assert json.loads(planned.stdout)["observer"]["name"] == "fitted"
 
 
-def test_sessions_that_are_not_kept_are_simulated_in_memory_if_there_is_room(tmp_path: Path, monkeypatch) -> None:
-    """Flushing each answer to a disk takes most of the time of a preregistration; 1e9 sessions have no room."""
+def test_temporary_sessions_are_simulated_in_memory_if_there_is_room(tmp_path: Path, monkeypatch) -> None:
+    """Flushing each answer to disk takes most of the time of a preregistration; 1e9 sessions do not fit in memory."""
     monkeypatch.setattr(planning, "_IN_MEMORY", tmp_path)
     assert planning._scratch(1) == tmp_path and planning._scratch(10**9) is None
     monkeypatch.setattr(planning, "_IN_MEMORY", tmp_path / "none")
@@ -185,7 +185,7 @@ def test_sessions_that_are_not_kept_are_simulated_in_memory_if_there_is_room(tmp
 def test_an_interrupted_preregistration_offers_no_session_to_resume(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """Its simulated sessions are in a folder that is gone by then."""
+    """The folder of its simulated sessions has been deleted by then."""
     from modaltouch import session
 
     def cut_short(*_: object, **__: object) -> None:
