@@ -17,7 +17,7 @@ def test_files_are_written_with_a_manifest_of_their_hashes(tmp_path) -> None:
 
 
 def test_rows_and_values_are_written_by_the_ending_of_the_name(tmp_path) -> None:
-    """CSV with what is no number empty, quoted where it must be (RFC 4180); JSON as it stands."""
+    """CSV leaves non-numbers empty and quotes where needed (RFC 4180); JSON keeps the values."""
     rows = [{"a": 1, "b": float("nan"), "c": 'x, "y"'}, {"a": 80.0, "b": float("inf"), "c": None}]
     files = write_files(tmp_path / "out", {"t.csv": rows, "v.json": {"p": 0.5}, "page.html": "µ"}, {})
     assert files["t.csv"].read_bytes() == b'a,b,c\n1,,"x, ""y"""\n80.0,inf,\n'
@@ -26,15 +26,15 @@ def test_rows_and_values_are_written_by_the_ending_of_the_name(tmp_path) -> None
 
 
 def test_own_files_are_replaced_and_stale_ones_removed(tmp_path) -> None:
-    """A second analysis leaves no file of the first behind."""
+    """A second analysis removes the files of the first that it does not write."""
     write_files(tmp_path / "out", {"a.txt": b"1", "b.txt": b"1"}, {})
     write_files(tmp_path / "out", {"a.txt": b"2"}, {})
     assert (tmp_path / "out" / "a.txt").read_bytes() == b"2"
     assert not (tmp_path / "out" / "b.txt").exists()
 
 
-def test_a_strangers_file_is_never_overwritten(tmp_path) -> None:
-    """A file of that name that no manifest knows."""
+def test_a_file_not_in_the_manifest_is_never_overwritten(tmp_path) -> None:
+    """A file of the same name that no manifest lists is left unchanged."""
     (tmp_path / "report.html").write_text("mine")
     with pytest.raises(RecordError, match="report.html: exists already and is not from modaltouch"):
         write_files(tmp_path, {"other.txt": b"", "report.html": b"new"}, {})
@@ -43,7 +43,7 @@ def test_a_strangers_file_is_never_overwritten(tmp_path) -> None:
 
 
 def test_a_file_changed_by_hand_is_not_overwritten(tmp_path) -> None:
-    """Notes somebody added to the table stay."""
+    """Notes that someone added to the table are kept."""
     write_files(tmp_path / "out", {"tests.csv": b"1"}, {})
     (tmp_path / "out" / "tests.csv").write_text("1, my note")
     with pytest.raises(RecordError, match="was changed since it was written"):
@@ -51,21 +51,21 @@ def test_a_file_changed_by_hand_is_not_overwritten(tmp_path) -> None:
 
 
 def test_other_files_in_the_folder_are_left_alone(tmp_path) -> None:
-    """Somebody keeps notes there."""
+    """Files of other names, such as notes, stay unchanged."""
     (tmp_path / "notes.txt").write_text("mine")
     write_files(tmp_path, {"a.txt": b"1"}, {})
     assert (tmp_path / "notes.txt").read_text() == "mine"
 
 
 def test_a_manifest_of_another_program_is_not_overwritten(tmp_path) -> None:
-    """The name is a common one."""
+    """manifest.json is a common name."""
     (tmp_path / MANIFEST).write_text('{"name": "web app"}')
     with pytest.raises(RecordError, match=r"manifest\.json: exists already"):
         write_files(tmp_path, {"a.txt": b"1"}, {})
 
 
-def test_a_manifest_cannot_name_files_elsewhere(tmp_path) -> None:
-    """A manifest with path tricks deletes nothing."""
+def test_a_manifest_cannot_list_files_outside_its_folder(tmp_path) -> None:
+    """A manifest with `..` in a path deletes nothing."""
     (tmp_path / "precious.txt").write_text("mine")
     folder = tmp_path / "out"
     write_files(folder, {"a.txt": b"1"}, {})
@@ -76,8 +76,8 @@ def test_a_manifest_cannot_name_files_elsewhere(tmp_path) -> None:
     assert (tmp_path / "precious.txt").exists()
 
 
-def test_an_interruption_between_two_files_leaves_a_folder_that_can_be_written_again(tmp_path, monkeypatch) -> None:
-    """A kill after the first file was replaced: the manifest owns old and new alike."""
+def test_an_interrupted_folder_can_be_written_again(tmp_path, monkeypatch) -> None:
+    """After a kill between two files, the manifest covers both the old and the new ones."""
     from pathlib import Path
 
     folder = tmp_path / "out"
@@ -99,7 +99,7 @@ def test_an_interruption_between_two_files_leaves_a_folder_that_can_be_written_a
 
 
 def test_a_file_where_the_folder_should_be_is_refused(tmp_path) -> None:
-    """House rule: what to do."""
+    """The message gives the file and says that a folder is needed."""
     (tmp_path / "out").write_text("mine")
     for place in (tmp_path / "out", tmp_path / "out" / "below"):
         with pytest.raises(RecordError, match="out: is a file, but a folder is needed"):
@@ -110,14 +110,14 @@ def test_a_file_where_the_folder_should_be_is_refused(tmp_path) -> None:
 
 @pytest.mark.skipif(not Path("/proc/self").exists(), reason="needs a folder that exists and takes none")
 @pytest.mark.parametrize("folder", ["/proc/out", "/proc/out/below", "/proc"])
-def test_a_folder_that_no_work_could_write_is_refused_before_it(folder) -> None:
-    """In /proc nobody may make a folder, whatever the permissions say."""
+def test_an_unwritable_folder_is_refused_before_the_work(folder) -> None:
+    """No folder can be created in /proc, whatever its permissions."""
     with pytest.raises(RecordError, match=f"{folder}: cannot be written .*; give a folder you may write to with --out"):
         refuse_other(Path(folder), "validate")
 
 
-def test_asking_whether_a_folder_can_be_written_leaves_nothing(tmp_path) -> None:
-    """Neither the folder nor those above it are made."""
+def test_checking_whether_a_folder_is_writable_leaves_nothing(tmp_path) -> None:
+    """Neither the folder nor its parents are created."""
     refuse_other(tmp_path / "new" / "out", "validate")
     refuse_other(tmp_path, "validate")
     assert list(tmp_path.iterdir()) == []

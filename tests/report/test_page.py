@@ -1,4 +1,4 @@
-"""Pages that hold everything they show."""
+"""Report pages are self-contained and legible."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from modaltouch.report import page
 from modaltouch.report.page import render_page
 
 
-def test_a_picture_is_held_by_the_page_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """RFC 2397: the address of a picture is its bytes in base 64."""
+def test_a_picture_is_embedded_in_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A data URL holds the bytes of the picture in base 64 (RFC 2397)."""
     package = tmp_path / "leaflet"
     (package / "templates").mkdir(parents=True)
     (package / "__init__.py").touch()
@@ -25,8 +25,8 @@ def test_a_picture_is_held_by_the_page_itself(tmp_path: Path, monkeypatch: pytes
     assert base64.b64decode(content) == b"<svg/>"
 
 
-def test_the_page_is_dark_enough_to_read() -> None:
-    """WCAG 2.2, success criterion 1.4.3: a contrast of at least 4.5 on white, of every colour that letters have."""
+def test_the_text_of_a_page_has_enough_contrast() -> None:
+    """Every text colour has a contrast of at least 4.5 on white (WCAG 2.2, success criterion 1.4.3)."""
     text = (Path(page.__file__).parent / "templates" / "base.html.j2").read_text(encoding="utf-8")
     named = dict(re.findall(r"--(\w+): (#\w{6})", text))
     used = re.findall(r"(?<![-\w])color: (?:var\(--(\w+)\)|(#\w+))", text)
