@@ -1,4 +1,4 @@
-"""The clock behind every time in a record, measured, and the verdict's words."""
+"""Measuring the clock that times every record, and the verdict on it."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ GOOD = {"name": "clock_gettime(CLOCK_MONOTONIC)", "is_monotonic": True, "drift_p
 GOOD |= {"wait_median_ms": 1.06, "wait_p95_ms": 1.1, "wait_max_ms": 2.0}
 
 
-def test_the_clock_of_this_machine_only_goes_forward() -> None:
-    """Expected: monotonic, in steps below 10 us, and no wait of a millisecond is shorter than that."""
+def test_the_clock_of_this_machine_is_monotonic() -> None:
+    """It advances in steps below 10 us, and no wait of a millisecond is shorter than that."""
     measured, verdict = measure_clock(30)
     assert measured["is_monotonic"]
     assert 0 < measured["step_ms"] < 1e-2
@@ -17,8 +17,8 @@ def test_the_clock_of_this_machine_only_goes_forward() -> None:
     assert verdict == assess_clock(measured)
 
 
-def test_what_a_person_should_do_is_said() -> None:
-    """Each fault has its remedy; a good clock has none."""
+def test_each_clock_fault_has_a_remedy() -> None:
+    """A good clock has no remedy."""
     assert assess_clock(GOOD) == "A wait of 1 ms takes 1.06 ms, 95 % of them under 1.1 ms: good."
     assert "switch power saving off" in assess_clock(GOOD | {"wait_p95_ms": 12.0})
     assert "use another machine" in assess_clock(GOOD | {"is_monotonic": False})

@@ -1,4 +1,4 @@
-"""Signals are noted when they come and acted upon at the next safe moment."""
+"""Signals are noted when they arrive and take effect at the next safe point."""
 
 import os
 import signal
@@ -10,7 +10,7 @@ from modaltouch.system.operating_system import Interrupted, Interruption
 
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
 def test_a_signal_interrupts_at_the_next_check(name):
-    """Nothing is raised inside the handler; `check` raises with the signal's name."""
+    """The handler raises nothing; `check` raises with the signal's name."""
     with Interruption() as interruption:
         interruption.check()
         os.kill(os.getpid(), getattr(signal, name))
@@ -19,8 +19,8 @@ def test_a_signal_interrupts_at_the_next_check(name):
             interruption.check()
 
 
-def test_the_second_ctrl_c_does_not_wait():
-    """For the case that the program hangs between two checks."""
+def test_the_second_ctrl_c_interrupts_immediately():
+    """It works even if the program hangs between two checks."""
     with Interruption():
         os.kill(os.getpid(), signal.SIGINT)
         with pytest.raises(Interrupted, match="SIGINT"):
@@ -32,8 +32,8 @@ def test_no_library_can_swallow_an_interruption():
     assert not issubclass(Interrupted, Exception)
 
 
-def test_the_handlers_of_before_come_back():
-    """After the session the program answers signals as it did."""
+def test_the_previous_handlers_are_restored():
+    """After the session, signals have their previous handlers."""
     before = signal.getsignal(signal.SIGTERM)
     with Interruption():
         assert signal.getsignal(signal.SIGTERM) != before
