@@ -20,7 +20,7 @@ CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", 
 class Browser:
     """One page of a browser; a context manager.
 
-    ``problems`` holds what its console and its scripts complain of.
+    ``problems`` holds the errors of its console and its scripts.
     """
 
     def __enter__(self) -> Browser:
@@ -68,7 +68,7 @@ class Browser:
         return said
 
     def open(self, page: Path, width: int = 1280, height: int = 900, *, dark: bool = False) -> None:
-        """Show a page in a window of a size, in light or dark colours."""
+        """Show a page in a window of a given size, in light or dark colours."""
         self._ask(
             "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=width < 600
         )
@@ -79,7 +79,7 @@ class Browser:
             pass
 
     def run(self, script: str) -> Any:
-        """Return the value of an expression in the page; promises are waited for."""
+        """Return the value of an expression in the page, after waiting for promises."""
         found = self._ask("Runtime.evaluate", expression=script, returnByValue=True, awaitPromise=True)
         if "exceptionDetails" in found:
             raise RuntimeError(found["exceptionDetails"]["exception"].get("description"))
@@ -95,7 +95,7 @@ class Browser:
         self._ask("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", buttons=1, clickCount=1)
 
     def picture(self, file: Path, *, whole: bool = False) -> Path:
-        """Write what is shown, or the whole page, as a PNG."""
+        """Write the visible part, or the whole page, as a PNG."""
         data = self._ask("Page.captureScreenshot", format="png", captureBeyondViewport=whole)
         file.write_bytes(base64.b64decode(data["data"]))
         return file

@@ -1,8 +1,8 @@
-"""Every command and every snippet of the site is run, and its pages are looked at. Part of ``make docs-check``.
+"""Runs every command and code block of the site, and checks its pages in a browser. Part of ``make docs-check``.
 
-A page is a folder: its blocks run there in their order. ``$`` begins a command; what stands below it must appear,
-line by line, in what the command says; ``...`` stands for any letters. A block of Python goes on where the one before
-it ended. A YAML block with a file for a caption is that file.
+A page has a folder, in which its blocks run in order. ``$`` starts a command; the lines below it must appear in its
+output, in order; ``...`` matches any text. A Python block continues the one before it. A YAML block with a file name as
+caption is that file.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def blocks(page):
 
 
 def commands(text):
-    """Yield each command of a console block, its status and the lines that it must say."""
+    """Yield each command of a console block, its exit status and the lines it must print."""
     command, said = "", []
     for line in [*text.splitlines(), "$ "]:
         if line.startswith("$ "):
@@ -62,12 +62,12 @@ def commands(text):
 
 
 def squeezed(line):
-    """Return a line without what differs from terminal to terminal."""
+    """Return a line without characters that depend on the terminal."""
     return " ".join(re.sub(r"[│┃─━┏┳┓┡╇┩└┴┘|]", " ", line).split())
 
 
-def lacking(expected, said):
-    """Return the first expected line that was not said in its order; empty where all were."""
+def first_missing(expected, said):
+    """Return the first expected line that is missing or out of order; empty if there is none."""
     lines = iter([squeezed(line) for line in said.splitlines()])
     for line in expected:
         pattern = ".*".join(map(re.escape, squeezed(line).split("...")))
@@ -77,9 +77,9 @@ def lacking(expected, said):
 
 
 def run(command, folder):
-    """Run a command in a folder, with this program in front of all others.
+    """Run a command in a folder, with this program first on the path.
 
-    Returns its status, what it says, and the folder that it leaves one in.
+    Returns its status, its output, and the folder it ends in.
     """
     words = command.split()
     place = next((i + 1 for i, word in enumerate(words) if word == "modaltouch"), None)
@@ -98,8 +98,8 @@ def run(command, folder):
 
 @pytest.mark.timeout(1800)
 @pytest.mark.parametrize("page", WRITTEN, ids=lambda page: str(page.relative_to(DOCS).with_suffix("")))
-def test_every_block_of_a_page_does_what_it_says(page, tmp_path, monkeypatch):
-    """In a folder that holds nothing but what the page makes, and the shipped protocols."""
+def test_every_block_of_a_page_works_as_shown(page, tmp_path, monkeypatch):
+    """The folder holds only the shipped protocols and what the page creates."""
     shutil.copytree(ROOT / "protocols", tmp_path / "protocols")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("MPLBACKEND", "agg")
@@ -118,11 +118,11 @@ def test_every_block_of_a_page_does_what_it_says(page, tmp_path, monkeypatch):
                 ended, said, folder = run(command, folder)
                 assert ended == status, f"{command}\n{said}"
                 assert "Traceback" not in said
-                assert lacking(expected, said) == "", f"{command}\n{said}"
+                assert first_missing(expected, said) == "", f"{command}\n{said}"
 
 
-def test_no_link_inside_the_site_is_dead():
-    """Files and anchors of every link, picture and script, also of what is written in HTML."""
+def test_every_internal_link_of_the_site_works():
+    """The files and anchors of all links, pictures and scripts exist, also those in raw HTML."""
     anchors, dead = {}, []
     for page in SITE.rglob("*.html"):
         anchors[page] = set(re.findall(r'\bid="([^"]+)"', page.read_text(encoding="utf-8")))
@@ -139,7 +139,7 @@ def test_no_link_inside_the_site_is_dead():
 
 @pytest.fixture(scope="module")
 def browser():
-    """A headless browser, where there is one."""
+    """A headless browser, if installed."""
     if CHROMIUM is None:
         pytest.skip("no Chromium: apt-get install chromium")
     with Browser() as opened:
@@ -148,8 +148,8 @@ def browser():
 
 @pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
 @pytest.mark.parametrize("width", [1280, 390])
-def test_no_page_is_wider_than_its_window_or_complains(browser, width, dark):
-    """Every page, wide and on a phone, in light and dark colours; nothing is loaded from elsewhere."""
+def test_no_page_overflows_or_logs_an_error(browser, width, dark):
+    """Every page on a desktop and on a phone, in light and dark colours; nothing is loaded from other hosts."""
     wide = []
     for page in sorted(SITE.rglob("*.html")):
         browser.open(page, width, dark=dark)
@@ -159,14 +159,14 @@ def test_no_page_is_wider_than_its_window_or_complains(browser, width, dark):
     assert browser.problems == []
 
 
-def told(browser, finger):
-    """Return what the page says that a finger gets: at the focusing instant, and at most [mm/s]."""
+def speeds_shown(browser, finger):
+    """Return the speeds that the page shows at a finger: at the focusing instant, and the maximum [mm/s]."""
     cells = browser.run(f"[...document.querySelectorAll('#field-row-{finger} td')].map((each) => each.textContent)")
     return [float(cell.removesuffix(" mm/s")) for cell in cells[2:]]
 
 
 def dragged(browser, name, places):
-    """Drag a handle of the field along the beam by so many millimetres, with the mouse."""
+    """Drag a handle of the field along the beam by the given millimetres, with the mouse."""
     box = f"document.querySelector('[data-name={name}] circle, [data-name={name}] path').getBoundingClientRect()"
     x, y, width, height, scale = browser.run(
         f"(() => {{ const b = {box}; const s = document.querySelector('#field svg').getBoundingClientRect();"
@@ -179,8 +179,8 @@ def dragged(browser, name, places):
     browser.mouse("mouseReleased", x + places * 6.28 * scale, y)
 
 
-def test_the_interactive_field_tells_what_the_engine_computes(browser):
-    """Untouched and under fingers, for the modes of the paper and for others; with mouse, boxes and keys."""
+def test_the_interactive_field_agrees_with_the_engine(browser):
+    """Untouched and under fingers, for the paper's modes and for others; with mouse, check boxes and keys."""
     from generator.field import typical_finger
 
     stimulus = modaltouch.examine("differentiated_stimulation").require().stimulus
@@ -188,22 +188,22 @@ def test_the_interactive_field_tells_what_the_engine_computes(browser):
     for finger, place in (("left", -0.04), ("right", 0.0)):
         at_focus = float(stimulus.velocity_at_focus([place], 0.2)[0]) * 1e3
         highest = float(stimulus.peak_velocity([place], 0.2)[0]) * 1e3
-        assert told(browser, finger) == pytest.approx([at_focus, highest], abs=0.2)
+        assert speeds_shown(browser, finger) == pytest.approx([at_focus, highest], abs=0.2)
     browser.run("document.querySelector('#field-heavy').click()")
     beam = stimulus.touched((typical_finger(-40), typical_finger(0)))
     under = beam.velocity_at_focus([-0.04, 0.0], stimulus.volts_per_code(0.2)) * 1e3
-    assert [told(browser, finger)[0] for finger in ("left", "right")] == pytest.approx(under.tolist(), abs=0.2)
+    assert [speeds_shown(browser, finger)[0] for finger in ("left", "right")] == pytest.approx(under.tolist(), abs=0.2)
     browser.run("document.querySelector('#field-heavy').click()")
     for mode in (4, 6, 8):
         browser.run(f"document.querySelectorAll('[data-mode]')[{mode}].click()")
     few = replace(stimulus, target_field=replace(stimulus.target_field, selection=(1, 3, 5, 7, 9, 11, 17)))
     at_focus = float(few.velocity_at_focus([-0.04], 0.2)[0]) * 1e3
-    assert told(browser, "left")[0] == pytest.approx(at_focus, abs=0.2)
+    assert speeds_shown(browser, "left")[0] == pytest.approx(at_focus, abs=0.2)
     browser.run("document.querySelector('#field-reset').click()")
     dragged(browser, "right", 20)
     assert browser.run("document.querySelector('#field-right').value") == "20"
     at_d = float(stimulus.peak_velocity([0.02], 0.2)[0]) * 1e3
-    assert told(browser, "right")[1] == pytest.approx(at_d, abs=0.2)
+    assert speeds_shown(browser, "right")[1] == pytest.approx(at_d, abs=0.2)
     dragged(browser, "focus", -10)
     assert browser.run("document.querySelector('#field-focus').value") == "-10"
     assert browser.run("Number(document.querySelector('#field').dataset.reached)") == pytest.approx(200, abs=0.01)
@@ -214,8 +214,8 @@ def test_the_interactive_field_tells_what_the_engine_computes(browser):
     assert browser.problems == []
 
 
-def test_keys_alone_reach_everything_on_the_interactive_page(browser):
-    """Tab goes through the four sliders, nine modes, the box of the fingers and the button, with a ring about each."""
+def test_the_interactive_page_is_usable_by_keyboard(browser):
+    """Tab visits the four sliders, nine modes, the finger box and the button, each with a focus ring."""
     browser.open(SITE / "look" / "field.html")
     browser.run("document.querySelector('#field-focus').focus()")
     seen = []

@@ -1,4 +1,4 @@
-"""Typesetting beside a browser: every shipped text is as wide in the window as Chromium sets it in the same font."""
+"""Every shipped text is as wide in the window as Chromium sets it in the same font."""
 
 import html
 import json
@@ -33,12 +33,12 @@ def lines_of(language):
 
 @pytest.mark.parametrize("language", ["arabic", "chinese", "english", "french", "german", *OTHERS])
 def test_every_text_is_as_wide_as_in_a_browser(language, tmp_path):
-    """Expected: within 0.1 %, where one font has all of it; Chromium shapes, and orders letters by ICU's UAX 9."""
+    """Widths agree within 0.1 % for texts of a single font; Chromium shapes, and orders letters by ICU's UAX 9."""
     if CHROMIUM is None:
         pytest.skip("no Chromium: apt-get install chromium")
     fonts = {line: {font.path for font in Typesetter().choose_fonts(line)} for line in lines_of(language)}
     lines = [line for line, paths in fonts.items() if len(paths) == 1]
-    assert len(lines) >= 0.5 * len(fonts), "half of the texts need one font alone"
+    assert len(lines) >= 0.5 * len(fonts), "less than half of the texts use a single font"
     files = sorted(set.union(*(fonts[line] for line in lines)))
     faces = "".join(f"@font-face {{font-family: f{n}; src: url('file://{file}')}}" for n, file in enumerate(files))
     spans = (

@@ -11,7 +11,7 @@ from generator import notebook
 
 @pytest.fixture(scope="module")
 def executed(tmp_path_factory):
-    """Its cells, executed in an empty folder."""
+    """The cells, executed in an empty folder."""
     return notebook.execute(notebook.PAGE, tmp_path_factory.mktemp("notebook"))
 
 
@@ -21,7 +21,7 @@ def squeezed(text):
 
 
 def test_every_cell_prints_what_its_page_shows(executed):
-    """`...` stands for any letters."""
+    """`...` in the page matches any text."""
     shown = [said for _, _, said in notebook.cells(notebook.PAGE)]
     assert sum(map(bool, shown)) >= 6
     for expected, (_, source, said, _) in zip(shown, executed, strict=True):
@@ -29,8 +29,8 @@ def test_every_cell_prints_what_its_page_shows(executed):
         assert re.fullmatch(pattern, squeezed(said)), source
 
 
-def test_the_notebook_holds_the_cells_with_their_results(executed):
-    """Every cell of the page in its order, as nbformat 4.5 has them; one draws."""
+def test_the_notebook_contains_the_cells_with_their_outputs(executed):
+    """Every cell of the page is there in order, in nbformat 4.5; one of them draws."""
     whole = json.loads(notebook.notebook(executed))
     assert (whole["nbformat"], whole["nbformat_minor"]) == (4, 5)
     assert [(cell["cell_type"], cell["source"]) for cell in whole["cells"]] == [

@@ -1,4 +1,4 @@
-"""The reference of the site knows every key, field, event, command and exit status of the program."""
+"""The reference of the site covers every key, field, event, command and exit status of the program."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ ROOT = Path(__file__).parents[2]
 
 @pytest.mark.parametrize("kind", keys.FILES)
 def test_every_key_has_an_example_from_a_real_file(kind):
-    """Else write one into a file of docs/examples whose name begins with the kind of file."""
+    """If this fails, add the key to a file of docs/examples whose name begins with the kind of file."""
     assert keys.without_example(kind) == []
 
 
 @pytest.mark.parametrize("file", sorted(keys.EXAMPLES.glob("*.yaml")), ids=lambda file: file.stem)
 def test_every_example_is_read_by_the_program(file):
-    """By its schema, and protocols by the whole check."""
+    """It fits its schema, and a protocol passes the whole check."""
     values = YAML(typ="safe", pure=True).load(file)
     schema = json.loads((ROOT / "protocols" / "schema" / f"{file.stem.partition('_')[0]}.json").read_text())
     jsonschema.validate(values, schema)
@@ -35,7 +35,7 @@ def test_every_example_is_read_by_the_program(file):
 
 
 def unknown(value: Any, path: keys.Path_, known: set[keys.Path_]) -> Iterator[str]:
-    """Yield the keys of a piece of YAML that no file may hold."""
+    """Yield the keys of a piece of YAML that are not known."""
     for name, each in value.items() if isinstance(value, dict) else (("[]", item) for item in value):
         below = next((one for one in ((*path, str(name)), (*path, "<name>")) if one in known), None)
         within = below or next((one for one in ((*path, str(name)), (*path, "<name>")) if _leads(one, known)), None)
@@ -51,26 +51,26 @@ def _leads(path: keys.Path_, known: set[keys.Path_]) -> bool:
 
 @pytest.mark.parametrize("page", WRITTEN, ids=lambda page: page.stem)
 def test_every_key_in_a_piece_of_yaml_on_a_page_is_known(page):
-    """Of a protocol or of an apparatus file; whole files are checked by `make docs-check`."""
+    """The keys belong to a protocol or an apparatus file; whole files are checked by `make docs-check`."""
     known = {key.path for kind in ("protocol", "apparatus") for key in keys.keys(kind)}
     pieces = [YAML(typ="safe", pure=True).load(text) for language, _, text in blocks(page) if language == "yaml"]
     assert [key for piece in pieces for key in unknown(piece, (), known)] == []
 
 
-def test_every_field_of_json_has_its_meaning():
-    """Of the frozen outputs and those beside the site; else say in docs/fields.yaml what it means."""
+def test_every_json_field_is_described():
+    """It covers the golden outputs and those beside the site; if this fails, describe the field in docs/fields.yaml."""
     assert fields.missing(fields.outputs()) == []
 
 
-def test_every_event_of_the_log_has_its_meaning():
-    """Of the events that the source writes, with the fields that stand there by name."""
+def test_every_event_of_the_log_is_described():
+    """It covers the events that the source writes, with the fields that it writes by name."""
     found = {kind: dict.fromkeys(names) for kind, names in fields.written_events().items()}
     assert {kind for kind in found if kind not in fields.meanings()["kinds"]} == set()
     assert fields.missing(found, "log") == []
 
 
 def test_every_command_and_every_exit_status_has_its_page(tmp_path):
-    """The pages are those of the list of commands, with every option that a help page has."""
+    """Every command of the list has a page with every option of its help."""
     commands.write_commands(tmp_path)
     commands.write_statuses(tmp_path)
     assert {file.stem.split("_")[0] for file in tmp_path.glob("*.md")} >= set(commands.MODULES)
