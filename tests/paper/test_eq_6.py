@@ -1,4 +1,4 @@
-"""Equation (6), the reference trajectory: what is printed, and what it must say (errata 3, 4 and 5)."""
+"""Equation (6), the reference trajectory: the printed form and its correction (errata 3, 4 and 5)."""
 
 import mpmath
 import pytest
@@ -28,7 +28,7 @@ def test_printed_exponential_contradicts_equation_7(poles):
     assert in_equation_7 < 0.21
 
 
-def test_mode_13_would_vanish():
+def test_with_the_printed_equation_mode_13_vanishes():
     """Erratum 4 in figures: e^(-a t_F) of mode 13 is 7e-41."""
     a = 0.0101 * 2 * mpmath.pi * 58303
     assert float(mpmath.exp(-a * FOCUS)) == pytest.approx(7e-41, rel=0.1)
@@ -49,16 +49,16 @@ def test_printed_orbit_does_not_start_at_rest():
     assert float(mpmath.exp(-a * FOCUS)) == pytest.approx(0.21, abs=0.005)
 
 
-def test_begun_from_rest_mode_1_ends_short(shipped_paper):
-    """Erratum 3: what cancels the start of the orbit has decayed to e^(-2 a t_F) = 4.3 % at t_F."""
+def test_started_from_rest_mode_1_ends_short(shipped_paper):
+    """Erratum 3: the term that cancels the start of the orbit has decayed to e^(-2 a t_F) = 4.3 % at t_F."""
     reached, _ = shipped_paper.achieved(0.2)
     short = 1 - reached[0] / shipped_paper.target[0]
     a = 0.0437 * 2 * 3.141592653589793 * 229
     assert short == pytest.approx(float(mpmath.exp(-2 * a * 0.025)), abs=2e-3)
 
 
-def test_initial_displacement_fixes_a_constant_that_is_missing():
-    """Erratum 5: with eta(0) = 0 the integral of (6) for mode 1 drifts off by a constant that (7) does not hold."""
+def test_initial_displacement_fixes_a_missing_constant():
+    """Erratum 5: with eta(0) = 0 the integral of (6) for mode 1 is offset by a constant that (7) does not contain."""
     mpmath.mp.dps = 30
     w, xi = 2 * mpmath.pi * 229, mpmath.mpf("0.0437")
     a, b = xi * w, w * mpmath.sqrt(1 - xi**2)

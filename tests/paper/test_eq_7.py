@@ -1,4 +1,4 @@
-"""Equation (7), the modal force: printed with 4 a^2/b, must be 4 a times the velocity (erratum 2)."""
+"""Equation (7), the modal force: printed with 4 a^2/b, correct is 4 a times the velocity (erratum 2)."""
 
 import mpmath
 import numpy as np
@@ -30,7 +30,7 @@ def test_force_of_the_orbit_is_4a_times_its_velocity(label):
 
 
 def test_printed_factor_reaches_four_per_cent(shipped_paper):
-    """Erratum 2 in figures: driven by 4 a^2/b, mode 1 reaches a/b = 4 % of its wished speed, mode 3 1.7 %."""
+    """Erratum 2 in figures: driven by 4 a^2/b, mode 1 reaches a/b = 4 % of its target velocity, mode 3 1.7 %."""
     model, timing = shipped_paper.model, Timing(AFG3022B.converter)
     a = model.damping_ratio * model.angular_frequency
     b = model.angular_frequency * np.sqrt(1 - model.damping_ratio**2)

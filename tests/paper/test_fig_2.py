@@ -7,7 +7,7 @@ from modaltouch.stimulus.target_field import Projection, TargetField
 
 
 def test_triangle_projects_as_its_closed_form(model):
-    """The mean of the triangle in closed form, and a 120-point Gauss rule on its half for the rest."""
+    """The mean of the triangle is checked in closed form, the rest with a 120-point Gauss rule on its half."""
     projection = Projection(model, TargetField())
     assert projection.coefficient[0] == pytest.approx(0.28, rel=1e-13)
     node, weight = np.polynomial.legendre.leggauss(120)
@@ -19,7 +19,7 @@ def test_triangle_projects_as_its_closed_form(model):
 
 
 def test_six_strongest_modes_are_those_of_the_paper(model):
-    """Section II-B: 1, 3, 5, 7, 11, 13; the sixth is six times the seventh."""
+    """Section II-B: 1, 3, 5, 7, 11, 13; the sixth coefficient is six times the seventh."""
     projection = Projection(model, TargetField())
     strength = np.sort(np.abs(projection.coefficient))[::-1]
     assert projection.selected == (1, 3, 5, 7, 11, 13)
@@ -27,14 +27,14 @@ def test_six_strongest_modes_are_those_of_the_paper(model):
 
 
 @pytest.mark.parametrize("base", [0.0505, 0.053, 0.056, 0.061])
-def test_selection_does_not_hang_on_the_base(model, base):
-    """The set holds for bases of 50.5 to 61 mm."""
+def test_selection_does_not_depend_on_the_base(model, base):
+    """The same six modes are selected for bases of 50.5 to 61 mm."""
     assert Projection(model, TargetField(base=base)).selected == (1, 3, 5, 7, 11, 13)
 
 
 @pytest.mark.parametrize("base", [0.049, 0.063])
-def test_selection_changes_beyond(model, base):
-    """Beyond 50.5 to 61 mm another six are strongest."""
+def test_selection_changes_outside_that_range(model, base):
+    """Outside 50.5 to 61 mm another six modes are strongest."""
     assert Projection(model, TargetField(base=base)).selected != (1, 3, 5, 7, 11, 13)
 
 
@@ -44,8 +44,8 @@ def test_other_fields_select_the_same_modes(model, shape, base):
     assert Projection(model, TargetField(shape=shape, base=base)).selected == (1, 3, 5, 7, 11, 13)
 
 
-def test_even_modes_carry_nothing_of_a_centred_field(model):
-    """The field is decomposed on the first fifty modes; the antisymmetric ones drop out."""
+def test_antisymmetric_modes_do_not_contribute_to_a_centred_field(model):
+    """The field is decomposed on the first fifty modes; antisymmetric coefficients vanish."""
     decomposition = Projection(model, TargetField()).decomposition
     assert decomposition.shape == (50,)
     assert np.abs(decomposition[1::2]).max() < 1e-15
@@ -54,6 +54,6 @@ def test_even_modes_carry_nothing_of_a_centred_field(model):
 
 
 def test_all_selected_modes_add_up_at_the_focus(shipped):
-    """Every selected mode moves the focus the same way."""
+    """Every selected mode moves the focus in the same direction."""
     share = shipped.target * shipped.model.shapes([0.0])[:, 0]
     assert (share[shipped.target != 0] > 0).all()

@@ -1,4 +1,4 @@
-"""Figure 5 and section IV-A: spot, duration and speeds of the focus, which the shipped field must show."""
+"""Figure 5 and section IV-A: spot, duration and speeds of the focus, for the shipped field."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ def test_spot_measures_roughly_one_and_a_half_centimetres(shipped):
 
 
 def test_peak_lasts_roughly_twenty_microseconds(shipped, history):
-    """Section IV-A: kept "for roughly 20 us"; above 90 % for 16 us."""
+    """Section IV-A: held "for roughly 20 us"; above 90 % for 16 us."""
     centre = history[20]
     assert np.count_nonzero(centre > 0.9 * 0.2) * shipped.timing.hold == pytest.approx(16e-6, abs=3e-6)
 
@@ -37,6 +37,6 @@ def test_neighbours_reach_roughly_half(history):
 
 
 def test_overall_process_lasts_fifty_milliseconds(shipped, history):
-    """Section IV-A: "the overall process lasts 50 ms": braked, nothing moves at its end."""
+    """Section IV-A: "the overall process lasts 50 ms": braked, the beam is at rest at its end."""
     assert shipped.timing.duration == 0.05
     assert np.abs(history[:, -1]).max() < 1e-6

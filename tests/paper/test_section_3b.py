@@ -1,4 +1,4 @@
-"""Section III-B, the gain from the resonance amplitude: printed with w^2, must have w (erratum 1)."""
+"""Section III-B, the gain from the resonance amplitude: printed with w^2, correct with w (erratum 1)."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from modaltouch.stimulus.modes import ModalModel
 
 @pytest.fixture(scope="module")
 def resonance():
-    """Return (speed per volt, G, xi, w) of mode 3, driven at resonance until it is steady."""
+    """Return (velocity per volt, G, xi, w) of mode 3, driven at resonance until steady."""
     model = ModalModel((3,), [2553.0], [0.0165], [[0.654]], 0.1)
     timing = Timing(AFG3022B.converter, n_samples=125_000, duration=0.05, focusing_instant=0.025)
     time = np.arange(timing.n_samples) * timing.hold
@@ -26,7 +26,7 @@ def test_speed_at_resonance_has_one_w(resonance):
 
 
 def test_printed_formula_is_the_displacement(resonance):
-    """Erratum 1: G |v| / (2 xi w^2) is the displacement in metres, four decades below the speed in m/s."""
+    """Erratum 1: G |v| / (2 xi w^2) is the displacement in metres, four decades below the velocity in m/s."""
     speed, gain, ratio, w = resonance
     assert gain / (2 * ratio * w**2) == pytest.approx(speed / w, rel=1e-3)
     assert gain / (2 * ratio * w**2) < 1e-4 * speed

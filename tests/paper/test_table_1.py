@@ -1,4 +1,4 @@
-"""Table I: the shipped apparatus holds the printed numbers, in the unit that makes them physical."""
+"""Table I: the shipped apparatus has the printed numbers, in the unit that makes them physical."""
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ PRINTED = {
 
 @pytest.fixture(scope="module")
 def shipped_modes(request):
-    """Return the modes of the shipped apparatus file, as written there."""
+    """Return the modes of the shipped apparatus file as written there."""
     path = request.config.rootpath / "protocols" / "apparatus" / "beam_100x6x2.yaml"
     return YAML(typ="safe").load(path)["modes"]
 
@@ -47,15 +47,15 @@ def test_sets_are_those_of_section_4(shipped_modes):
     assert {mode["label"] for mode in shipped_modes if mode.get("assumed")} == {9, 15, 17}
 
 
-def test_gains_read_as_accelerations_give_plausible_speeds():
+def test_gains_taken_as_accelerations_give_plausible_speeds():
     """Erratum 1: at resonance G/(2 xi w) is 0.9 to 11 mm/s per volt; with w^2 it would be micrometres."""
     speed = {k: abs(g) / (2 * xi * 2 * np.pi * f) for k, (f, xi, g) in PRINTED.items()}
     assert min(speed.values()) == pytest.approx(0.9, abs=0.05)
     assert max(speed.values()) == pytest.approx(11, abs=0.5)
 
 
-def test_bare_beam_would_not_have_these_frequencies(model):
-    """A bare aluminium beam has its first bending mode at 1038 Hz, Table I says 2553."""
+def test_a_bare_beam_does_not_have_these_frequencies(model):
+    """The first bending mode of a bare aluminium beam is at 1038 Hz; Table I has 2553 Hz."""
     young, density, thickness, length = 70e9, 2700.0, 2e-3, 0.1
     bare = 4.730040745**2 / (2 * np.pi * length**2) * np.sqrt(young * thickness**2 / (12 * density))
     assert bare == pytest.approx(1038, rel=0.02)
