@@ -1,4 +1,4 @@
-"""`check` thinks along: what a design cannot show is said before anybody sits down."""
+"""`check` warns of what a design cannot show, before a participant arrives."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ FINGERS, LEVELS = "[one_hand, two_hands]", "[80, 100, 150, 200]"
 
 
 def read(edit: Edit, *changes: tuple[str, str]) -> Protocol:
-    """Return the paper's protocol, changed."""
+    """Return the paper's protocol with changes."""
     return examine(edit(PAPER, *changes)).experiment.protocol
 
 
-def test_pairs_without_a_finger_on_the_focus_are_named(edit: Edit) -> None:
-    """B-D of the paper; where it is every pair, that is said; a second focus counts."""
+def test_pairs_without_a_finger_on_the_focus_are_listed(edit: Edit) -> None:
+    """B-D of the paper has none; "any pair" is written if none has one; a second focus counts."""
     assert "no finger touches the focus C on B-D" in examine(edit(PAPER)).as_dict()["warnings"]
     far = edit("demo.yaml", (PAIRS, "[[A, B], [D, E]]"))
     assert "no finger touches the focus C on any pair" in examine(far).as_dict()["warnings"]
@@ -42,8 +42,8 @@ def test_pairs_without_a_finger_on_the_focus_are_named(edit: Edit) -> None:
 
 
 @pytest.mark.parametrize(("width", "warned"), [(20, False), (20.5, True), (60, True)])
-def test_contact_wider_than_a_zone_is_named(edit: Edit, width: float, warned: bool) -> None:
-    """A zone of the paper is 20 mm wide; whether the protocol or `check --fingers` names the file."""
+def test_a_contact_wider_than_a_zone_is_warned_of(edit: Edit, width: float, warned: bool) -> None:
+    """A zone of the paper is 20 mm wide; the file may be given in the protocol or by `check --fingers`."""
     said = f"a finger's contact is {width:g} mm wide, a zone only 20; a fingertip touches about 10 mm"
     path = edit("under_the_finger.yaml", ("fingers: typical ", "fingers: wide.yaml "))
     wide = path.with_name("wide.yaml")
@@ -65,10 +65,10 @@ def test_contact_wider_than_a_zone_is_named(edit: Edit, width: float, warned: bo
     ],
     ids=["paper", "one level", "one finger condition", "one pair", "one cell"],
 )
-def test_what_no_test_can_tell_is_what_the_analysis_cannot_reach(
+def test_families_without_power_agree_with_the_analysis(
     edit: Edit, changes: tuple[tuple[str, str], ...], silent: set[str]
 ) -> None:
-    """Families whose smallest p stays above 0.05 however many take part; and the fewest for whom dominance can show."""
+    """Families whose smallest p stays above 0.05 at any group size, and the fewest participants for dominance."""
     preflight = examine(edit(PAPER, *changes)).require()
     said = " ".join(design_warnings(preflight.experiment.protocol))
     design = designs_for(preflight, Observer.read("paper"))[""]
@@ -81,15 +81,15 @@ def test_what_no_test_can_tell_is_what_the_analysis_cannot_reach(
     assert results._ALPHA == ALPHA
 
 
-def test_a_session_longer_than_an_hour_is_told(edit: Edit) -> None:
+def test_a_session_longer_than_an_hour_is_warned_of(edit: Edit) -> None:
     """Twenty repetitions of the paper's 24 trials take an hour and a quarter."""
     assert not any(" min" in each for each in design_warnings(read(edit)))
     (said,) = [each for each in design_warnings(read(edit, ("repetitions: 1", "repetitions: 20"))) if " min" in each]
     assert said.endswith("longer than an hour: use fewer repetitions, or several sessions")
 
 
-def test_practice_that_is_judged_but_does_not_take_place_is_told(edit: Edit) -> None:
-    """A criterion without practice trials lets everybody pass."""
+def test_a_practice_criterion_without_practice_is_warned_of(edit: Edit) -> None:
+    """A criterion without practice trials passes every participant."""
     judged = ("practice_trials: 3", "practice_trials: 3\n  practice_criterion: 0.5")
     assert not any("no effect" in each for each in design_warnings(read(edit, judged)))
     none = ("practice_trials: 3", "practice_trials: 0")  # in the file that was just changed
@@ -133,7 +133,7 @@ def test_a_single_group_and_sessions_that_nobody_analyses_are_told(edit: Edit) -
 
 @pytest.mark.parametrize(("analysed", "is_told"), [("false", False), ("true", True)])
 def test_training_that_is_not_analysed_leaves_a_design_crossed(edit: Edit, analysed: str, is_told: bool) -> None:
-    """The analysis has the tests of a crossed design of the tests alone, however often each participant comes."""
+    """The analysis applies the tests of a crossed design to the test sessions alone, however many there are."""
     kinds = f"schedule:\n  sessions: [{{name: training, analysed: {analysed}}}, {{name: test, times: 2}}]\n"
     said = list(design_warnings(read(edit, ("schedule:\n", kinds))))
     assert any("each kind of session is tested separately" in each for each in said) == is_told
@@ -152,10 +152,8 @@ def test_training_that_is_not_analysed_leaves_a_design_crossed(edit: Edit, analy
          False),
     ],
 )  # fmt: skip
-def test_a_design_is_judged_by_its_cells_not_by_the_keys_that_list_them(
-    edit: Edit, listed: str, is_crossed: bool
-) -> None:
-    """Crossed: every remaining pair at every remaining level, equally often, in every finger condition."""
+def test_a_design_is_judged_by_its_cells_not_by_its_keys(edit: Edit, listed: str, is_crossed: bool) -> None:
+    """Crossed means every remaining pair at every remaining level, equally often, in every finger condition."""
     given = f"zone_pairs: {PAIRS}\n  peak_velocities_mm_s: {LEVELS}"
     said = list(design_warnings(read(edit, (given, listed))))
     assert any("the design is not crossed" in each for each in said) != is_crossed
@@ -163,16 +161,16 @@ def test_a_design_is_judged_by_its_cells_not_by_the_keys_that_list_them(
     assert any("there is only one level" in each for each in said) == ("80]" in listed or "80}" in listed) & is_crossed
 
 
-def test_the_levels_of_a_training_are_not_those_of_the_tests(edit: Edit) -> None:
-    """One level is enough to practise with; the tests have four."""
+def test_the_levels_of_training_are_not_those_of_the_tests(edit: Edit) -> None:
+    """One level is enough for training; the tests have four."""
     training = "{name: training, analysed: false, conditions: {peak_velocities_mm_s: [200]}}"
     protocol = read(edit, ("schedule:\n", f"schedule:\n  sessions: [{training}, {{name: test}}]\n"))
     assert protocol.scheduled_levels == (200,)
     assert not any("only one level" in each for each in design_warnings(protocol))
 
 
-def test_groups_are_not_told_to_be_parts_of_a_design_that_is_not_crossed(edit: Edit) -> None:
-    """They may meet the same cells; adaptive runs have no tests of parts at all."""
+def test_groups_alone_do_not_make_a_design_not_crossed(edit: Edit) -> None:
+    """Groups may have the same cells; each is tested separately."""
     said = list(design_warnings(read(edit, ("schedule:\n", "groups: {low: {}, high: {}}\nschedule:\n"))))
     assert any(each.startswith("each group is tested separately") for each in said)
     assert not any("not crossed" in each for each in said)

@@ -1,4 +1,4 @@
-"""The whole check: limits at the levels that break them, and the predictions that a lab reads."""
+"""The whole check: limits at the levels that exceed them, and the predictions that a lab reads."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def faults(file: Path) -> list[str]:
 
 
 def test_the_papers_protocol_passes(preflight: Preflight) -> None:
-    """It is what the project exists for."""
+    """It has no problem, 24 trials, 3 practice trials and the four levels of the paper."""
     assert preflight.problems == ()
     values = preflight.as_dict()
     assert values["problems"] == []
@@ -49,8 +49,8 @@ def test_the_papers_modes_are_selected(preflight: Preflight) -> None:
     assert preflight.as_dict()["stimuli"][0]["selected_modes"] == [1, 3, 5, 7, 11, 13]
 
 
-def test_the_focus_reaches_its_level_and_the_rest_is_as_the_design_notes_say(preflight: Preflight) -> None:
-    """184 V for the triangle, 14 mm wide at 80 %, contrast about 1.8 : 1 for (A, C), equal for (B, D)."""
+def test_predictions_of_the_shipped_stimulus(preflight: Preflight) -> None:
+    """184 V for the triangle, 14 mm wide at 80 %, contrast about 1.8 : 1 for (A, C), equal speeds for (B, D)."""
     values = preflight.as_dict()
     top = values["stimuli"][-1]
     assert top["zone_at_focus_mm_s"]["C"] == pytest.approx(200, rel=1e-4)
@@ -66,7 +66,7 @@ def test_the_focus_reaches_its_level_and_the_rest_is_as_the_design_notes_say(pre
 
 
 def test_the_modal_error_is_that_of_the_listed_modes(preflight: Preflight) -> None:
-    """Maximum over modes of |velocity - target| and |w eta|, recomputed from the lists; 1e-4 of the level at most."""
+    """Maximum over modes of |velocity - target| and |w eta|, recomputed from the lists; at most 1e-4 of the level."""
     for stimulus in preflight.as_dict()["stimuli"]:
         misses = [abs(stimulus["achieved_mm_s"][k] - stimulus["target_mm_s"][k]) for k in stimulus["target_mm_s"]]
         misses += [abs(value) for value in stimulus["achieved_displacement_mm_s"].values()]
@@ -75,7 +75,7 @@ def test_the_modal_error_is_that_of_the_listed_modes(preflight: Preflight) -> No
 
 
 def test_zone_speeds_follow_from_the_modes(preflight: Preflight) -> None:
-    """Sum over modes of velocity x mode shape at the zone's centre, with shapes of the textbook (mpmath)."""
+    """Sum over modes of velocity times mode shape at the zone's centre, with textbook mode shapes (mpmath)."""
     import mpmath
 
     stimulus = preflight.as_dict()["stimuli"][-1]
@@ -96,8 +96,8 @@ def test_zone_speeds_follow_from_the_modes(preflight: Preflight) -> None:
         assert stimulus["zone_at_focus_mm_s"][zone] == pytest.approx(float(speed), abs=1e-8)
 
 
-def test_speeds_at_the_fingers_are_the_zones_peaks(preflight: Preflight) -> None:
-    """In m/s, left and right as the trial's pair has them."""
+def test_speeds_at_the_fingers_are_the_peaks_of_their_zones(preflight: Preflight) -> None:
+    """In m/s, left and right as in the trial's pair."""
     peaks = preflight.as_dict()["stimuli"][0]["zone_peak_mm_s"]
     trial = Trial(1, 1, Condition("one_hand", "B", "C", 80.0))
     np.testing.assert_allclose(preflight.speeds(trial), [peaks["B"] * 1e-3, peaks["C"] * 1e-3], rtol=1e-12)
@@ -105,8 +105,8 @@ def test_speeds_at_the_fingers_are_the_zones_peaks(preflight: Preflight) -> None
         assert min(preflight.speeds(scheduled)) > 0
 
 
-def test_the_other_law_is_shown_where_asked_and_misses(preflight: Preflight) -> None:
-    """Erratum 3: begun from rest, the paper's mode 1 ends 4.2 % short of its target."""
+def test_the_paper_law_is_compared_on_request_and_misses(preflight: Preflight) -> None:
+    """Erratum 3: started from rest, the paper's mode 1 ends 4.2 % short of its target."""
     assert "comparison" not in preflight.as_dict()
     paper = preflight.as_dict(compare=True)["comparison"][-1]
     assert paper["law"] == "paper"
@@ -114,13 +114,13 @@ def test_the_other_law_is_shown_where_asked_and_misses(preflight: Preflight) -> 
     assert paper["worst_modal_error_mm_s"] > 1
 
 
-def test_the_answer_is_json_without_nan(preflight: Preflight) -> None:
-    """RFC 8259 knows no NaN."""
+def test_the_output_is_json_without_nan(preflight: Preflight) -> None:
+    """RFC 8259 has no NaN."""
     assert json.loads(json.dumps(preflight.as_dict(compare=True), allow_nan=False))
 
 
-def test_a_velocity_beyond_the_amplifier_is_refused_with_what_it_needs(edit: Edit) -> None:
-    """All is linear: 400 mm/s needs twice the 184.5 V of 200 mm/s, and 250 V reach 271 mm/s."""
+def test_a_velocity_beyond_the_amplifier_is_refused_with_its_voltage(edit: Edit) -> None:
+    """By linearity 400 mm/s needs twice the 184.5 V of 200 mm/s, and 250 V give 271 mm/s."""
     (found,) = faults(edit(FILE, (LEVELS, "[80, 400]")))
     assert found.startswith(
         f"{FILE}:25:30: conditions.peak_velocities_mm_s[1]: given 400 mm/s, which needs 369 V at the beam; "
@@ -128,19 +128,19 @@ def test_a_velocity_beyond_the_amplifier_is_refused_with_what_it_needs(edit: Edi
     )
 
 
-def test_the_velocity_said_to_be_allowed_is_allowed(edit: Edit) -> None:
-    """And the next whole one is not."""
+def test_the_highest_allowed_velocity_passes(edit: Edit) -> None:
+    """271 mm/s passes."""
     assert faults(edit(FILE, (LEVELS, "[80, 271]"))) == []
 
 
-def test_the_velocity_above_the_allowed_is_not(edit: Edit) -> None:
+def test_the_next_velocity_above_it_is_refused(edit: Edit) -> None:
     """272 mm/s needs 250.9 V."""
     assert len(faults(edit(FILE, (LEVELS, "[80, 272]")))) == 1
 
 
 @pytest.mark.parametrize("level", [80, 263, 268, 271])
-def test_what_passes_the_check_passes_the_rig(edit: Edit, level: int) -> None:
-    """The rig refuses by itself what exceeds its limits; no session may find that out."""
+def test_levels_that_pass_the_check_pass_the_rig(edit: Edit, level: int) -> None:
+    """The rig applies its limits itself; a session must not be the first to find an excess."""
     preflight = examine(edit(FILE, (LEVELS, f"[80.5, {level}]")))
     assert preflight.problems == ()
     apparatus = preflight.experiment.apparatus
@@ -170,7 +170,7 @@ def test_a_lower_amplifier_limit_is_kept(edit: Edit) -> None:
 
 
 def test_an_amplifier_of_low_gain_is_limited_by_the_generator(edit: Edit) -> None:
-    """20 V peak to peak of the AFG3022B and a gain of 10 make 100 V at the beam."""
+    """20 V peak to peak of the AFG3022B times a gain of 10 gives 100 V at the beam."""
     file = edit(FILE)
     beam = file.parent / BEAM
     beam.write_text(beam.read_text().replace("gain_V_per_V: 25", "gain_V_per_V: 10"))
@@ -180,7 +180,7 @@ def test_an_amplifier_of_low_gain_is_limited_by_the_generator(edit: Edit) -> Non
 
 
 def test_a_level_too_small_for_the_generator_is_refused(edit: Edit) -> None:
-    """20 mV peak to peak is the AFG3022B's smallest amplitude into an open circuit."""
+    """The AFG3022B's smallest amplitude into an open circuit is 20 mV peak to peak."""
     found = faults(edit(FILE, (LEVELS, "[0.1, 200]")))
     assert found
     assert all("allowed: at least 0.02 V, the generator's smallest amplitude" in each for each in found)
@@ -211,7 +211,7 @@ def test_a_level_too_small_for_the_generator_is_refused(edit: Edit) -> None:
 def test_a_zone_faster_than_the_safety_limit_is_refused(
     edit: Edit, focus: str, levels: str, limit: int, words: tuple[str, ...]
 ) -> None:
-    """The beam's free end, in zone A, is faster than its centre, and than the focus; what is said to do does."""
+    """The free end in zone A moves faster than centre and focus; the level in the message passes."""
     file = edit(FILE, ("focus: C", f"focus: {focus}"), (LEVELS, levels))
     beam = file.parent / BEAM
     beam.write_text(beam.read_text().replace("velocity_limit_mm_s: 500", f"velocity_limit_mm_s: {limit}"))
@@ -221,8 +221,8 @@ def test_a_zone_faster_than_the_safety_limit_is_refused(
     assert all(word in each for word in words for each in found)
 
 
-def test_faults_of_form_do_not_hide_those_of_physics(edit: Edit) -> None:
-    """A foreign key in the stimulus, a misspelt one elsewhere, a wrong level, one answer alone; and 400 mm/s."""
+def test_syntax_faults_do_not_hide_physical_ones(edit: Edit) -> None:
+    """An unknown key, a misspelt one, a wrong level and a single answer are reported together with 400 mm/s."""
     file = edit(
         FILE,
         ("  focus: C", "  colour: red\n  focus: C"),
@@ -247,14 +247,14 @@ def test_faults_of_form_do_not_hide_those_of_physics(edit: Edit) -> None:
         ("focusing_instant_ms: 25", "focusing_instant_ms: 0.004", f"{FILE}:15:24: stimulus.focusing_instant_ms: given"),
     ],
 )
-def test_what_the_engine_refuses_has_its_place(edit: Edit, old: str, new: str, fault: str) -> None:
-    """Lines and columns counted in the shipped file."""
+def test_a_refusal_of_the_engine_has_its_place(edit: Edit, old: str, new: str, fault: str) -> None:
+    """Lines and columns are counted in the shipped file."""
     found = faults(edit(FILE, (old, new)))
     assert [each[: len(fault)] for each in found] == [fault]
 
 
-def test_a_mode_that_nothing_drives_is_named_in_the_apparatus_file(edit: Edit) -> None:
-    """Mode 5, the third of the table, without a gain."""
+def test_a_mode_without_a_gain_is_reported_in_the_apparatus_file(edit: Edit) -> None:
+    """Mode 5, the third of the table, has no gain."""
     file = edit(FILE)
     beam = file.parent / BEAM
     beam.write_text(beam.read_text().replace("{side: 6500}", "{side: 0}"))
@@ -263,14 +263,14 @@ def test_a_mode_that_nothing_drives_is_named_in_the_apparatus_file(edit: Edit) -
 
 
 def test_modes_of_one_set_leave_the_other_channel_silent(edit: Edit) -> None:
-    """Modes 1 and 3 have their gains on the centre set alone; silence is no amplitude too small."""
+    """Modes 1 and 3 have gains on the centre set only; a silent channel is not an amplitude that is too small."""
     preflight = examine(edit(FILE, ("selected_modes: 6", "selected_modes: [1, 3]"), (LEVELS, "[20]")))
     assert preflight.problems == ()
     assert preflight.as_dict()["stimuli"][0]["peak_drive_V"]["2"] == 0
 
 
-def test_a_faulty_protocol_is_examined_without_an_exception(edit: Edit) -> None:
-    """`check --json` prints its faults; a session cannot be made of it."""
+def test_a_faulty_protocol_raises_only_when_used(edit: Edit) -> None:
+    """`check --json` prints its faults; its experiment and stimulus raise."""
     preflight = examine(edit(FILE, ("focus: C", "focus: X")))
     values = preflight.as_dict()
     assert (values["protocol"], values["stimuli"]) == ("differentiated_stimulation", [])
@@ -283,7 +283,7 @@ def test_a_faulty_protocol_is_examined_without_an_exception(edit: Edit) -> None:
 
 
 def test_a_missing_protocol_is_a_problem(tmp_path: Path) -> None:
-    """Not an exception either; the names that would do are told."""
+    """It raises no exception either, and similar names are suggested."""
     (problem,) = examine(tmp_path / "thresholds.yaml").problems
     assert problem.given == "a file that does not exist"
     assert problem.allowed.startswith("a YAML file that exists and can be read, or one of comparison_2ifc, demo, d")
@@ -292,7 +292,7 @@ def test_a_missing_protocol_is_a_problem(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("focus", "faster"), [("A", "170"), ("D", "163")])
 def test_a_focus_where_the_field_does_not_peak_is_warned_of(edit: Edit, focus: str, faster: str) -> None:
-    """Symmetric wiring mirrors every field at mid-beam, so zone C moves faster: 163 was seen for 150."""
+    """Symmetric wiring mirrors every field at mid-beam, so zone C moves faster: 163 mm/s for 150."""
     values = examine(edit(FILE, ("focus: C", f"focus: {focus}"), (LEVELS, "[80, 150]"))).as_dict()
     assert values["stimuli"][-1]["zone_peak_mm_s"]["C"] == pytest.approx(float(faster), abs=0.6)
     told = f"at 150 mm/s the focus {focus} is not where the beam moves fastest: zone {focus} moves at up to 150 mm/s"
@@ -305,8 +305,8 @@ def test_the_papers_focus_is_not_warned_of(preflight: Preflight) -> None:
     assert not [each for each in preflight.as_dict()["warnings"] if "fastest" in each or "misses the target" in each]
 
 
-def test_what_is_taken_by_default_is_listed(edit: Edit) -> None:
-    """Values of the schema; the shipped file states law, field and duration."""
+def test_defaults_in_use_are_listed(edit: Edit) -> None:
+    """The values are those of the schema; the shipped file states law, field and duration."""
     left_out = (("  law: exact", "  #"), ("  field: {", "  # {"), ("  duration_ms: 50", "  #"))
     values = examine(edit(FILE, *left_out)).as_dict()
     taken = {each["key"]: each["value"] for each in values["defaults"]}
@@ -321,15 +321,15 @@ def test_what_is_taken_by_default_is_listed(edit: Edit) -> None:
     assert "answers." not in line
 
 
-def test_a_default_that_leaves_a_feature_off_is_listed_without_a_warning(preflight: Preflight) -> None:
-    """No one needs a line saying that there is no feedback in practice."""
+def test_a_default_that_leaves_a_feature_off_gives_no_warning(preflight: Preflight) -> None:
+    """It is listed among the defaults, but absent feedback in practice needs no warning."""
     values = preflight.as_dict()
     assert {"key": "schedule.practice_feedback", "value": False} in values["defaults"]
     assert not [each for each in values["warnings"] if "practice_feedback" in each]
 
 
-def test_defaults_of_a_section_that_is_left_out_are_listed_with_the_faults_beside_it(edit: Edit) -> None:
-    """The section schedule is optional; 900 mm/s is beyond the safety limit of 500."""
+def test_defaults_of_an_omitted_section_are_listed_beside_faults(edit: Edit) -> None:
+    """The section schedule is optional; 900 mm/s is above the safety limit of 500."""
     file = edit(FILE, (LEVELS, "[900]"))
     text = file.read_text()
     start, end = text.index("\nschedule:"), text.index("\nanswers:")
@@ -339,16 +339,16 @@ def test_defaults_of_a_section_that_is_left_out_are_listed_with_the_faults_besid
     assert {"key": "schedule.repetitions", "value": 1} in values["defaults"]
 
 
-def test_levels_in_metres_per_second_are_told_once_each_with_what_is_meant(edit: Edit) -> None:
-    """0.08 m/s is 80 mm/s."""
+def test_levels_in_metres_per_second_are_recognised(edit: Edit) -> None:
+    """Each is reported once with the level meant: 0.08 m/s is 80 mm/s."""
     found = faults(edit(FILE, (LEVELS, "[0.08, 0.1, 0.15, 0.2]")))
     assert len(found) == 4
     for text, meant in zip(found, (80, 100, 150, 200), strict=True):
         assert text.endswith(f"did you mean {meant} mm/s? Levels are in mm/s, not m/s")
 
 
-def test_a_field_that_no_level_can_play_is_told_at_the_field_once(edit: Edit) -> None:
-    """A base of 100 m is flat over the beam: one set is all but silent, and no level suits both."""
+def test_a_field_that_no_level_can_play_is_reported_once_at_the_field(edit: Edit) -> None:
+    """A base of 100 m is flat over the beam: one set is almost silent, and no level suits both."""
     (found,) = faults(edit(FILE, ("base_mm: 56", "base_mm: 100000")))
     assert (
         "stimulus.field.base_mm: given 100000 mm on a beam of 100 mm, a field that cannot be played at any level"
@@ -358,8 +358,8 @@ def test_a_field_that_no_level_can_play_is_told_at_the_field_once(edit: Edit) ->
     assert "raise the level" not in found
 
 
-def test_a_focusing_instant_in_seconds_is_told_once(edit: Edit) -> None:
-    """25 us are too short for any voltage: not at each level, in millions of mm/s."""
+def test_a_focusing_instant_in_seconds_is_reported_once(edit: Edit) -> None:
+    """25 us are too short at any voltage; the fault is not repeated for each level."""
     (found,) = faults(edit(FILE, ("focusing_instant_ms: 25", "focusing_instant_ms: 0.025")))
     assert "given a field that cannot be played at any level" in found
     assert "or focusing_instant_ms; no other level will do" in found
@@ -368,8 +368,8 @@ def test_a_focusing_instant_in_seconds_is_told_once(edit: Edit) -> None:
 @pytest.mark.parametrize(
     ("delay", "given"), [(500000, "given 500000 us, later than the"), (24999, "given a stimulus that")]
 )
-def test_a_delay_beyond_the_focusing_instant_is_told_at_the_delay(edit: Edit, delay: int, given: str) -> None:
-    """The focusing instant is 25 ms; the delay stands in line 41 of the apparatus."""
+def test_a_delay_beyond_the_focusing_instant_is_reported_at_the_delay(edit: Edit, delay: int, given: str) -> None:
+    """The focusing instant is 25 ms; the delay is in line 41 of the apparatus file."""
     file = edit(FILE)
     beam = file.parent / BEAM
     beam.write_text(beam.read_text().replace("delay_us: 0", f"delay_us: {delay}", 1))
@@ -377,14 +377,14 @@ def test_a_delay_beyond_the_focusing_instant_is_told_at_the_delay(edit: Edit, de
     assert found.startswith(f"{BEAM}:41:13: amplifier.delay_us: {given}")
 
 
-def test_samples_that_are_not_held_alike_are_warned_of(edit: Edit) -> None:
-    """131,072 samples over 50 ms at 250 MHz are held 95 or 96 clocks."""
+def test_samples_of_unequal_duration_are_warned_of(edit: Edit) -> None:
+    """131,072 samples over 50 ms at 250 MHz are held for 95 or 96 clock periods."""
     warnings = examine(edit(FILE, ("n_samples: 125000", "n_samples: 131072"))).as_dict()["warnings"]
     assert any("131072 samples are held 95.37 clocks each" in each for each in warnings)
 
 
 def test_longer_designs_take_longer(preflight: Preflight) -> None:
-    """27 presentations of 0.5 s and 1.0 s of pause alone take 40 s; ten times the trials about ten times as long."""
+    """27 presentations of 0.5 s with pauses of 1.0 s take 40 s; ten times the trials take 5 to 10 times as long."""
     protocol = preflight.experiment.protocol
     once = estimated_duration(protocol)
     schedule = protocol.schedule.model_copy(update={"repetitions": 10})
@@ -394,7 +394,7 @@ def test_longer_designs_take_longer(preflight: Preflight) -> None:
 
 
 def test_check_loads_neither_screen_nor_instrument_nor_tables() -> None:
-    """They take seconds, and none of them is needed."""
+    """Importing them takes seconds, and none is needed."""
     code = (
         "import sys; from modaltouch.preflight import examine; examine(sys.argv[1]).as_dict(compare=True); "
         "print([name for name in ('psychopy', 'pyvisa', 'pandas', 'matplotlib', 'scipy', 'statsmodels') "
@@ -428,10 +428,10 @@ OLD = "answers:\n  given_by"
         ("noise: brown, level_dB_FS: -20", "", "masking.noise: given 'brown'"),
     ],
 )
-def test_a_masking_noise_that_cannot_be_played_as_asked_is_a_fault(
+def test_a_masking_noise_that_cannot_be_played_is_a_fault(
     edit: Callable[..., Path], masking: str, sound: str, fault: str
 ) -> None:
-    """Beyond the crest factor, without calibration, with no level or two: told with its place before anybody sits."""
+    """It exceeds the crest factor, has no calibration, or has no level or two; the fault has its place."""
     file = edit("differentiated_stimulation.yaml", (OLD, f"masking: {{{masking}}}\n{OLD}"))
     if sound:
         edit("apparatus/beam_100x6x2.yaml", ("\nsafety:", f"\nsound: {{full_scale_dB_SPL: {sound}}}\nsafety:"))
@@ -448,10 +448,10 @@ def test_a_masking_noise_that_cannot_be_played_as_asked_is_a_fault(
         ("level_dB_SPL: 70", "100", ""),
     ],
 )
-def test_a_lab_is_told_what_its_noise_does_to_ears(
+def test_masking_noise_of_unknown_or_harmful_level_is_warned_of(
     edit: Callable[..., Path], masking: str, sound: str, warning: str
 ) -> None:
-    """An unknown level and a loud one are warned of; 70 dB SPL with a calibration is nothing to be told."""
+    """An unknown level and a loud one give a warning; a calibrated 70 dB SPL does not."""
     file = edit("differentiated_stimulation.yaml", (OLD, f"masking: {{{masking}}}\n{OLD}"))
     if sound:
         edit("apparatus/beam_100x6x2.yaml", ("\nsafety:", f"\nsound: {{full_scale_dB_SPL: {sound}}}\nsafety:"))
@@ -462,8 +462,8 @@ def test_a_lab_is_told_what_its_noise_does_to_ears(
     assert all(warning in each for each in said)
 
 
-def test_catch_trials_are_counted_and_warned_of_where_they_cannot_be_answered(edit: Edit) -> None:
-    """Three to each of two blocks make 30 trials; without the answer none they tell only what is guessed."""
+def test_catch_trials_are_counted_and_warned_of_without_an_answer_none(edit: Edit) -> None:
+    """Three in each of two blocks make 30 trials; without the answer none they measure only guessing."""
     file = edit(FILE, ("  practice_trials: 3", "  catch_trials: 3\n  practice_trials: 3"))
     values = examine(file).as_dict()
     assert (values["n_trials"], values["n_catch_trials"]) == (30, 6)
@@ -475,7 +475,7 @@ def test_catch_trials_are_counted_and_warned_of_where_they_cannot_be_answered(ed
     path.write_text(path.read_text("utf-8").replace("schedule:\n", "schedule:\n  catch_trials: 2\n"), "utf-8")
     rated = examine(path).as_dict()
     assert rated["n_catch_trials"] == 2
-    assert not [each for each in rated["warnings"] if "no answer none" in each], "a scale has no place for none"
+    assert not [each for each in rated["warnings"] if "no answer none" in each], "a scale has no answer none"
 
 
 @pytest.mark.parametrize(
@@ -486,8 +486,8 @@ def test_catch_trials_are_counted_and_warned_of_where_they_cannot_be_answered(ed
         ("none: [down]", ""),
     ],
 )
-def test_it_is_said_how_answers_without_fingers_are_simulated(edit: Edit, others: str, told: str) -> None:
-    """A simulated participant has a threshold: where one answer says that nothing was felt, it is not at random."""
+def test_check_explains_how_answers_without_fingers_are_simulated(edit: Edit, others: str, told: str) -> None:
+    """The simulated participant has a threshold: with an answer none, it is not at random below it."""
     file = edit("with_catch_trials.yaml")
     text = file.read_text(encoding="utf-8")
     file.write_text(f"{text[: text.index('  keys:')]}  keys: {{stronger: [up], {others}}}\n", encoding="utf-8")
@@ -502,8 +502,8 @@ def test_it_is_said_how_answers_without_fingers_are_simulated(edit: Edit, others
     assert any("else write answers.question" in each for each in warnings) is ("none" not in others)
 
 
-def test_bursts_released_freely_are_told_apart(edit: Edit, preflight: Preflight) -> None:
-    """Braked, the first and every later burst are exact; free, a residue of 0.007 mm/s reaches the next."""
+def test_the_steady_error_of_a_free_release_is_reported(edit: Edit, preflight: Preflight) -> None:
+    """Braked, the first and all later bursts are exact; free, a residue of 0.007 mm/s reaches the next."""
     braked = preflight.as_dict()["stimuli"][-1]
     assert braked["worst_modal_error_steady_mm_s"] == pytest.approx(braked["worst_modal_error_mm_s"], rel=1e-6)
     free = examine(edit(FILE, ("release: braked ", "release: free "))).as_dict()["stimuli"][-1]
@@ -511,15 +511,15 @@ def test_bursts_released_freely_are_told_apart(edit: Edit, preflight: Preflight)
     assert 5e-3 < free["worst_modal_error_steady_mm_s"] < 1e-2
 
 
-def test_a_noise_that_is_too_loud_is_told_once_for_all_stimuli(edit: Callable[..., Path]) -> None:
-    """It is the same noise, and the same key."""
+def test_too_loud_a_noise_is_reported_once_for_all_stimuli(edit: Callable[..., Path]) -> None:
+    """All stimuli share the noise and its key."""
     own = "stimuli: {heard: {masked: false}, usual: {}}\nmasking: {level_dB_FS: 30}\n\nconditions:\n"
     (found,) = examine(edit("demo.yaml", ("conditions:\n", own))).problems
     assert (found.path, found.given.split(",")[0]) == ("masking.level_dB_FS", "30 dB FS")
 
 
-def test_a_protocol_that_lacks_a_line_is_described_all_the_same(edit: Edit) -> None:
-    """As far as it is valid: `check --json` never ends in a traceback."""
+def test_a_protocol_with_a_line_missing_is_still_described(edit: Edit) -> None:
+    """It is described as far as it is valid: `check --json` never ends in a traceback."""
     file = edit("demo.yaml")
     lines = file.read_text("utf-8").splitlines(keepends=True)
     for place, line in enumerate(lines):

@@ -1,4 +1,4 @@
-"""What a lab may ask of its stimulus besides the check."""
+"""Options of `check` that explore the stimulus: sensitivity, designs, sample count and contrast."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ def check(*options: str) -> Result:
 
 @pytest.fixture(scope="module")
 def explored() -> dict[str, Any]:
-    """Everything there is to ask."""
+    """The output of all options together."""
     done = check("--sensitivity", "--designs", "--tolerance", "0.01", "--json")
     assert done.exit_code == 0, done.stderr
     values: dict[str, Any] = json.loads(done.stdout)
     return values
 
 
-def test_open_loop_is_limited_by_identification(explored: dict[str, Any]) -> None:
-    """5 % of a gain moves the field by about 3 mm/s, 5 % of a damping ratio by 1.4 or more."""
+def test_open_loop_accuracy_is_limited_by_identification(explored: dict[str, Any]) -> None:
+    """5 % of a modal gain moves the field by about 3 mm/s, 5 % of a damping ratio by 1.4 or more."""
     table = explored["sensitivity"]["table"]
     of_mode_1 = {row["parameter"]: row["field_mm_s"] for row in table if row["mode"] == 1}
     assert of_mode_1["modal_gain"] == pytest.approx(2.96, abs=0.02)
@@ -38,8 +38,8 @@ def test_open_loop_is_limited_by_identification(explored: dict[str, Any]) -> Non
     assert [row["field_mm_s"] for row in table] == sorted((row["field_mm_s"] for row in table), reverse=True)
 
 
-def test_less_peak_voltage_shakes_what_is_not_modelled(explored: dict[str, Any]) -> None:
-    """The norm of p = 4 has a lower peak for a fifth more energy; the least peak is bang-bang."""
+def test_a_lower_peak_voltage_excites_unmodelled_modes(explored: dict[str, Any]) -> None:
+    """The norm p = 4 has a lower peak at a fifth more energy; the least peak is bang-bang."""
     rows = {row["design"]: row for row in explored["designs"]}
     assert rows["4-norm"]["peak_drive_V"] < 0.65 * rows["exact"]["peak_drive_V"]
     assert rows["4-norm"]["energy_V2_s"] == pytest.approx(1.2 * rows["exact"]["energy_V2_s"], rel=0.03)
@@ -49,15 +49,15 @@ def test_less_peak_voltage_shakes_what_is_not_modelled(explored: dict[str, Any])
     assert max(row["residual_mm_s"] for row in rows.values()) < 1e-9
 
 
-def test_fewest_samples_keep_the_tolerance(explored: dict[str, Any]) -> None:
-    """At least 2.5 samples to a cycle of the highest mode, 87,855 Hz over 50 ms."""
+def test_the_fewest_samples_stay_within_the_tolerance(explored: dict[str, Any]) -> None:
+    """There are at least 2.5 samples per period of the highest mode, 87,855 Hz over 50 ms."""
     found = explored["samples"]
     assert found["error"] <= 0.01
     assert 2.5 * 87855 * 0.05 <= found["n_samples"] < 125_000
 
 
-def test_the_focus_can_be_told_from_the_other_zone_but_not_below_1_khz(edit: Callable[..., Path]) -> None:
-    """Nine times the contrast of the exact law at less than 250 V; what is left of the level below 1 kHz moves both."""
+def test_the_contrast_of_the_focus_is_above_1_khz_only(edit: Callable[..., Path]) -> None:
+    """Nine times the contrast of the exact law at less than 250 V; below 1 kHz both zones move equally."""
     short = ("focusing_instant_ms: 25", "focusing_instant_ms: 10"), ("duration_ms: 50", "duration_ms: 20")
     file = edit("differentiated_stimulation.yaml", *short, ("n_samples: 125000", "n_samples: 50000"))
     done = CliRunner().invoke(app, ["check", str(file), "--contrast", "--json"])
@@ -72,25 +72,25 @@ def test_the_focus_can_be_told_from_the_other_zone_but_not_below_1_khz(edit: Cal
 
 
 def test_errors_under_fingers_are_those_of_the_first_placement() -> None:
-    """At 100 mm/s, 5 % of the gain of mode 3 moves the field by 3 mm/s, and more modes than its own."""
+    """At 100 mm/s, 5 % of the gain of mode 3 moves the field by 3 mm/s, and other modes with it."""
     done = CliRunner().invoke(app, ["check", "under_the_finger", "--sensitivity", "--json"])
     found = json.loads(done.stdout)["sensitivity"]
     (row,) = (each for each in found["table"] if (each["parameter"], each["mode"]) == ("modal_gain", 3))
     assert found["placement"] == "A-C"
     assert row["field_mm_s"] == pytest.approx(2.98, abs=0.02)
-    # On the untouched beam a gain moves no displacement at the focus.
+    # On the untouched beam a gain error displaces nothing at the focus.
     assert row["displacement_mm_s"] == pytest.approx(0.013, abs=0.01)
     assert row["displacement_mm_s"] > 1e-3
 
 
-def test_nothing_is_computed_that_nobody_asked_for(explored: dict[str, Any]) -> None:
-    """Without options there is no such key."""
+def test_nothing_is_computed_without_its_option(explored: dict[str, Any]) -> None:
+    """Without an option its key is absent."""
     plain = json.loads(check("--json").stdout)
     assert set(explored) - set(plain) == {"sensitivity", "designs", "samples"}
 
 
-def test_tables_are_for_people_too() -> None:
-    """Words, units, and what a senseless tolerance should have been."""
+def test_the_tables_are_printed_as_text() -> None:
+    """Parameters are written out, and a senseless tolerance is refused with the allowed range."""
     said = check("--sensitivity", "--designs").stdout
     assert "modal gain" in said
     assert "least peak" in said

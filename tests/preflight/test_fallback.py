@@ -1,4 +1,4 @@
-"""The generator without burst mode: one record a period, which cannot be exact."""
+"""The generator without burst mode plays one record per period, which cannot be exact."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ def preflight() -> Preflight:
     return examine(PROTOCOLS / "differentiated_stimulation.yaml")
 
 
-def test_the_continuous_record_misses_as_its_real_edges_do(preflight: Preflight) -> None:
-    """Sum over the edges of a 250 MHz clock at 7 Hz, 272 or 273 clocks to a point, up to 25 ms."""
+def test_the_error_of_a_continuous_record_follows_from_its_edges(preflight: Preflight) -> None:
+    """Sum over the edges of a 250 MHz clock at 7 Hz, 272 or 273 clock periods per point, up to 25 ms."""
     stimulus = preflight.stimulus
     volts = (AFG3022B.continuous_codes(stimulus.burst).astype(float) - 8191) * stimulus.volts_per_code(0.2)[:, None]
     clocks = np.ceil(np.arange(131_073) * (250e6 / 7 / 131_072) - 1e-6)
@@ -38,8 +38,8 @@ def test_the_continuous_record_misses_as_its_real_edges_do(preflight: Preflight)
     assert fallback["worst_modal_error_mm_s"] == pytest.approx(error * 1e3, rel=1e-6)
 
 
-def test_the_check_says_that_it_cannot_be_exact_and_by_how_much(preflight: Preflight) -> None:
-    """Half a point of 1/(7 Hz x 131,072) and a clock of 4 ns; a thousand times the burst's own error."""
+def test_the_check_reports_the_error_of_the_fallback(preflight: Preflight) -> None:
+    """Half a point of 1/(7 Hz x 131,072) plus a clock period of 4 ns; over 100 times the burst's own error."""
     fallback = preflight.as_dict(compare=True)["continuous_fallback"]
     assert fallback["step_error_us"] == pytest.approx(0.5e6 / (7 * 131_072) + 0.004, rel=1e-9)
     own = preflight.as_dict()["stimuli"][-1]["worst_modal_error_mm_s"]

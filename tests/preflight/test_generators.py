@@ -1,4 +1,4 @@
-"""What a generator cannot do is told from its own figures, whichever the apparatus names."""
+"""The limits of a generator come from its own data, whichever model the apparatus has."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ def faults(file: Path) -> list[str]:
 @pytest.mark.parametrize(
     ("apparatus", "most", "model"), [(AFG, 131_072, "AFG3022B"), (KEYSIGHT, 262_144, "33522B")], ids=["afg", "keysight"]
 )
-def test_samples_are_as_many_as_its_record_holds(edit: Edit, apparatus: str, most: int, model: str) -> None:
-    """Two more than its longest record are refused, with the generator's name."""
+def test_the_number_of_samples_is_limited_by_the_record(edit: Edit, apparatus: str, most: int, model: str) -> None:
+    """Two more samples than its longest record are refused, with the model in the message."""
     (found,) = faults(edit(FILE, (AFG, apparatus), ("n_samples: 125000", f"n_samples: {most + 2}")))
     told = f"stimulus.n_samples: given {most + 2}; allowed: at most {most}, the points of a record of the {model}"
     assert told in found
 
 
 @pytest.mark.parametrize(("apparatus", "clock", "most"), [(AFG, 250, 75_000), (KEYSIGHT, 62.5, 18_750)])
-def test_samples_are_no_faster_than_its_clock(edit: Edit, apparatus: str, clock: float, most: int) -> None:
-    """In 0.3 ms 125,000 samples are 417 MHz."""
+def test_the_sampling_rate_is_limited_by_the_clock(edit: Edit, apparatus: str, clock: float, most: int) -> None:
+    """125,000 samples in 0.3 ms need 417 MHz."""
     changes = ("duration_ms: 50", "duration_ms: 0.3"), ("focusing_instant_ms: 25", "focusing_instant_ms: 0.15")
     (found,) = faults(edit(FILE, (AFG, apparatus), *changes))
     assert (
@@ -39,8 +39,8 @@ def test_samples_are_no_faster_than_its_clock(edit: Edit, apparatus: str, clock:
     )
 
 
-def test_a_timer_that_channels_do_not_share_is_refused(edit: Edit) -> None:
-    """At the key of the apparatus file that asks for it."""
+def test_a_timer_that_the_channels_do_not_share_is_refused(edit: Edit) -> None:
+    """The fault is at the key of the apparatus file that sets it."""
     file = edit(FILE, (AFG, KEYSIGHT))
     beam = file.parent / KEYSIGHT
     text = beam.read_text(encoding="utf-8")
@@ -50,8 +50,8 @@ def test_a_timer_that_channels_do_not_share_is_refused(edit: Edit) -> None:
     assert told in found
 
 
-def test_samples_that_it_takes_at_their_own_rate_do_not_jitter(edit: Edit) -> None:
-    """131,072 in 50 ms are no multiple of any clock; the AFG3022B's edges move, those of the 33522B do not."""
+def test_samples_jitter_only_on_a_fixed_clock(edit: Edit) -> None:
+    """131,072 in 50 ms divide no clock evenly: edges of the AFG3022B jitter, those of the 33522B do not."""
     samples = "n_samples: 125000", "n_samples: 131072"
     assert any("edges jitter" in each for each in examine(edit(FILE, samples)).as_dict()["warnings"])
     examined = examine(edit(FILE, (AFG, KEYSIGHT)))
@@ -60,8 +60,8 @@ def test_samples_that_it_takes_at_their_own_rate_do_not_jitter(edit: Edit) -> No
     assert examined.designed.timing.clock_error is None
 
 
-def test_a_generator_that_no_driver_knows_is_told(edit: Edit) -> None:
-    """A series is no model: `run` would drive it like the first generator of the list."""
+def test_a_generator_without_a_driver_is_warned_of(edit: Edit) -> None:
+    """A series is not a model: `run` would drive it like the first generator of the list."""
     file = edit(FILE, (AFG, KEYSIGHT))
     assert not any("there is no driver" in said for said in examine(file).as_dict()["warnings"])
     beam = file.parent / KEYSIGHT

@@ -1,4 +1,4 @@
-"""What the participant can read: every letter has a font, and the smallest type is large enough at the eye."""
+"""Legibility for the participant: every letter has a font, and the smallest type is large enough at the eye."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ TEXTS, BEAM = "texts/english.yaml", "apparatus/beam_100x6x2.yaml"
 
 
 def faults(preflight: Preflight, file: Path, window: WindowOptions | None = None) -> list[str]:
-    """Return what cannot be read, with its place."""
+    """Return what is illegible, with its place."""
     problems = check_legibility(preflight, window).problems
     return [str(problem).replace(f"{file.parent}/", "") for problem in problems]
 
 
-def test_a_letter_without_a_font_is_told_in_its_place(edit: Edit) -> None:
-    """Expected: line and column of the text; a private character is in no font of anybody's."""
+def test_a_letter_without_a_font_is_reported_at_its_place(edit: Edit) -> None:
+    """The fault has line and column of the text; a private-use character is in no font."""
     texts = edit(TEXTS, ("question: Where did", "question: Where \U0010fffd did"))
     file = texts.parents[1] / "demo.yaml"
     (fault,) = faults(examine(file), file)
@@ -36,8 +36,8 @@ def test_a_letter_without_a_font_is_told_in_its_place(edit: Edit) -> None:
     assert "modaltouch doctor" in fault
 
 
-def test_a_named_font_that_is_not_there_is_told_in_its_place(edit: Edit) -> None:
-    """Expected: the file as it is named, and that texts draw without one."""
+def test_a_missing_font_file_is_reported_at_its_place(edit: Edit) -> None:
+    """The fault gives the file as written, and that the key is optional."""
     file = edit(TEXTS, ("language_code: en", "language_code: en\nfont: Nowhere.ttf")).parents[1] / "demo.yaml"
     assert faults(examine(file), file)[0] == (
         f"{TEXTS}:6:7: font: given Nowhere.ttf, which is not installed; allowed: the file of an installed font; "
@@ -47,13 +47,13 @@ def test_a_named_font_that_is_not_there_is_told_in_its_place(edit: Edit) -> None
 
 @pytest.mark.parametrize("language", ["english", "french", "german", "arabic", "chinese"])
 def test_every_letter_of_the_shipped_texts_has_a_font(language: str) -> None:
-    """Expected: none without one, where the packages that `doctor` names are installed."""
+    """No letter is missing where the packages that `doctor` lists are installed."""
     text = (Path(__file__).parents[2] / "protocols" / "texts" / f"{language}.yaml").read_text(encoding="utf-8")
     assert Typesetter().lacking(text) == ""
 
 
 def test_the_smallest_type_is_20_arcmin_at_the_stated_distance(edit: Edit) -> None:
-    """Expected: progress, 2.8 % of the height in capitals of 0.714 em: by the tangent, just under 21 and 20 arcmin."""
+    """Progress text, 2.8 % of the height, capitals of 0.714 em: by the tangent, just under 21 and 20 arcmin."""
     height = 0.028 * 1080 * 0.714 * 531 / 1920
     near = height / (2 * math.tan(math.radians(20.5 / 60) / 2))
     screen = f"\nscreen: {{width_mm: 531, width_px: 1920, height_px: 1080, distance_mm: {near:.1f}}}\n\ntwin:"
@@ -68,8 +68,8 @@ def test_the_smallest_type_is_20_arcmin_at_the_stated_distance(edit: Edit) -> No
     assert " screen: given a window of 1280 x 800 pixels" in fault
 
 
-def test_the_names_of_three_fingers_side_by_side_are_measured() -> None:
-    """Expected: one of them, on neighbouring zones as large as on zones apart, since they move outwards."""
+def test_the_labels_of_three_adjacent_fingers_are_measured() -> None:
+    """A finger name is as large on adjacent zones as on separate ones, since adjacent labels move outwards."""
     experiment = Findings.read(Path(__file__).parents[2] / "docs/examples/protocol_three_fingers.yaml").experiment()
     trials = {trial.condition.zones: trial for trial in Schedule.draw(experiment.protocol, "p01", 1).trials}
     zones = experiment.apparatus.zone_spans
@@ -81,8 +81,8 @@ def test_the_names_of_three_fingers_side_by_side_are_measured() -> None:
     assert near[0] == far[0]
 
 
-def test_every_question_of_a_session_is_looked_at(edit: Edit) -> None:
-    """Expected: the words of a scale in the form at its end, where they are the smallest of all screens."""
+def test_every_question_of_a_session_is_checked(edit: Edit) -> None:
+    """The labels of a scale in the final form are checked, where they are the smallest text of all screens."""
     words = f"very low {'and lower ' * 12}"
     texts = edit(TEXTS, ("very_low: not at all", f"very_low: {words}"))
     file = texts.parents[1] / "magnitude.yaml"

@@ -1,4 +1,4 @@
-"""Several stimuli in one protocol: what is checked, drawn, presented, verified and analysed."""
+"""Several stimuli in one protocol: checked, drawn, presented, verified and analysed."""
 
 from __future__ import annotations
 
@@ -45,8 +45,8 @@ def write(folder: Path, *changes: tuple[str, str], name: str = "two_fields.yaml"
     return file
 
 
-def test_each_stimulus_is_what_it_would_be_alone(preflight: Preflight, tmp_path: Path) -> None:
-    """The burst of `sharp` has the very codes of a protocol whose only stimulus it is."""
+def test_each_stimulus_is_the_same_as_alone(preflight: Preflight, tmp_path: Path) -> None:
+    """The burst of `sharp` has the same codes as in a protocol with that stimulus only."""
     alone = examine(_sharp_alone(tmp_path)).require()
     assert preflight.content_hashes["sharp"] == alone.stimulus.burst.content_hash
     assert preflight.content_hashes["sharp"] != preflight.content_hashes["blunt"]
@@ -65,14 +65,14 @@ def _sharp_alone(folder: Path) -> Path:
 
 
 def _at_home(text: str) -> str:
-    """Name apparatus and texts where they lie."""
+    """Replace the paths of apparatus and texts by absolute ones."""
     home = SHIPPED.parent
     return text.replace(": apparatus/", f": {home}/apparatus/").replace(": texts/", f": {home}/texts/")
 
 
 @pytest.mark.parametrize("order", ["shuffled", "by_pair", "by_velocity", "latin_square"])
 def test_every_condition_meets_every_stimulus_equally_often(tmp_path: Path, order: str) -> None:
-    """Definition of the design, in every order; catch trials have no stimulus."""
+    """It holds for every order by the definition of the design; catch trials have no stimulus."""
     limit = "" if order != "shuffled" else "\n  max_same_pair_running: 2"
     file = write(tmp_path, ("repetitions: 2\n  max_same_pair_running: 2", f"repetitions: 2\n  order: {order}{limit}"))
     protocol = examine(file).require().experiment.protocol
@@ -98,14 +98,16 @@ def test_every_condition_meets_every_stimulus_equally_often(tmp_path: Path, orde
         ([("  blunt:", "  third: {field: {shape: triangle, base_mm: 60}}\n  blunt:")], "stimuli", "at most 4"),
     ],
 )  # fmt: skip
-def test_faults_name_the_stimulus(tmp_path: Path, changes: list[tuple[str, str]], place: str, words: str) -> None:
-    """What was given, what is allowed, at the stimulus' own key where it has one."""
+def test_faults_are_reported_at_the_stimulus(
+    tmp_path: Path, changes: list[tuple[str, str]], place: str, words: str
+) -> None:
+    """The fault gives value and allowed values, at the stimulus' own key if it has one."""
     problems = [str(problem) for problem in examine(write(tmp_path, *changes)).problems]
     assert any(f" {place}: " in problem and words in problem for problem in problems), problems
 
 
-def test_check_says_in_what_stimuli_of_one_field_differ(tmp_path: Path) -> None:
-    """Their speeds are the same; rate and bursts are not: 2 s at 7 and at 3.5 a second."""
+def test_check_shows_how_stimuli_of_one_field_differ(tmp_path: Path) -> None:
+    """Their speeds are equal, their rates and bursts are not: 2 s at 7 and at 3.5 Hz."""
     own = ("blunt: {field: {shape: raised_cosine, base_mm: 100}}", "blunt: {repetition_rate_Hz: 3.5}")
     file = write(tmp_path, own, ("presentation_s: 1.0", "presentation_s: 2.0"))
     done = CliRunner().invoke(app, ["check", str(file)], env={"COLUMNS": "200"})
@@ -113,8 +115,8 @@ def test_check_says_in_what_stimuli_of_one_field_differ(tmp_path: Path) -> None:
     assert "7 bursts at 3.5 Hz" in done.output
 
 
-def test_one_finger_beside_two_in_listed_cells_is_no_fault(tmp_path: Path) -> None:
-    """Cells say which finger condition they are for, whichever stimulus; typical fingers lie only on those zones."""
+def test_cells_of_one_and_two_fingers_can_be_listed_together(tmp_path: Path) -> None:
+    """Each cell gives its finger condition, for any stimulus; typical fingers touch only the zones of the cell."""
     cells = (
         "cells:\n    - {pair: [A, C], peak_velocities_mm_s: [80], finger_conditions: [one_hand]}\n"
         "    - {pair: [C], peak_velocities_mm_s: [80], finger_conditions: [tip]}"
@@ -132,7 +134,7 @@ def test_one_finger_beside_two_in_listed_cells_is_no_fault(tmp_path: Path) -> No
 
 
 def test_a_session_changes_between_them_without_an_upload(preflight: Preflight, tmp_path: Path) -> None:
-    """Four records are sent before the first trial and none after it; verify draws and computes all of it again."""
+    """Four records are uploaded before the first trial and none after it; verify redraws and recomputes everything."""
     session = begin(wire_run(preflight, "p01", answers="simulated", results=tmp_path))
     exchanges = [
         (event["n"], each["what"]) for event in session.events if event["event"] == "rig" for each in event["exchanges"]
@@ -156,8 +158,8 @@ def test_a_session_changes_between_them_without_an_upload(preflight: Preflight, 
         read_responses(tmp_path, stimulus="round")
 
 
-def test_what_is_felt_follows_the_stimulus(preflight: Preflight) -> None:
-    """A blunt field moves zone A nearly as fast as C, a sharp one does not: on the twin as predicted."""
+def test_the_speeds_under_the_fingers_depend_on_the_stimulus(preflight: Preflight) -> None:
+    """A blunt field moves zone A nearly as fast as C, a sharp one does not; the twin plays what is predicted."""
     drawn = Schedule.draw(preflight.experiment.protocol, "p01", 1)
     ratio = {}
     for trial in drawn.trials:
@@ -166,8 +168,8 @@ def test_what_is_felt_follows_the_stimulus(preflight: Preflight) -> None:
     assert ratio["sharp"] > 1.5 > 1.2 > ratio["blunt"]
 
 
-def test_plans_take_one_stimulus_at_a_time(preflight: Preflight, tmp_path: Path) -> None:
-    """As the analysis does: the plan for `sharp` is that of a protocol whose only stimulus it is, to the last count."""
+def test_each_stimulus_has_a_separate_plan(preflight: Preflight, tmp_path: Path) -> None:
+    """As in the analysis, the plan for `sharp` equals exactly that of a protocol with that stimulus only."""
     designs = designs_for(preflight, Observer())
     assert list(designs) == ["sharp", "blunt"]
     alone = designs_for(examine(_sharp_alone(tmp_path)).require(), Observer())[""]
@@ -185,8 +187,8 @@ SHARP_AND_SLOW = (
 """Two stimuli for the shipped adaptive protocol."""
 
 
-def test_each_stimulus_has_adaptive_runs_of_its_own(tmp_path: Path) -> None:
-    """A threshold is that of one stimulus: forty trials of each, and the answers to one move no level of the other."""
+def test_each_stimulus_has_its_own_adaptive_runs(tmp_path: Path) -> None:
+    """Each has forty trials, and answers to one stimulus change no level of the other."""
     file = write(tmp_path, SHARP_AND_SLOW, name="threshold.yaml")
     protocol = examine(file).require().experiment.protocol
     trials = [trial for trial in Schedule.draw(protocol, "p01", 1).trials if not trial.condition.is_catch]
@@ -202,7 +204,7 @@ def test_each_stimulus_has_adaptive_runs_of_its_own(tmp_path: Path) -> None:
     assert levels.settle(other, [event]).condition.velocity_mm_s == 60
 
 
-def test_a_threshold_is_fitted_to_each_stimulus(tmp_path: Path) -> None:
+def test_a_threshold_is_fitted_for_each_stimulus(tmp_path: Path) -> None:
     """Runs, tables and report of an adaptive session with two stimuli; catch trials count for the runs of both."""
     short = (SHARP_AND_SLOW, ("trials: 40", "trials: 8"), ("catch_trials: 10", "catch_trials: 4"))
     preflight = examine(write(tmp_path, *short, name="threshold.yaml")).require()
@@ -224,22 +226,22 @@ def test_a_threshold_is_fitted_to_each_stimulus(tmp_path: Path) -> None:
         analyse(tmp_path, tmp_path / "other", stimulus="sharp")
 
 
-def test_what_the_stimuli_give_is_not_taken_by_default(preflight: Preflight) -> None:
-    """Both shipped stimuli name their field: no word of the shape that a protocol without one gets."""
+def test_a_field_given_by_the_stimuli_is_not_listed_as_a_default(preflight: Preflight) -> None:
+    """Both shipped stimuli state their field, so the default shape is not listed."""
     keys = [each["key"] for each in preflight.as_dict()["defaults"]]
     assert "stimulus.design" in keys
     assert not [key for key in keys if key.startswith("stimulus.field")]
 
 
 def test_the_check_describes_each_stimulus() -> None:
-    """Modes and width of the spot of both, the first one first."""
+    """Modes and spot width of both are shown, in the protocol's order."""
     shown = CliRunner().invoke(app, ["check", str(SHIPPED)]).output
     sharp, blunt = shown.index("sharp: focus C, law exact"), shown.index("blunt: focus C, law exact")
     assert sharp < blunt
 
 
-def test_the_record_of_one_stimulus_has_no_word_of_it(tmp_path: Path) -> None:
-    """Protocols without a section stimuli are recorded as before."""
+def test_the_record_of_one_stimulus_has_no_stimulus_name(tmp_path: Path) -> None:
+    """Protocols without a section stimuli are recorded as before it existed."""
     preflight = examine(SHIPPED.with_name("demo.yaml")).require()
     session = read_session(begin(wire_run(preflight, "p01", answers="simulated", results=tmp_path)).path)
     assert all("stimulus" not in event["trial"]["condition"] for event in session.trials)

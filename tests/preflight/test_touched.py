@@ -1,4 +1,4 @@
-"""What `check` says of fingers on the beam, against a coupled model of its own that is driven with what it exports."""
+"""`check` with fingers on the beam, against an independent coupled model driven with the exported voltages."""
 
 from __future__ import annotations
 
@@ -67,14 +67,14 @@ def checked(*words: object) -> dict[str, Any]:
 
 
 def written(folder: Path, fingers: dict[str, Any]) -> Path:
-    """Return a file of fingers."""
+    """Write a file of fingers and return its path."""
     file = folder / "mine.yaml"
-    file.write_text(f"fingers: {json.dumps(fingers)}\n", encoding="utf-8")  # JSON is YAML
+    file.write_text(f"fingers: {json.dumps(fingers)}\n", encoding="utf-8")  # JSON is valid YAML
     return file
 
 
 def shape(label: int, x: FloatArray) -> FloatArray:
-    """Shape of a symmetric mode of a free-free beam of 100 mm, of unit mean square."""
+    """Shape of a symmetric mode of a free-free beam of 100 mm, with unit mean square."""
     if label == 1:
         return np.ones_like(x)
     middle = (2 * label - 3) * np.pi / 2
@@ -85,7 +85,7 @@ def shape(label: int, x: FloatArray) -> FloatArray:
 
 @dataclass
 class Response:
-    """Velocities of the modes as each sample begins, the sample at the focus, and the force on each finger."""
+    """Modal velocities at the start of each sample, the sample at the focus, and the force on each finger."""
 
     velocity: FloatArray
     at_focus: int
@@ -133,7 +133,7 @@ class CoupledBeam:
         self.force[n : 2 * n] = push @ self.gain
 
     def driven(self, time: FloatArray, voltage: FloatArray) -> Response:
-        """Step from sample to sample, each held until the next."""
+        """Integrate exactly from sample to sample, each held until the next."""
         hold, (n, size) = time[1] - time[0], (self.n, len(self.matrix))
         whole = np.zeros((size + 2, size + 2))
         whole[:size, :size], whole[:size, size:] = self.matrix, self.force
@@ -153,7 +153,7 @@ class CoupledBeam:
 
     @staticmethod
     def _stepped(decay: FloatArray, push: FloatArray, voltage: FloatArray, block: int = 250) -> FloatArray:
-        """States as each sample begins: many blocks side by side, from the states at their starts."""
+        """States at the start of each sample: many blocks in parallel, from the states at their starts."""
         blocks = voltage.reshape(2, -1, block)
         ends = np.zeros((len(decay), blocks.shape[1]))
         for step in range(block):
@@ -168,7 +168,7 @@ class CoupledBeam:
         return states.reshape(len(decay), -1)
 
     def speeds(self, response: Response) -> tuple[dict[str, float], dict[str, float]]:
-        """Velocity at the focusing instant, and highest speed, at the centre of each zone [mm/s]."""
+        """Velocity at the focusing instant and peak speed at the centre of each zone [mm/s]."""
         shapes = np.array([shape(label, np.array(list(ZONE.values()))) for label in self.labels])
         history = shapes.T @ response.velocity * 1e3
         at_focus, peak = history[:, response.at_focus], np.abs(history).max(axis=1)
@@ -199,7 +199,7 @@ def exported(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[FloatA
 
 @pytest.fixture(scope="module")
 def under_fingers(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
-    """Return a function that writes the paper's protocol for typical fingers with some levels."""
+    """Return a function that writes the paper's protocol for typical fingers with given levels."""
 
     def write(levels: str) -> Path:
         text = (PROTOCOLS / f"{PAPER}.yaml").read_text(encoding="utf-8")
@@ -220,15 +220,15 @@ def under_fingers(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], P
 
 @pytest.fixture(scope="module")
 def designed(under_fingers: Callable[[str], Path]) -> Preflight:
-    """The paper's protocol for typical fingers at levels that they leave attainable."""
+    """The paper's protocol for typical fingers at attainable levels."""
     return examine(under_fingers("[40, 60, 80, 100]")).require()
 
 
 @pytest.mark.parametrize("kind", ONE)
-def test_every_level_under_alike_fingers_is_as_an_independent_model_has_it(
+def test_levels_under_equal_fingers_agree_with_the_independent_model(
     tmp_path: Path, exported: dict[str, tuple[FloatArray, FloatArray]], kind: str
 ) -> None:
-    """All pairs of the paper's protocol at all of its levels."""
+    """All pairs of the paper's protocol are compared, at its lowest and highest level."""
     time, voltage = exported[PAPER]
     rows = checked(PAPER, "--fingers", written(tmp_path, ONE[kind]))["stimuli"]
     assert [row["velocity_mm_s"] for row in rows] == [80, 100, 150, 200]
@@ -245,10 +245,10 @@ def test_every_level_under_alike_fingers_is_as_an_independent_model_has_it(
             assert_agrees(row["touched"][pair], beam, (time, voltage * level / 200), level)
 
 
-def test_fingers_by_hand_have_a_row_to_each_placement(
+def test_individual_fingers_have_a_row_for_each_placement(
     tmp_path: Path, exported: dict[str, tuple[FloatArray, FloatArray]]
 ) -> None:
-    """The demonstration: index and middle finger of a hand, then both index fingers, each with its own values."""
+    """Index and middle finger of one hand, then both index fingers, each with its own parameters."""
     left, index, middle = BY_HAND["left"]["index"], BY_HAND["right"]["index"], BY_HAND["right"]["middle"]
     rows = checked("demo", "--fingers", written(tmp_path, BY_HAND))["stimuli"]
     expected = dict.fromkeys(PAIRS, (index, middle))
@@ -261,8 +261,8 @@ def test_fingers_by_hand_have_a_row_to_each_placement(
         assert_agrees(rows[-1]["touched"][place], beam, exported["demo"], 200)
 
 
-def test_an_untouched_beam_is_called_one() -> None:
-    """With what typical fingers would make of the highest level; not where nobody wants to know."""
+def test_an_untouched_beam_is_reported_as_untouched() -> None:
+    """The effect of typical fingers on the highest level is given, and omitted with `--fingers none`."""
     assert "touched" not in checked("demo")["stimuli"][0]
     plain = " ".join(run("check", "demo").stdout.split())
     found = checked("demo", "--fingers", "typical")["stimuli"][-1]["touched"]
@@ -275,7 +275,7 @@ def test_an_untouched_beam_is_called_one() -> None:
 
 
 def test_the_table_shows_every_level_under_every_pair() -> None:
-    """On a wide terminal one row each, and what the pull means."""
+    """A wide terminal has one row each, and the pulling force is explained."""
     done = CliRunner().invoke(app, ["check", "demo", "--fingers", "typical"], env={"COLUMNS": "160"})
     found = checked("demo", "--fingers", "typical")["stimuli"]
     lines = [[cell.strip() for cell in line.strip("│").split("│")] for line in done.stdout.splitlines()]
@@ -289,10 +289,10 @@ def test_the_table_shows_every_level_under_every_pair() -> None:
     assert "a finger that presses with less force lifts off" in " ".join(done.stdout.split())
 
 
-def test_the_export_holds_what_the_beam_gets_at_the_highest_level(
+def test_the_export_has_the_voltages_of_the_highest_level(
     exported: dict[str, tuple[FloatArray, FloatArray]],
 ) -> None:
-    """125,000 samples of 0.4 us from 0; the peaks are those that check prints."""
+    """125,000 samples of 0.4 us from 0; their peaks are those that check prints."""
     time, voltage = exported[PAPER]
     assert (time.shape, voltage.shape) == ((125_000,), (2, 125_000))
     assert time[0] == 0
@@ -301,10 +301,8 @@ def test_the_export_holds_what_the_beam_gets_at_the_highest_level(
     assert np.abs(voltage).max(axis=1) == pytest.approx([peaks["1"], peaks["2"]], rel=1e-12)
 
 
-def test_exported_samples_begin_on_the_clock_of_the_generator(
-    under_fingers: Callable[[str], Path], tmp_path: Path
-) -> None:
-    """131,072 samples in 50 ms are held for 95 or 96 clocks of 4 ns each (tm_devices: 250 MS/s)."""
+def test_exported_samples_start_on_the_generators_clock(under_fingers: Callable[[str], Path], tmp_path: Path) -> None:
+    """131,072 samples in 50 ms are held for 95 or 96 clock periods of 4 ns (tm_devices: 250 MS/s)."""
     protocol = under_fingers("[40]")
     protocol.write_text(protocol.read_text("utf-8").replace("n_samples: 125000", "n_samples: 131072"), "utf-8")
     checked(protocol, "--export", tmp_path / "drive.npz")
@@ -315,7 +313,7 @@ def test_exported_samples_begin_on_the_clock_of_the_generator(
 
 
 def test_several_designs_are_exported_under_their_names(tmp_path: Path) -> None:
-    """Of two stimuli each has its voltages; the first has them twice."""
+    """Each of two stimuli has its voltages; those of the first are also in `voltage_V`."""
     checked("two_fields", "--export", tmp_path / "drive.npz")
     with np.load(tmp_path / "drive.npz") as arrays:
         assert set(arrays) == {"time_s", "voltage_V", "voltage_V_sharp", "voltage_V_blunt"}
@@ -335,15 +333,15 @@ def test_several_designs_are_exported_under_their_names(tmp_path: Path) -> None:
         (("--fingers", "nobody"), 2, "given a file that does not exist; allowed: a YAML file"),
     ],
 )
-def test_files_that_cannot_be_are_refused(words: tuple[str, str], status: int, said: str) -> None:
-    """The exit status, what was given and what is allowed."""
+def test_invalid_export_and_finger_files_are_refused(words: tuple[str, str], status: int, said: str) -> None:
+    """Each has its exit status, and the message gives the value and what is allowed."""
     done = run("check", "demo", *words)
     assert done.exit_code == status
     assert said in " ".join(done.stderr.replace("│", " ").split())
 
 
-def test_a_faulty_file_of_fingers_is_told_with_its_place(tmp_path: Path) -> None:
-    """In JSON too."""
+def test_a_faulty_file_of_fingers_is_reported_with_its_place(tmp_path: Path) -> None:
+    """`--json` gives file, line and key."""
     file = written(tmp_path, {"mass_g": -1, "damping_N_s_per_m": 0.5})
     done = run("check", "demo", "--fingers", file, "--json")
     assert done.exit_code == 2
@@ -351,7 +349,7 @@ def test_a_faulty_file_of_fingers_is_told_with_its_place(tmp_path: Path) -> None
     assert (problem["file"], problem["line"], problem["path"]) == (str(file), 1, "fingers.mass_g")
 
 
-def test_a_design_for_fingers_reaches_the_level_that_is_asked_for(designed: Preflight) -> None:
+def test_a_design_for_fingers_reaches_its_level(designed: Preflight) -> None:
     """At C, under the fingers of every pair, within 1e-6."""
     rows = designed.as_dict()["stimuli"]
     assert [row["velocity_mm_s"] for row in rows] == [40, 60, 80, 100]
@@ -362,10 +360,10 @@ def test_a_design_for_fingers_reaches_the_level_that_is_asked_for(designed: Pref
             assert at_focus == pytest.approx(row["velocity_mm_s"], rel=1e-6), pair
 
 
-def test_the_independent_model_finds_that_level_too(
+def test_the_independent_model_confirms_that_level(
     under_fingers: Callable[[str], Path], tmp_path: Path, designed: Preflight
 ) -> None:
-    """Driven with the voltages of each placement, under the fingers that the shipped file states."""
+    """It is driven with the voltages of each placement, under the fingers of the shipped file."""
     done = run("check", under_fingers("[40, 60, 80, 100]"), "--export", tmp_path / "drive.npz")
     assert done.exit_code == 0, done.stderr
     assert "untouched beam" not in done.stdout
@@ -383,14 +381,14 @@ def test_the_independent_model_finds_that_level_too(
 
 
 def test_mirror_images_share_their_codes(designed: Preflight) -> None:
-    """Symmetric modes cannot tell (A, C) from (C, E): two records on two outputs serve both."""
+    """Symmetric modes do not distinguish (A, C) from (C, E): two records on two outputs serve both."""
     hashes = designed.content_hashes
     assert list(hashes) == list(PAIRS)
     assert hashes["A-C"] == hashes["C-E"] != hashes["B-D"]
 
 
-def test_its_speeds_are_those_of_the_pair_that_is_touched(designed: Preflight) -> None:
-    """What a trial plans, and the contrast of each pair, hold under the fingers of that pair."""
+def test_speeds_of_a_design_for_fingers_are_under_the_touched_pair(designed: Preflight) -> None:
+    """The contrast of each pair holds under the fingers of that pair."""
     values = designed.as_dict()
     touched = values["stimuli"][-1]["touched"]
     assert [(row["zone_left"], row["zone_right"]) for row in values["contrasts"]] == [
@@ -407,17 +405,17 @@ def test_its_speeds_are_those_of_the_pair_that_is_touched(designed: Preflight) -
 def test_other_fingers_miss_the_level_of_a_design_for_typical_ones(
     under_fingers: Callable[[str], Path], tmp_path: Path
 ) -> None:
-    """Heavy fingers on the typical finger's drive; `none` shows the design alone."""
+    """Heavy fingers on the drive for typical ones miss it; `none` shows no fingers."""
     file = under_fingers("[40, 60, 80, 100]")
     row = checked(file, "--fingers", written(tmp_path, ONE["heavy"]))["stimuli"][-1]
     assert row["touched"]["A-C"]["zone_at_focus_mm_s"]["C"] < 80
     assert "touched" not in checked(file, "--fingers", "none")["stimuli"][-1]
 
 
-def test_a_level_that_fingers_leave_out_of_reach_is_refused_with_the_pair_and_the_highest(
+def test_an_unattainable_level_under_fingers_is_refused_with_the_highest(
     under_fingers: Callable[[str], Path],
 ) -> None:
-    """Every pair that asks for too much, with the highest level that it has; that one passes."""
+    """Every pair beyond its limit is reported with its highest attainable level, which passes."""
     problems = examine(under_fingers("[40, 60, 80, 200]")).problems
     assert len(problems) == len(PAIRS)
     highest = {}
@@ -434,7 +432,7 @@ def test_a_level_that_fingers_leave_out_of_reach_is_refused_with_the_pair_and_th
 
 
 def test_placements_may_have_more_records_than_the_generator_has_memories(edit: Edit) -> None:
-    """Six placements with fingers of their own on two outputs: each is loaded when the fingers are placed."""
+    """Six placements with different fingers on two outputs: each is loaded when the fingers are placed."""
     changes = ("  focus: C  ", "  fingers: mine.yaml\n  focus: C  "), ("[80, 100, 150, 200]", "[20, 40]")
     protocol = edit(f"{PAPER}.yaml", *changes)
     written(protocol.parent, BY_HAND)
@@ -442,8 +440,8 @@ def test_placements_may_have_more_records_than_the_generator_has_memories(edit: 
     assert len({codes.tobytes() for burst in preflight.bursts for codes in burst.codes}) == 12
 
 
-def test_what_measures_the_untouched_beam_refuses_a_design_for_fingers(designed: Preflight) -> None:
-    """A calibration made with it would be of another beam."""
+def test_measurements_of_the_untouched_beam_refuse_a_design_for_fingers(designed: Preflight) -> None:
+    """A calibration with that design would be of another beam."""
     with pytest.raises(InputError, match=r"stimulus.fingers: given fingers, but this measures the untouched beam"):
         designed.of_untouched_beam()
     assert designed.as_dict(compare=True)["comparison"] == []
@@ -462,7 +460,7 @@ def limited(edit: Edit, limit: float, *changes: tuple[str, str]) -> Path:
     return file
 
 
-def test_a_finger_taken_away_must_not_send_the_beam_over_its_limit(edit: Edit) -> None:
+def test_lifting_a_finger_must_not_exceed_the_velocity_limit(edit: Edit) -> None:
     """At 100 mm/s the beam moves at up to 114 mm/s within a zone under both fingers, and at 139 without any."""
     file = limited(edit, 145)
     assert examine(file).problems == ()
@@ -478,7 +476,7 @@ MODE_13 = "label: 13, natural_frequency_Hz: 58303, damping_ratio: 0.0101, gain_m
 
 
 def with_intervals(share: float) -> tuple[tuple[str, str], ...]:
-    """Return changes to the beam's file: intervals of so much of each gain, either way."""
+    """Return changes to the beam's file: intervals of the given share of each gain, both ways."""
     table = re.findall(r"(label: \d+, .*? gain_mm_s2_per_V: \{(\w+): (-?\d+)\})", BEAM.read_text(encoding="utf-8"))
     ends = ((line, name, *sorted((float(gain) * (1 - share), float(gain) * (1 + share)))) for line, name, gain in table)
     return tuple(
@@ -488,7 +486,7 @@ def with_intervals(share: float) -> tuple[tuple[str, str], ...]:
 
 
 def test_the_limit_holds_for_all_gains_within_their_intervals(edit: Edit) -> None:
-    """Gains known to 5 %: no beam drawn within moves faster, in any zone, than the speed that counts."""
+    """Gains are known to 5 %: no model drawn within moves faster, in any zone, than the speed that is checked."""
     file = limited(edit, 500, *with_intervals(0.05))
     preflight = examine(file).require()
     stimulus, points = preflight.stimulus, zone_points(preflight.inputs).ravel()
@@ -508,14 +506,14 @@ def test_the_limit_holds_for_all_gains_within_their_intervals(edit: Edit) -> Non
 
 
 def test_a_set_that_hardly_moves_a_mode_does_not_limit_the_level(edit: Edit) -> None:
-    """A gain of 3 known to 300, beside one of 41448: it was taken for a beam a hundred times as fast."""
+    """A gain of 3 known to 300, beside one of 41448, once counted as a beam a hundred times as fast."""
     interval = "intervals_95: {gain_mm_s2_per_V: {centre: [-41448, -41448], side: [-297, 303]}}"
     known = MODE_13.replace("-41448}", "-41448, side: 3}")
     assert examine(limited(edit, 145, (MODE_13, f"{known}, {interval}"))).problems == ()
 
 
-def test_the_level_first_is_labelled_and_reaches_any_level(edit: Edit) -> None:
-    """The paper's 200 mm/s at 250 V, where the whole field allows 114; the price is said."""
+def test_priority_level_reaches_any_level_and_is_labelled(edit: Edit) -> None:
+    """It reaches the paper's 200 mm/s at 250 V, where the whole field allows 114; a warning states the cost."""
     preflight = examine(edit(f"{PAPER}.yaml", ("  focus: C  ", "  fingers: typical\n  priority: level\n  focus: C  ")))
     values = preflight.require().as_dict()
     assert max(values["stimuli"][-1]["peak_drive_V"].values()) <= 250
@@ -526,8 +524,8 @@ def test_the_level_first_is_labelled_and_reaches_any_level(edit: Edit) -> None:
 
 
 @pytest.mark.parametrize(("key", "value"), [("law", "paper"), ("design", "norm_4")])
-def test_the_level_first_is_refused_with_other_laws(edit: Edit, key: str, value: str) -> None:
-    """At the key that asks for it."""
+def test_priority_level_is_refused_with_other_laws(edit: Edit, key: str, value: str) -> None:
+    """The fault is at the key `stimulus.priority`."""
     changes = [("  focus: C  ", "  priority: level\n  focus: C  ")]
     changes += [("law: exact  ", "law: paper  ")] if key == "law" else [("  release:", "  design: norm_4\n  release:")]
     (problem,) = examine(edit(f"{PAPER}.yaml", *changes)).problems
@@ -535,8 +533,8 @@ def test_the_level_first_is_refused_with_other_laws(edit: Edit, key: str, value:
     assert problem.given == f"level, with the {key} {value}"
 
 
-def test_a_level_that_no_voltage_reaches_is_none(tmp_path: Path) -> None:
-    """A kilogram on the focus moves against the drive of the untouched beam, which no higher voltage turns round."""
+def test_the_attainable_level_is_zero_if_no_voltage_reaches_it(tmp_path: Path) -> None:
+    """A kilogram on the focus moves opposite to the untouched beam's drive, which no higher voltage reverses."""
     fingers = written(tmp_path, {"mass_g": 1000, "damping_N_s_per_m": 1, "stiffness_N_per_mm": 1})
     touched = checked(PAPER, "--fingers", fingers)["stimuli"][-1]["touched"]["A-C"]
     assert touched["zone_at_focus_mm_s"]["C"] < 0
