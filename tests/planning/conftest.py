@@ -1,4 +1,4 @@
-"""A design like the paper's, without the preflight that would compute its speeds."""
+"""A design like the paper's, with given speeds instead of those that the preflight computes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Simulated experiments: the observer's shares, false alarms where nothing is to be found, seeds."""
+"""Simulated experiments: the observer's shares, false positives under the null, and seeds."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ VARIED = Observer(
 
 
 def test_simulated_answers_have_the_observers_shares(design: Design) -> None:
-    """Expected: the mean over a large crowd of the closed-form chances, within 4 standard errors."""
+    """Mean counts agree with closed-form probabilities of a large crowd within 4 standard errors."""
     answers = simulate(design, VARIED, Job(50, 2, 0, 200), np.random.default_rng(1))
     crowd = VARIED.draw_participants(np.random.default_rng(2), (40_000,))
     left, right = answer_shares(crowd, design.speeds.reshape(-1, 2), design.cells)
@@ -36,8 +36,8 @@ def test_simulated_answers_have_the_observers_shares(design: Design) -> None:
     assert (answers.counts.sum(axis=-1) == 2).all()
 
 
-def test_lapses_are_shared_by_all_answers_of_the_protocol(design: Design) -> None:
-    """Expected of a participant who guesses: a quarter of the answers each, in the order of the protocol."""
+def test_lapses_are_spread_over_all_answers_of_the_protocol(design: Design) -> None:
+    """A participant who only guesses gives each of four answers a quarter of the time, in the protocol's order."""
     offered = AnswerList.of({"keys": {"links": [], "beide": [], "nichts": [], "rechts": []}, "fingers": {
         "links": ["left"], "beide": ["left", "right"], "nichts": [], "rechts": ["right"]}})  # fmt: skip
     guessing = replace(design, answers=offered)
@@ -50,16 +50,16 @@ def test_lapses_are_shared_by_all_answers_of_the_protocol(design: Design) -> Non
 
 
 @pytest.mark.parametrize("n_repetitions", [1, 2])
-def test_false_alarms_stay_within_alpha(design: Design, n_repetitions: int) -> None:
-    """Expected: at most 5 % of experiments with any significant test of a family (Holm), participants differing."""
+def test_false_positives_stay_within_alpha(design: Design, n_repetitions: int) -> None:
+    """At most 5 % of experiments have a significant test in a family (Holm), with participants that differ."""
     study = Study(design, VARIED, ALL, null=True, seed=7)
     tallies = [run_job(study, job) for job in divide(design, [(12, n_repetitions)], 1000)]
     for family in ALL:
         assert wilson(sum(tally[family].any_test for tally in tallies), 1000).low <= 0.05, family
 
 
-def test_single_tests_use_most_of_alpha_once_participants_are_many(design: Design) -> None:
-    """Expected: rates of uncorrected tests near 5 % from below: discrete tests lose little at N = 40."""
+def test_single_tests_use_most_of_alpha_with_many_participants(design: Design) -> None:
+    """Uncorrected tests reject slightly less than 5 %: at N = 40 discreteness costs little."""
     study = Study(design, VARIED, ("a2", "b"), null=True, seed=3)
     for family, tally in run_job(study, Job(40, 2, 0, 250)).items():
         found = wilson(int(tally.single.sum()), 250 * len(tally.single))
@@ -67,15 +67,15 @@ def test_single_tests_use_most_of_alpha_once_participants_are_many(design: Desig
         assert found.high > 0.035, family
 
 
-def test_the_null_leaves_participants_their_differences(design: Design) -> None:
-    """Expected: only the side that all prefer goes, and every cell feels alike on both sides."""
+def test_the_null_keeps_differences_between_participants(design: Design) -> None:
+    """Only the common side bias is removed, and every cell has equal speeds on both sides."""
     alike, observer = Study(design, VARIED, ("a2",), null=True, seed=1).simulated
     assert observer == replace(VARIED, typical=replace(VARIED.typical, side_bias=0.0))
     assert np.ptp(alike.speeds) == 0
 
 
 def test_a_turned_beam_cancels_a_shared_side_bias() -> None:
-    """Expected: with half the participants turned, a bias to the right no longer looks like dominance in (B,D)."""
+    """With half the participants at the turned beam, a bias to the right no longer looks like dominance in (B,D)."""
     biased = Observer(Participant(side_bias=0.5), side_bias_spread=0.0)
     one = Observer(Participant())
     pair = (("B", "D"),)
@@ -97,8 +97,8 @@ def _bd_design(pairs: tuple[tuple[str, str], ...], placements: tuple[bool, ...])
     return Design("bd", ("one_hand",), oriented, (80.0, 100.0, 150.0, 200.0), speeds, placements)
 
 
-def test_a_job_depends_on_its_seed_alone(design: Design) -> None:
-    """Expected: the same job gives the same tally alone and after others; another batch or seed another one."""
+def test_a_job_depends_only_on_its_seed(design: Design) -> None:
+    """The same job gives the same tally alone and after others; another batch or seed gives another."""
     study = Study(design, VARIED, ("a2",), null=False, seed=1)
     first = run_job(study, Job(10, 1, 0, 50))["a2"]
     run_job(study, Job(12, 1, 0, 50))
@@ -111,7 +111,7 @@ def test_a_job_depends_on_its_seed_alone(design: Design) -> None:
 
 
 def test_jobs_cover_every_experiment_once_and_all_sizes_first(design: Design) -> None:
-    """Expected: batches add up to the experiments asked for; the first jobs are batch 0 of every size."""
+    """The batches add up to the requested experiments; the first jobs are batch 0 of every size."""
     sizes = [(n, r) for r in (1, 2) for n in (6, 10)]
     jobs = divide(design, sizes, 2 * BATCH + 30)
     assert [job.batch for job in jobs[:4]] == [0] * 4
@@ -121,7 +121,7 @@ def test_jobs_cover_every_experiment_once_and_all_sizes_first(design: Design) ->
         assert [job.batch for job in own] == [0, 1, 2]
 
 
-def test_large_experiments_come_in_small_jobs(design: Design) -> None:
-    """Expected: no more answers to a job than the bound on memory allows."""
+def test_large_experiments_are_divided_into_small_jobs(design: Design) -> None:
+    """No job has more answers than the memory bound allows."""
     for job in divide(design, [(1000, 1)], 300):
         assert job.n_experiments * 1000 * len(design.cells) <= BATCH_CELLS

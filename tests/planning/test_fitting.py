@@ -1,4 +1,4 @@
-"""From recorded answers to an observer."""
+"""Fitting an observer to recorded answers."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ TRUTH = Observer(Participant(noise=0.4, criterion=0.5, suppression=0.5, suppress
 
 @pytest.fixture(scope="module")
 def preflight() -> Preflight:
-    """The minute-long protocol, examined."""
+    """The one-minute protocol, examined."""
     return examine(Path(__file__).parents[2] / "protocols" / "demo.yaml").require()
 
 
 def write_answers(file: Path, preflight: Preflight) -> None:
-    """Write the answers of 20 simulated participants, as counts."""
+    """Write the answers of 20 simulated participants as counts."""
     design = designs_for(preflight, TRUTH)[""]
     answers = simulate(design, TRUTH, Job(20, 4, 0, 1), np.random.default_rng(3))
     rows = [HEADER]
@@ -42,8 +42,8 @@ def write_answers(file: Path, preflight: Preflight) -> None:
     file.write_text("\n".join(rows) + "\n", encoding="utf-8")
 
 
-def test_answers_in_a_file_give_back_their_observer(tmp_path: Path, preflight: Preflight) -> None:
-    """Expected: sigma / (1 + s) = 0.267 and exp(c / (1 + s)) = 1.396, of the observer who answered."""
+def test_the_observer_is_recovered_from_a_file_of_answers(tmp_path: Path, preflight: Preflight) -> None:
+    """The fit recovers the observer's sigma / (1 + s) = 0.267 and exp(c / (1 + s)) = 1.396."""
     write_answers(tmp_path / "answers.csv", preflight)
     fitted = fit_answers(preflight, tmp_path / "answers.csv", Observer())
     assert (fitted.n_participants, fitted.fit.n_answers) == (20, 20 * 12 * 4)
@@ -55,8 +55,8 @@ def test_answers_in_a_file_give_back_their_observer(tmp_path: Path, preflight: P
     assert "scale is the prior's" in fitted.as_dict()["not_identifiable"]
 
 
-def test_one_observer_is_fitted_to_the_answers_to_all_stimuli(tmp_path: Path) -> None:
-    """Recorded sessions of two stimuli: every answer counts once, with what was felt of its own stimulus."""
+def test_one_observer_is_fitted_to_the_answers_of_all_stimuli(tmp_path: Path) -> None:
+    """In sessions of two stimuli every answer counts once, with the speeds of its stimulus."""
     preflight = examine(TWO_FIELDS).require()
     for number in (1, 2):
         simulate_session(preflight, f"p0{number}", tmp_path, observer=TRUTH)
@@ -78,10 +78,11 @@ def test_one_observer_is_fitted_to_the_answers_to_all_stimuli(tmp_path: Path) ->
     assert fitted.fit.log_likelihood == pytest.approx(expected, rel=1e-3)
 
 
-def test_two_stimuli_give_back_their_observer() -> None:
-    """Expected: sigma / (1 + s) = 0.267 and exp(c / (1 + s)) = 1.396, of 30 participants, four times over.
+def test_the_observer_is_recovered_from_two_stimuli() -> None:
+    """Four fits to 30 participants recover sigma / (1 + s) = 0.267 and exp(c / (1 + s)) = 1.396.
 
-    95 % intervals: of 16, at least 14 hold the truth but for one chance in a hundred; the means are within 5 %.
+    Of 16 intervals of 95 %, at least 14 contain the true value except with a probability of 1 %; the means are within 5
+    %.
     """
     designs = designs_for(examine(TWO_FIELDS).require(), TRUTH)
     held, values = 0, []
@@ -102,8 +103,8 @@ def test_two_stimuli_give_back_their_observer() -> None:
     assert np.mean(values, axis=0) == pytest.approx((np.exp(0.5 / 1.5), 0.4 / 1.5), rel=0.05)
 
 
-def test_what_does_not_say_its_stimulus_is_refused(tmp_path: Path, preflight: Preflight) -> None:
-    """A CSV without them for a protocol with several; different participants; adaptive runs, whatever the answers."""
+def test_answers_without_their_stimulus_are_refused(tmp_path: Path, preflight: Preflight) -> None:
+    """For several stimuli a CSV needs their column; other participants and adaptive runs are refused too."""
     (tmp_path / "a.csv").write_text(f"{HEADER}\np1,one_hand,A,C,80,left,1\n", encoding="utf-8")
     with pytest.raises(InputError, match="add the column stimulus"):
         fit_answers(examine(TWO_FIELDS).require(), tmp_path / "a.csv", Observer())
@@ -115,8 +116,8 @@ def test_what_does_not_say_its_stimulus_is_refused(tmp_path: Path, preflight: Pr
         fit_answers(examine(TWO_FIELDS.with_name("threshold.yaml")).require(), tmp_path / "a.csv", Observer())
 
 
-def test_a_table_that_says_its_stimuli_is_fitted(tmp_path: Path) -> None:
-    """One answer to each cell of both stimuli counts once, with what was felt of its own stimulus."""
+def test_a_table_with_its_stimuli_is_fitted(tmp_path: Path) -> None:
+    """One answer in each cell of both stimuli counts once, with the speeds of its stimulus."""
     preflight = examine(TWO_FIELDS).require()
     rows = [f"{HEADER},stimulus"]
     for stimulus, design in designs_for(preflight, TRUTH).items():

@@ -1,4 +1,4 @@
-"""The picture of a plan: by the numbers drawn."""
+"""The figure of a plan, checked by the numbers drawn."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def planned(design: Design, sizes: list[tuple[int, int]], families: tuple[str, .
 
 
 def test_each_number_of_repetitions_has_its_curve(design: Design) -> None:
-    """Expected: a panel for each family, in it a curve for each number, over the participants that were simulated."""
+    """Each family has a panel, with one curve for each number of repetitions over the simulated sizes."""
     figure = draw_power(planned(design, [(n, r) for r in (1, 2) for n in (6, 10, 16)]))
     panels = [axes for axes in figure.axes if axes.axison]
     assert len(panels) == len(STATISTICS)
@@ -29,7 +29,7 @@ def test_each_number_of_repetitions_has_its_curve(design: Design) -> None:
 
 
 def test_one_number_of_repetitions_is_drawn_as_curves(design: Design) -> None:
-    """Expected: the power of every size, at its number of participants."""
+    """The curve has the power of every size at its number of participants."""
     power = planned(design, [(n, 1) for n in (6, 10, 16)], ("a2",))
     axes = draw_power(power).axes[0]
     line = axes.get_lines()[0]
@@ -39,7 +39,7 @@ def test_one_number_of_repetitions_is_drawn_as_curves(design: Design) -> None:
 
 @pytest.mark.parametrize("sizes", [[(8, 1)], [(8, 1), (8, 2)], [(8, 1), (10, 2)]])
 def test_any_sizes_can_be_drawn(design: Design, sizes: list[tuple[int, int]]) -> None:
-    """Expected: curves where no grid is there, as after an interruption."""
+    """Curves are drawn even if sizes form no grid, as after an interruption."""
     axes = draw_power(planned(design, sizes, ("d",))).axes[0]
     assert axes.get_ylabel() == "power"
     assert sum(len(line.get_xdata()) for line in axes.get_lines()[:-1]) == len(sizes)

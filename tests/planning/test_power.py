@@ -1,4 +1,4 @@
-"""Plans: the same figures however the work is shared, what an interruption keeps, what is needed."""
+"""Plans: independence of the division of work, interruption, and the number of participants needed."""
 
 from __future__ import annotations
 
@@ -25,21 +25,21 @@ def study(design: Design) -> Study:
     return Study(design, UNSURE, tuple(STATISTICS), null=False, seed=1)
 
 
-def test_processes_change_nothing(study: Study) -> None:
-    """Expected: the very same figures from one process and from two; each job owns a spawned seed."""
+def test_the_number_of_processes_changes_nothing(study: Study) -> None:
+    """One process and two give the same figures; each job has its own spawned seed."""
     alone = plan(study, SIZES[:2], 300)
     shared = plan(study, SIZES[:2], 300, n_processes=2)
     assert json.dumps(alone.as_dict()) == json.dumps(shared.as_dict())
 
 
 def test_other_sizes_change_nothing(study: Study) -> None:
-    """Expected: an experiment of ten participants comes out the same in any sweep."""
+    """An experiment of ten participants has the same result in any sweep."""
     alone, swept = plan(study, [(10, 1)], 40), plan(study, SIZES, 40)
     assert alone.families == [row for row in swept.families if (row["n_participants"], row["n_repetitions"]) == (10, 1)]
 
 
-def test_an_interruption_keeps_what_is_done(study: Study) -> None:
-    """Expected: two jobs of six done, so two sizes with all their 40 experiments, and not complete."""
+def test_an_interruption_keeps_finished_jobs(study: Study) -> None:
+    """Two of six jobs are finished: two sizes have all their 40 experiments, and the plan is incomplete."""
     done: list[int] = []
     found = plan(study, SIZES, 40, on_progress=lambda n, total: done.append(n), should_stop=lambda: len(done) >= 2)
     assert done == [1, 2]
@@ -48,8 +48,8 @@ def test_an_interruption_keeps_what_is_done(study: Study) -> None:
     assert len(found.families) == 2 * len(STATISTICS)
 
 
-def test_an_interruption_of_processes_keeps_what_is_done(study: Study) -> None:
-    """Expected: what came back before the stop, the same as from one process."""
+def test_an_interruption_of_processes_keeps_finished_jobs(study: Study) -> None:
+    """The results received before the stop equal those of one process."""
     done: list[int] = []
     found = plan(
         study,
@@ -64,8 +64,8 @@ def test_an_interruption_of_processes_keeps_what_is_done(study: Study) -> None:
     assert found.families == whole.families
 
 
-def test_intervals_are_wilsons(study: Study) -> None:
-    """Expected: the score interval of the share of significant experiments, family by family and test by test."""
+def test_intervals_are_those_of_wilson(study: Study) -> None:
+    """They are score intervals of the share of significant experiments, by family and by test."""
     found = plan(study, [(10, 1)], 120)
     tally = found.tallies[10, 1]["d"]
     row = next(row for row in found.families if row["family"] == "d")
@@ -77,7 +77,7 @@ def test_intervals_are_wilsons(study: Study) -> None:
 
 
 def test_power_grows_with_participants_and_widths_shrink(study: Study) -> None:
-    """Expected: monotone for a real effect, beyond the Monte Carlo error; widths like the root of N or faster."""
+    """For a real effect power rises beyond the Monte Carlo error; widths fall like the root of N or faster."""
     found = plan(study, [(8, 1), (16, 1), (32, 1)], 250)
     rows = [row for row in found.tests if row["family"] == "d mean" and row["scope"] == "one_hand A-C - B-D"]
     assert [row["n_participants"] for row in rows] == [8, 16, 32]
@@ -85,8 +85,8 @@ def test_power_grows_with_participants_and_widths_shrink(study: Study) -> None:
     assert rows[2]["half_width"] < rows[1]["half_width"] / math.sqrt(1.8)
 
 
-def test_the_number_needed_is_the_least_from_which_power_stays() -> None:
-    """Expected: 12, as 8 reached the target but 10 fell back; none where the largest does not reach it."""
+def test_the_number_needed_is_the_least_from_which_power_stays_above_the_target() -> None:
+    """It is 12: 8 reaches the target, but 10 falls below it; it is None if the largest size is below."""
     powers = {"a2": {8: 0.9, 10: 0.7, 12: 0.85, 14: 0.9}, "d": {8: 0.9, 10: 0.9, 12: 0.9, 14: 0.5}}
     rows = [
         {"question": family, "family": family, "n_repetitions": 1, "n_participants": n, "power": power}
@@ -100,8 +100,8 @@ def test_the_number_needed_is_the_least_from_which_power_stays() -> None:
     assert needed == {"a2": 12, "d": None}
 
 
-def test_json_says_what_was_asked_and_is_finite(study: Study) -> None:
-    """Expected: strict JSON without NaN; every row of tests has a question, a scope and an interval."""
+def test_json_has_the_settings_and_finite_values(study: Study) -> None:
+    """Strict JSON without NaN; every row of tests has a question, a scope and an interval."""
     values = json.loads(json.dumps(plan(study, [(6, 1), (8, 1)], 10).as_dict(), allow_nan=False))
     assert (values["seed"], values["n_experiments"], values["complete"]) == (1, 10, True)
     below = [row for row in values["power"] if row["family"] == "a2" and row["n_participants"] == 6]
@@ -111,8 +111,8 @@ def test_json_says_what_was_asked_and_is_finite(study: Study) -> None:
     assert {"question", "scope", "half_width", "n_participants", "n_repetitions"} <= set(values["tests"][0])
 
 
-def test_a_job_alone_is_part_of_the_plan(study: Study) -> None:
-    """Expected: tallies of all batches added up, in the order of the jobs."""
+def test_a_plan_is_the_sum_of_its_jobs(study: Study) -> None:
+    """The tallies of all batches add up."""
     from modaltouch.planning.experiments import divide
 
     whole = plan(study, [(8, 1)], 510).tallies[8, 1]["a2"]

@@ -1,4 +1,4 @@
-"""A preregistration, and an analysis held against it."""
+"""A preregistration, and analyses compared with it."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def analysis(page: Path, tmp_path_factory: pytest.TempPathFactory) -> Analysis:
-    """Return the analysis of three simulated sessions, held against it."""
+    """Return the analysis of three simulated sessions, compared with the preregistration."""
     results = tmp_path_factory.mktemp("results")
     assert run("simulate", DEMO, "-n", 3, "--results", results).exit_code == 0
     found = analyse(results, prereg=page)
@@ -49,7 +49,7 @@ def analysis(page: Path, tmp_path_factory: pytest.TempPathFactory) -> Analysis:
     return found
 
 
-def test_the_page_holds_what_a_preregistration_needs(page: Path) -> None:
+def test_the_page_has_every_part_of_a_preregistration(page: Path) -> None:
     """Design, hypotheses, tests, margins, exclusion rules, sample size with its simulation, and the commit."""
     text = page.read_text(encoding="utf-8")
     for heading in ("Design", "Hypotheses and tests", "Margins", "Exclusion rules", "Sample size"):
@@ -61,8 +61,8 @@ def test_the_page_holds_what_a_preregistration_needs(page: Path) -> None:
     assert "&" not in text
 
 
-def test_the_command_on_the_page_repeats_every_power_of_it(page: Path) -> None:
-    """Of all nine families; a shipped protocol is named, so that no path of this machine is published."""
+def test_the_command_on_the_page_repeats_its_power(page: Path) -> None:
+    """All nine families agree; a shipped protocol is given by name, so that no local path is published."""
     text = page.read_text(encoding="utf-8")
     assert "from\n`demo` (SHA-256" in text
     command = next(line for line in text.splitlines() if line.endswith("repeats this simulation.")).split("`")[1]
@@ -74,16 +74,16 @@ def test_the_command_on_the_page_repeats_every_power_of_it(page: Path) -> None:
     ]
 
 
-def test_an_analysis_that_keeps_to_it_departs_in_nothing(analysis: Analysis) -> None:
-    """The report says so."""
+def test_an_analysis_as_preregistered_has_no_departures(analysis: Analysis) -> None:
+    """The report states that there are none."""
     assert analysis.registration.departures == ()
     report = analysis.files["report.html"].read_text(encoding="utf-8")
     assert "Departures from the preregistration" in report
     assert "None from" in report
 
 
-def test_every_departure_is_said(analysis: Analysis, page: Path) -> None:
-    """Another number of participants or repetitions, family of tests, margin and protocol, and earlier sessions."""
+def test_every_departure_is_reported(analysis: Analysis, page: Path) -> None:
+    """Number of participants or repetitions, family of tests, margin, protocol, and sessions before registration."""
     terms = read_preregistration(page)
     other = terms | {
         "participants": 12,
@@ -103,7 +103,7 @@ def test_every_departure_is_said(analysis: Analysis, page: Path) -> None:
     assert len(departures) == 6
 
 
-def test_a_page_that_appears_meanwhile_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_page_created_meanwhile_is_not_overwritten(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The simulation takes minutes, in which a colleague may register the same protocol."""
     file = tmp_path / "demo.prereg.md"
     monkeypatch.setattr("modaltouch.planning.preregister", lambda *_, **__: str(file.write_text("theirs", "utf-8")))
@@ -114,7 +114,7 @@ def test_a_page_that_appears_meanwhile_stays(tmp_path: Path, monkeypatch: pytest
 
 
 def test_the_page_beside_the_protocol_is_found(tmp_path: Path) -> None:
-    """As `prereg` writes it where nobody says otherwise; what is there already stays."""
+    """`prereg` writes it there by default, and does not overwrite an existing one."""
     assert run("new", tmp_path / "study", "--from", "demo").exit_code == 0
     protocol = tmp_path / "study" / "protocols" / "demo.yaml"
     assert run("prereg", protocol, "-n", 2, "--experiments", 4).exit_code == 0
@@ -127,10 +127,8 @@ def test_the_page_beside_the_protocol_is_found(tmp_path: Path) -> None:
     assert "departs from the preregistration: participants: 2 preregistered, 1 analysed" in done.stderr
 
 
-def test_a_page_that_cannot_be_written_is_refused_before_anything_is_simulated(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A file stands where its folder would be."""
+def test_an_unwritable_page_is_refused_before_the_simulation(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A file occupies the path of its folder."""
 
     def simulate(*given: object, **options: object) -> str:
         raise AssertionError("simulated")
@@ -152,7 +150,7 @@ def test_a_page_that_cannot_be_written_is_refused_before_anything_is_simulated(
 def test_designs_beyond_two_fingers_are_simulated_in_sessions(
     tmp_path: Path, protocol: str, families: dict[str, int]
 ) -> None:
-    """The page names the tests that the analysis then makes, and that departs in nothing."""
+    """The page lists the tests that the analysis then makes, without departures."""
     file, results = tmp_path / "plan.md", tmp_path / "results"
     done = run("prereg", protocol, "-n", 3, "--experiments", 1, "--out", file)
     assert done.exit_code == 0, done.stderr
@@ -172,7 +170,7 @@ def test_designs_beyond_two_fingers_are_simulated_in_sessions(
 
 @pytest.mark.parametrize(("protocol", "n"), [("demo", 300), ("magnitude", 2)])
 def test_the_page_does_not_depend_on_the_number_of_processes(tmp_path: Path, protocol: str, n: int) -> None:
-    """Counts of answers, in two batches of up to 250 experiments, and whole sessions: the same seed, the same page."""
+    """Answer counts in two batches of up to 250 experiments, and whole sessions: the same seed gives the same page."""
     pages = [tmp_path / f"{jobs}.md" for jobs in (1, 2)]
     for jobs, page in enumerate(pages, start=1):
         assert run("prereg", protocol, "-n", 2, "--experiments", n, "-j", jobs, "--out", page).exit_code == 0
@@ -186,10 +184,10 @@ def test_the_page_does_not_depend_on_the_number_of_processes(tmp_path: Path, pro
         ("protocol_table", "| part 2 | one hand and two hands A-C at 150 mm/s, 2 times |"),
     ],
 )
-def test_adaptive_runs_and_designs_that_are_not_crossed_are_simulated_in_sessions(
+def test_adaptive_runs_and_uncrossed_designs_are_simulated_in_sessions(
     tmp_path: Path, protocol: str, planned: str
 ) -> None:
-    """The page says what is estimated or tested, and how exactly; the analysis departs in nothing."""
+    """The page states what is estimated or tested, and how precisely; the analysis has no departures."""
     file, results, source = tmp_path / "plan.md", tmp_path / "results", ROOT / "docs" / "examples" / f"{protocol}.yaml"
     done = run("prereg", source, "-n", 2, "--experiments", 1, "--out", file)
     assert done.exit_code == 0, done.stderr
@@ -220,7 +218,7 @@ def test_adaptive_runs_and_designs_that_are_not_crossed_are_simulated_in_session
     ],
 )
 def test_every_session_of_a_participant_is_planned(edit, tmp_path: Path, sessions: str, planned: list[str]) -> None:
-    """By the protocol: a training that is not analysed costs the participant's time all the same."""
+    """The protocol's sessions are listed; training that is not analysed also takes the participant's time."""
     file = tmp_path / "plan.md"
     source = edit("demo.yaml", ("schedule:\n", f"schedule:\n  sessions: {sessions}\n"))
     assert run("prereg", source, "-n", 2, "--experiments", 1, "--out", file).exit_code == 0
@@ -228,8 +226,8 @@ def test_every_session_of_a_participant_is_planned(edit, tmp_path: Path, session
     assert all(line in text for line in planned) and "| trials per participant |" not in text
 
 
-def test_power_of_answers_at_random_is_said_to_be_none(edit, tmp_path: Path) -> None:
-    """Words that name neither a finger nor an interval: no observer knows their meaning."""
+def test_power_of_random_answers_is_reported_as_false_positives(edit, tmp_path: Path) -> None:
+    """The observer cannot interpret answers that refer to neither a finger nor an interval."""
     file, keys = tmp_path / "plan.md", "keys: {same: [f1], different: [f2], first: [f3]}\n  question: What was it like?"
     source = edit("magnitude.yaml", ("scale: {kind: number}", keys))
     assert run("prereg", source, "-n", 2, "--experiments", 1, "--out", file).exit_code == 0
@@ -244,8 +242,8 @@ def test_power_of_answers_at_random_is_said_to_be_none(edit, tmp_path: Path) -> 
      ("schedule:\n", "schedule:\n  sessions: [{name: training, analysed: false}, {name: test}]\n")],
     ids=["stimuli", "sessions", "training"],
 )  # fmt: skip
-def test_what_is_planned_is_what_is_analysed(edit, tmp_path: Path, change: tuple[str, str]) -> None:
-    """Several stimuli are corrected together, and repetitions of all sessions count, as in the analysis."""
+def test_the_analysis_makes_the_planned_tests(edit, tmp_path: Path, change: tuple[str, str]) -> None:
+    """Several stimuli are corrected together, and the repetitions of all sessions count, as in the analysis."""
     name = "demo" if change[0] else "two_fields"
     source = edit(f"{name}.yaml", change) if change[0] else ROOT / "protocols" / f"{name}.yaml"
     file, results = tmp_path / "plan.md", tmp_path / "results"
@@ -258,8 +256,8 @@ def test_what_is_planned_is_what_is_analysed(edit, tmp_path: Path, change: tuple
     assert scopes in file.read_text(encoding="utf-8")
 
 
-def test_levels_by_participant_are_planned_with_the_threshold_that_is_expected(tmp_path: Path) -> None:
-    """Without one it is refused with what to do; for fixed levels one is refused."""
+def test_individual_levels_are_planned_with_an_expected_threshold(tmp_path: Path) -> None:
+    """Without a threshold the plan is refused with a remedy; with fixed levels a threshold is refused."""
     file = tmp_path / "plan.md"
     asked = ("-n", 1, "--experiments", 1, "--out", file)
     done = run("prereg", "sensation_levels", *asked)
@@ -273,8 +271,8 @@ def test_levels_by_participant_are_planned_with_the_threshold_that_is_expected(t
     assert done.exit_code == 2 and "the levels do not depend on a threshold" in done.stderr
 
 
-def test_what_is_no_preregistration_is_refused(tmp_path: Path) -> None:
-    """With its name, and what to do."""
+def test_a_file_that_is_not_a_preregistration_is_refused(tmp_path: Path) -> None:
+    """The message gives the file and the remedy."""
     file = tmp_path / "notes.md"
     file.write_text("# Notes", encoding="utf-8")
     with pytest.raises(InputError, match=r"notes.md: given no block of JSON .*; write one with `modaltouch prereg"):

@@ -1,4 +1,4 @@
-"""The design of a protocol file, as an observer feels it."""
+"""The design of a protocol file, with the speeds that the observer feels."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from modaltouch.preflight import examine
 from modaltouch.protocol import InputError
 
 
-def test_the_papers_design_is_that_of_the_analysis(shipped: Path) -> None:
-    """Expected: cells in the analysis' order, with the speeds that the preflight predicts for them."""
+def test_the_papers_design_agrees_with_the_analysis(shipped: Path) -> None:
+    """The cells are in the analysis' order, with the speeds that the preflight predicts."""
     preflight = examine(shipped / "differentiated_stimulation.yaml").require()
     design = designs_for(preflight, Observer())[""]
     assert design.finger_conditions == ("one_hand", "two_hands")
@@ -31,15 +31,15 @@ def test_the_papers_design_is_that_of_the_analysis(shipped: Path) -> None:
 
 
 def test_placements_follow_the_schedule(edit: Callable[..., Path]) -> None:
-    """Expected: placements change once every order of the finger conditions has been had, two participants each."""
+    """Placements change after every order of the finger conditions has been used, every two participants."""
     fingers = "finger_conditions: [one_hand, two_hands]\n"
     file = edit("demo.yaml", (fingers, fingers + "  placements: [normal, mirrored]\n"))
     design = designs_for(examine(file).require(), Observer())[""]
     assert design.facing(9).tolist() == [1, 1, -1, -1, 1, 1, -1, -1, 1]
 
 
-def test_groups_that_meet_the_same_cells_are_refused_as_groups(edit: Callable[..., Path]) -> None:
-    """Their design is crossed: what an observer cannot say is how they differ."""
+def test_groups_with_the_same_cells_are_refused(edit: Callable[..., Path]) -> None:
+    """The design is crossed, but one observer cannot represent differences between groups."""
     file = edit("demo.yaml", ("schedule:\n", "groups: {low: {}, high: {}}\nschedule:\n"))
     with pytest.raises(InputError, match="groups: given groups of participants, which one observer cannot represent"):
         designs_for(examine(file).require(), Observer())

@@ -1,4 +1,4 @@
-"""The families of tests of simulated experiments, against the analysis of the very same answers."""
+"""The test families of simulated experiments, against the analysis of the same answers."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ UNSURE = Observer(Participant(noise=0.5, criterion=0.4, lapse_rate=0.1))
 
 
 def analysed(answers: AnswerCounts, experiment: int) -> list[Finding]:
-    """Return what the analysis finds in one simulated experiment."""
+    """Return the findings of the analysis of one simulated experiment."""
     alone = replace(answers, counts=answers.counts[experiment])
     return correct(finding for family in STATISTICS for finding in family_findings(family, alone))
 
 
 @pytest.mark.parametrize(("n_participants", "n_repetitions"), [(9, 1), (7, 3)])
-def test_every_test_is_that_of_the_analysis(design: Design, n_participants: int, n_repetitions: int) -> None:
-    """Expected: p, Holm's p, scope and width of the analysis, row by row, for the same answers."""
+def test_every_test_agrees_with_the_analysis(design: Design, n_participants: int, n_repetitions: int) -> None:
+    """The p value, Holm's p, scope and interval width equal those of the analysis, row by row, for the same answers."""
     answers = simulate(design, UNSURE, Job(n_participants, n_repetitions, 0, 4), np.random.default_rng(1))
     for family, statistic in STATISTICS.items():
         found = statistic.compute(answers)
@@ -41,26 +41,26 @@ def test_every_test_is_that_of_the_analysis(design: Design, n_participants: int,
 
 
 def test_the_papers_design_has_these_tests(design: Design) -> None:
-    """Tests: 6 of dominance, 6 of level, 6 of hand (dominant zone and both), 6 of pair; and 24 cells."""
+    """6 tests of dominance, 6 of level, 6 of hand (dominant zone and both), 6 of pair, and 24 cells."""
     assert {family: len(design.scopes(family)) for family in STATISTICS} == {
         "a1": 24, "a2": 6, "a2 mean": 6, "b": 6, "b mean": 6, "c": 6, "c mean": 6, "c alike": 6, "d": 6, "d mean": 6,
     }  # fmt: skip
 
 
-def test_no_two_tests_of_a_family_are_about_the_same(design: Design) -> None:
-    """Plans add up by what a test is about, such as one hand against two on (A, C): the dominant zone, or both."""
+def test_scopes_of_a_family_are_unique(design: Design) -> None:
+    """Plans are added up by scope, such as one hand against two on (A, C): the dominant zone, or both."""
     for family in STATISTICS:
         assert len(set(design.scopes(family))) == len(design.scopes(family))
     assert "one_hand - two_hands A-C both" in design.scopes("c")
 
 
-def test_a_design_of_one_cell_has_two_tests(small_design: Design) -> None:
-    """Expected: chance and dominance, and its mean; one level has no trend."""
+def test_a_design_of_one_cell_tests_chance_and_dominance_only(small_design: Design) -> None:
+    """These are a1, a2 and its mean; one level has no trend."""
     assert [family for family in STATISTICS if small_design.scopes(family)] == ["a1", "a2", "a2 mean"]
 
 
-def test_tests_that_a_design_has_not_are_refused(small_design: Design) -> None:
-    """Expected: no count of significant tests between finger conditions where there is one."""
+def test_tests_that_a_design_does_not_have_are_refused(small_design: Design) -> None:
+    """With one finger condition there are no tests between conditions to count."""
     answers = simulate(small_design, UNSURE, Job(9, 1, 0, 5), np.random.default_rng(1))
     with pytest.raises(ValueError, match="no tests of c for 1 finger conditions"):
         count_significant(answers, "c")

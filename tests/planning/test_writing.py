@@ -1,4 +1,4 @@
-"""Files of a plan, and folders they must not touch."""
+"""The files of a plan, and folders that it must not overwrite."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ def power(design: Design) -> Power:
     return plan(Study(design, Observer(), ("a2", "b"), null=False, seed=1), [(8, 1), (12, 1)], 20)
 
 
-def test_tables_and_json_hold_the_same_figures(power: Power, tmp_path: Path) -> None:
-    """Expected: the rows of the plan, and the same bytes when written again."""
+def test_tables_and_json_have_the_same_figures(power: Power, tmp_path: Path) -> None:
+    """The rows are those of the plan, and a second writing gives the same bytes."""
     files = write_power(tmp_path / "plan", power)
     assert {"power.csv", "power_tests.csv", "power_needed.csv", "power.json", "power.svg", "power.png"} == set(files)
     values = json.loads(files["power.json"].read_text())
@@ -34,7 +34,7 @@ def test_tables_and_json_hold_the_same_figures(power: Power, tmp_path: Path) -> 
 
 
 def test_an_analysis_is_never_replaced_by_a_plan(power: Power, tmp_path: Path) -> None:
-    """Expected: refused, and the analysis as it was."""
+    """The folder is refused and the analysis left unchanged."""
     write_files(tmp_path / "analysis", {"tests.csv": b"p\n1\n"}, {"version": "0"})
     with pytest.raises(
         RecordError, match="contains output of `modaltouch analyse`, which would be replaced; give another folder"

@@ -1,4 +1,4 @@
-"""What fingers feel on the shipped beam, against the preflight and the velocity history itself."""
+"""Speeds at the fingers on the shipped beam, against the preflight and the velocity history."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ def preflight() -> Preflight:
     return examine(shipped / "differentiated_stimulation.yaml").require()
 
 
-def test_the_peak_is_what_the_preflight_predicts(preflight: Preflight) -> None:
-    """Expected: the preflight's own speeds; the generator's amplitude grid (four digits) is left out."""
+def test_the_peak_agrees_with_the_preflight(preflight: Preflight) -> None:
+    """It agrees within 1e-3; the difference is the generator's amplitude resolution of four digits."""
     felt = FeltSpeeds(preflight.stimulus, ZONES, "peak")
     for level in (80.0, 200.0):
         left, right = preflight.speeds(Trial(1, 1, Condition("one_hand", "A", "C", level)))
@@ -31,15 +31,15 @@ def test_the_peak_is_what_the_preflight_predicts(preflight: Preflight) -> None:
         assert felt.at("C", level * 1e-3) == pytest.approx(right, rel=1e-3)
 
 
-def test_the_focus_alone_moves_at_the_focusing_instant(preflight: Preflight) -> None:
-    """Expected: the level at C, and next to nothing at A and E, which lie outside the triangle of 56 mm."""
+def test_only_the_focus_moves_at_the_focusing_instant(preflight: Preflight) -> None:
+    """C moves at the level, A less than 1 % of it, since A and E lie outside the triangle of 56 mm."""
     felt = FeltSpeeds(preflight.stimulus, ZONES, "peak_at_focus")
     assert felt.at("C", 0.15) == pytest.approx(0.15, rel=1e-3)
     assert felt.at("A", 0.15) < 0.01 * felt.at("C", 0.15)
 
 
-def test_other_front_ends_read_a_whole_repetition(preflight: Preflight) -> None:
-    """Expected: the front end applied to the history computed here, at a seventh of a second."""
+def test_other_front_ends_use_a_whole_repetition(preflight: Preflight) -> None:
+    """The value is that of the front end applied to the history computed here over a seventh of a second."""
     stimulus = preflight.stimulus
     timing, level = stimulus.timing, 0.1
     voltage = np.zeros((2, int(timing.sampling_rate / 7)))
@@ -49,7 +49,7 @@ def test_other_front_ends_read_a_whole_repetition(preflight: Preflight) -> None:
     assert FeltSpeeds(stimulus, {"C": 0.0}, "rms").at("C", level) == pytest.approx(expected, rel=1e-3)
 
 
-def test_a_place_that_is_no_zone_is_refused(preflight: Preflight) -> None:
-    """Expected: the message lists the zones."""
+def test_an_unknown_zone_is_refused(preflight: Preflight) -> None:
+    """The message lists the zones."""
     with pytest.raises(ValueError, match="given the zone 'F'; allowed: A, B, C, D, E"):
         FeltSpeeds(preflight.stimulus, ZONES, "peak").at("F", 0.1)

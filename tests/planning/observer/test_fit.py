@@ -1,4 +1,4 @@
-"""Fits of an observer: recovery of a known one, and what no answers can tell."""
+"""Fits of an observer: recovery of a known one, and what answers cannot identify."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def fitted() -> Fit:
 
 
 def test_a_known_observer_is_recovered(fitted: Fit) -> None:
-    """Expected: the ratios that answers determine, within 1.5 times their 95 % intervals, from a far start."""
+    """From a distant start, the identifiable ratios lie within 1.5 times their 95 % intervals."""
     typical = TRUTH.typical
     expected = {
         "speed ratio named half the time, one_hand": math.exp(typical.criterion / (1 + typical.suppression)),
@@ -61,7 +61,7 @@ def test_a_known_observer_is_recovered(fitted: Fit) -> None:
 
 
 def test_lapses_and_spreads_are_recovered_from_enough_answers(fitted: Fit) -> None:
-    """Expected: the true ones within 1.5 times their intervals; none of them is tied to the scale."""
+    """The true values lie within 1.5 times their intervals; none depends on the scale."""
     found = {estimate.name: estimate for estimate in fitted.parameters}
     for name, truth in (("lapse_rate", 0.02), ("criterion_spread", 0.35)):
         slack = (found[name].high - found[name].low) / 4
@@ -69,15 +69,15 @@ def test_lapses_and_spreads_are_recovered_from_enough_answers(fitted: Fit) -> No
         assert not found[name].tied_to_scale
 
 
-def test_a_fit_is_likelier_than_the_truth_and_than_the_start(fitted: Fit) -> None:
-    """Expected: a maximum is higher than any other point, up to the prior's small pull."""
+def test_the_fit_is_more_likely_than_the_truth_and_the_start(fitted: Fit) -> None:
+    """A maximum exceeds any other point, except for the small effect of the prior."""
     data = recorded(TRUTH, 60, 16, seed=3)
     assert fitted.log_likelihood > log_likelihood(TRUTH, data) - 3
     assert fitted.log_likelihood > log_likelihood(Observer(), data) + 100
 
 
 def test_the_scale_cannot_be_identified() -> None:
-    """Expected: noise, criterion, 1 + suppressions and side bias times 1.7 give the same likelihood, exactly."""
+    """Multiplying noise, criterion, 1 + suppressions and side bias by 1.7 leaves the likelihood exactly unchanged."""
     k, typical = 1.7, replace(TRUTH.typical, suppression_across_hands=0.5)
     truth = replace(TRUTH, typical=typical)
     data = recorded(truth, 5, 2, seed=1)
@@ -93,8 +93,8 @@ def test_the_scale_cannot_be_identified() -> None:
     assert log_likelihood(other, data) == pytest.approx(log_likelihood(truth, data), abs=1e-9)
 
 
-def test_what_was_not_asked_stays_the_priors() -> None:
-    """Expected: with one finger condition alone nothing is learned of the other's suppression."""
+def test_a_parameter_without_data_stays_at_the_prior() -> None:
+    """With one finger condition only, nothing is learned about the other's suppression."""
     whole = recorded(TRUTH, 8, 2, seed=2)
     half = RecordedAnswers(whole.counts[:, :3], SPEEDS[:3], CONDITIONS[:3], whole.facing)
     fit = fit_observer(half, Observer())
@@ -104,15 +104,15 @@ def test_what_was_not_asked_stays_the_priors() -> None:
     assert {estimate.name.split(", ")[1] for estimate in fit.identified} == {"one_hand"}
 
 
-def test_a_spread_of_zero_is_held() -> None:
-    """Expected: a quantity at the end of its range is not fitted."""
+def test_a_spread_of_zero_is_kept_fixed() -> None:
+    """A quantity at the end of its range is not fitted."""
     fit = fit_observer(recorded(TRUTH, 4, 1, seed=2), replace(Observer(), noise_spread=0.0))
     assert "noise_spread" not in [estimate.name for estimate in fit.parameters]
     assert fit.observer.noise_spread == 0.0
 
 
-def test_answers_that_nothing_was_felt_leave_the_lapses_of_the_others() -> None:
-    """Expected: with lapses to one of four answers, the share of left among left, both and right, in closed form."""
+def test_with_an_answer_none_lapses_are_spread_over_four_answers() -> None:
+    """The likelihood has lapses of one in four answers, conditional on left, both or right, in closed form."""
     still = Observer(TRUTH.typical, 0, 0, 0, 0, 0)
     data = replace(recorded(TRUTH, 2, 3, seed=5), offers_nothing=True)
     lapses, expected = still.typical.lapse_rate, 0.0
@@ -127,7 +127,7 @@ def test_answers_that_nothing_was_felt_leave_the_lapses_of_the_others() -> None:
 
 
 def test_the_likelihood_of_a_population_without_spread_is_multinomial() -> None:
-    """Expected: the sum of counts times log shares, in closed form, left and right exchanged at the turned beam."""
+    """It is the sum of counts times log shares in closed form, with left and right exchanged at the turned beam."""
     still = Observer(TRUTH.typical, 0, 0, 0, 0, 0)
     data = recorded(TRUTH, 2, 3, seed=5)
     expected = 0.0

@@ -1,4 +1,4 @@
-"""Many participants at once, against one at a time and closed forms."""
+"""Many participants together, against single participants and closed forms."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SPEEDS = np.array([[0.08, 0.13], [0.1, 0.1], [0.2, 0.12]])
 
 
 def test_shares_are_those_of_single_answers() -> None:
-    """Expected: the shares of 6000 answers of the same person, within 4 standard errors."""
+    """They agree with 6000 answers of the same person within 4 standard errors."""
     observer = replace(Observer(), typical=replace(Participant(), lapse_rate=0.06, near_miss=0.4, side_bias=0.1))
     person = observer.draw(np.random.default_rng(4))
     crowd = observer.draw_participants(np.random.default_rng(4), ())
@@ -34,7 +34,7 @@ def test_shares_are_those_of_single_answers() -> None:
 
 
 def test_shares_with_internal_noise_are_those_of_single_answers() -> None:
-    """Expected near the threshold of touch and far above it: the shares of 6000 answers, within 4 standard errors."""
+    """Near the threshold of touch and far above it, they agree with 6000 answers within 4 standard errors."""
     observer = replace(Observer(), typical=replace(Participant(), internal_noise=0.004, detection_speed=0.0105))
     person = observer.draw(np.random.default_rng(4))
     speeds = np.array([[0.006, 0.01], [0.02, 0.012], [0.1, 0.15]])
@@ -48,10 +48,10 @@ def test_shares_with_internal_noise_are_those_of_single_answers() -> None:
 
 
 @pytest.mark.parametrize("internal_noise", [0.0, 0.004])
-def test_shares_with_nothing_felt_among_the_answers_are_those_of_single_answers(internal_noise: float) -> None:
-    """Expected below, near and far above the threshold: the shares of 6000 answers, within 4 standard errors.
+def test_shares_with_an_answer_none_are_those_of_single_answers(internal_noise: float) -> None:
+    """Below, near and far above the threshold, they agree with 6000 answers within 4 standard errors.
 
-    A lapse is one of four answers then, not of three: 5 % of lapses name each.
+    A lapse is then one of four answers and not of three: of 20 % lapses each gets 5 %.
     """
     typical = Participant(lapse_rate=0.2, detection_speed=0.01, internal_noise=internal_noise, near_miss=0.1)
     observer, offered = replace(Observer(), typical=typical), AnswerList.of_words(("none",))
@@ -68,8 +68,8 @@ def test_shares_with_nothing_felt_among_the_answers_are_those_of_single_answers(
             assert given.count(answer) / n == pytest.approx(share, abs=4 * spread + 3e-3)
 
 
-def test_one_drawn_participant_is_the_crowd_of_one() -> None:
-    """Expected: the same draws give the same person, alone or in a crowd."""
+def test_one_drawn_participant_is_a_crowd_of_one() -> None:
+    """The same draws give the same person, alone or in a crowd."""
     observer = Observer()
     person = observer.draw(np.random.default_rng(2))
     crowd = observer.draw_participants(np.random.default_rng(2), (1,))
@@ -81,16 +81,16 @@ def test_one_drawn_participant_is_the_crowd_of_one() -> None:
 
 @settings(max_examples=40, deadline=None)
 @given(st.lists(st.floats(0, 2), min_size=2, max_size=2), st.floats(0, 1), st.floats(-1, 1))
-def test_shares_are_chances(speeds: list[float], lapse_rate: float, side_bias: float) -> None:
-    """Expected: left, right and both are never negative and add up to one, whatever is felt."""
+def test_shares_are_probabilities(speeds: list[float], lapse_rate: float, side_bias: float) -> None:
+    """Left, right and both are never negative and add up to one at any speeds."""
     observer = replace(Observer(), typical=replace(Participant(), lapse_rate=lapse_rate, side_bias=side_bias))
     left, right = answer_shares(observer.draw_participants(np.random.default_rng(1), (7,)), [speeds], ("two_hands",))
     assert left.shape == (7, 1)
     assert ((left >= 0) & (right >= 0) & (left + right <= 1 + 1e-12)).all()
 
 
-def test_a_turned_beam_turns_the_side_bias_alone() -> None:
-    """Expected: turned, the bias counts for the other end of the beam; a guess stays a third of each."""
+def test_a_turned_beam_reverses_only_the_side_bias() -> None:
+    """With the beam turned, the bias acts on its other end."""
     observer = Observer(replace(Participant(), side_bias=0.3, lapse_rate=0.0), 0, 0, 0, 0, 0)
     crowd = observer.draw_participants(np.random.default_rng(1), (1,))
     left, right = answer_shares(crowd, [[0.1, 0.1]], ("one_hand",))
@@ -100,20 +100,20 @@ def test_a_turned_beam_turns_the_side_bias_alone() -> None:
 
 
 def test_the_near_miss_multiplies_the_noise() -> None:
-    """Expected: Weber's law at the reference speed, and half the noise at four times it with exponent 1/2."""
+    """Weber's law holds at the reference speed; with exponent 1/2 the noise is half at four times that speed."""
     person = Participant(near_miss=0.5, detection_speed=0.0)
     assert person.noise_at(REFERENCE, REFERENCE / 2) == pytest.approx(person.noise)
     assert person.noise_at(REFERENCE, 4 * REFERENCE) == pytest.approx(person.noise / 2)
     assert Participant().noise_at(0.01, 0.5) == Participant().noise
 
 
-def test_an_observer_survives_the_record() -> None:
-    """Expected: through JSON and back, the same observer."""
+def test_an_observer_survives_the_round_trip_through_json() -> None:
+    """Written to JSON and read back, it is the same observer."""
     observer = replace(Observer(), front_end="envelope", name="x", typical=Participant(noise=0.3))
     assert Observer.from_dict(json.loads(json.dumps(observer.as_dict()))) == observer
 
 
-def test_a_spread_without_end_is_no_warning() -> None:
+def test_an_overflowing_spread_gives_no_warning() -> None:
     """A fit also tries spreads under which a participant's suppression overflows."""
     far = replace(Observer.read("paper"), suppression_spread=500.0).participants_at(np.full((5, 1), 2.0))
     assert np.isinf(far.sharpening).all()
