@@ -1,4 +1,4 @@
-"""Synthetic answers for the tests of the analysis; none of them are anybody's."""
+"""Synthetic answers for the tests of the analysis; no real participant gave any of them."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ CONDITIONS = ("one_hand", "two_hands")
 
 
 def answers_like_the_paper(n: int = 10) -> list[Row]:
-    """Return a synthetic set shaped on the text of section V; (B, D) and all of test 2 are invented."""
+    """Return a synthetic set modelled on the text of section V; (B, D) and all of test 2 are invented."""
     rows = []
     for condition in CONDITIONS:
         for i in range(n):
@@ -42,7 +42,7 @@ def constant_answers(n: int = 10, response: str = "both") -> list[Row]:
 
 
 def random_answers(n: int, seed: int, repetitions: int = 1) -> list[Row]:
-    """Return a synthetic set of guesses."""
+    """Return a synthetic set of random answers."""
     rng = np.random.default_rng(seed)
     return [
         {**row, "response": str(rng.choice(["left", "both", "right"])), "repetition": r + 1}
@@ -52,7 +52,7 @@ def random_answers(n: int, seed: int, repetitions: int = 1) -> list[Row]:
 
 
 def tidy(rows: list[Row]) -> pd.DataFrame:
-    """Return rows as the tidy table that the analysis works on."""
+    """Return rows as the tidy table that the analysis uses."""
     frame = pd.DataFrame(rows)
     frame["velocity_mm_s"] = frame["velocity_mm_s"].astype(float)
     frame["n"] = frame.get("n", pd.Series(1, index=frame.index))
@@ -61,13 +61,13 @@ def tidy(rows: list[Row]) -> pd.DataFrame:
 
 @pytest.fixture
 def paper_rows() -> list[Row]:
-    """Synthetic answers shaped on the paper's text."""
+    """Synthetic answers modelled on the paper's text."""
     return answers_like_the_paper()
 
 
 @pytest.fixture(scope="session")
 def paper_csv(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The synthetic answers shaped on the paper's text, as a CSV file."""
+    """The synthetic answers modelled on the paper's text, as a CSV file."""
     path = tmp_path_factory.mktemp("data") / "answers.csv"
     rows = [",".join(map(str, row.values())) for row in answers_like_the_paper()]
     path.write_text("\n".join([",".join(COLUMNS), *rows]) + "\n", encoding="utf-8")
@@ -76,13 +76,13 @@ def paper_csv(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def paper_frame() -> pd.DataFrame:
-    """The same as a tidy table."""
+    """The synthetic answers modelled on the paper's text, as a tidy table."""
     return tidy(answers_like_the_paper())
 
 
 @pytest.fixture
 def build() -> dict[str, Callable[..., Any]]:
-    """Makers of synthetic answers: paper, constant, random, tidy."""
+    """Functions that make synthetic answers: paper, constant, random, tidy."""
     return {
         "paper": answers_like_the_paper,
         "constant": constant_answers,

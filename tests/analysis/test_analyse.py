@@ -40,12 +40,12 @@ class Page(HTMLParser):
 
 @pytest.fixture(scope="module")
 def analysis(paper_csv, tmp_path_factory):
-    """The analysis of the synthetic set shaped on the paper's text."""
+    """The analysis of the synthetic set modelled on the paper's text."""
     return analyse(paper_csv, tmp_path_factory.mktemp("analysis") / "out")
 
 
-def test_every_promised_file_is_written(analysis) -> None:
-    """Tables, bars as SVG and PNG, statistics, report; no figure that nobody asked for."""
+def test_every_documented_file_is_written(analysis) -> None:
+    """Tables, bar charts as SVG and PNG, statistics and report; optional figures only on request."""
     assert set(analysis.files) == {
         "counts.csv", "fig_10.csv", "fig_11.csv", "fig_10.svg", "fig_11.svg", "fig_10.png", "fig_11.png", "tests.csv",
         "tests.json", "report.html", "answers.csv", "models.R",
@@ -53,8 +53,8 @@ def test_every_promised_file_is_written(analysis) -> None:
     assert all(path.stat().st_size > 0 for path in analysis.files.values())
 
 
-def test_further_figures_are_drawn_where_they_are_asked_for(paper_csv, tmp_path) -> None:
-    """One that the table has nothing for is left out."""
+def test_optional_figures_are_drawn_on_request(paper_csv, tmp_path) -> None:
+    """A figure without data in the table is left out."""
     files = analyse(paper_csv, tmp_path / "out", figures=["fields", "order"]).files
     assert {name for name in files if name.endswith("png")} == {"fig_10.png", "fig_11.png"}
     with pytest.raises(InputError, match="given 'sides'; allowed: fields, order"):
@@ -62,8 +62,8 @@ def test_further_figures_are_drawn_where_they_are_asked_for(paper_csv, tmp_path)
 
 
 @pytest.mark.parametrize("zones", [["A", "", ""], ["A", "B", "C"]])
-def test_without_two_fingers_no_answer_is_taken_for_a_zone(zones, tmp_path) -> None:
-    """A table without a protocol has the paper's answers, which say nothing of one finger or of a middle one."""
+def test_without_two_fingers_no_answer_counts_as_a_zone(zones, tmp_path) -> None:
+    """A table without a protocol has the paper's answers, which do not cover one finger or a middle one."""
     rows = [["p1", "hand", *zones, level, "left", n] for n, level in enumerate((80, 150), start=1)]
     header = [
         "participant",
@@ -86,7 +86,7 @@ def test_without_two_fingers_no_answer_is_taken_for_a_zone(zones, tmp_path) -> N
 
 
 def test_the_json_is_plain_and_without_nan(analysis) -> None:
-    """A value that is infinite or not defined says which; null stands where there is no such number."""
+    """An infinite or undefined value is written as text, and null where there is no number."""
     values = json.loads(json.dumps(analysis.as_dict(), allow_nan=False))
     assert {"counts", "tests", "files", "n_participants", "n_responses", "left_out"} <= set(values)
     assert (values["n_participants"], values["n_responses"]) == (10, 240)
@@ -102,18 +102,18 @@ def test_the_json_is_plain_and_without_nan(analysis) -> None:
     assert found == {("undefined", 0.0, "infinity", None)}
 
 
-def test_the_table_of_fig_10_holds_the_counts(analysis) -> None:
-    """The synthetic set has C 10, 10, 9, 10 times for (A, C)."""
+def test_the_table_of_fig_10_has_the_counts(analysis) -> None:
+    """In the synthetic set (A, C) has C 10, 10, 9 and 10 times."""
     with analysis.files["fig_10.csv"].open(encoding="utf-8", newline="") as file:
         rows = list(csv.reader(file))
     assert rows[0] == ["pair", "answer", "80", "100", "150", "200"]
     assert rows[1] == ["A-C", "C", "10", "10", "9", "10"]
 
 
-def test_the_same_data_give_the_same_bytes_over_an_older_analysis(
+def test_the_same_data_give_the_same_bytes_in_an_older_folder(
     analysis, paper_csv, write_csv, paper_rows, tmp_path
 ) -> None:
-    """No date, no random identifier (the checkout's commit apart); what an earlier run left is replaced."""
+    """There is no date and no random identifier (commit excepted), and files of an earlier run are replaced."""
     analyse(write_csv(paper_rows[:1]), tmp_path / "out")
     again = analyse(paper_csv, tmp_path / "out")
     for name, path in analysis.files.items():
@@ -121,8 +121,8 @@ def test_the_same_data_give_the_same_bytes_over_an_older_analysis(
         assert one == other, name
 
 
-def test_the_report_needs_no_network_and_holds_every_figure(analysis) -> None:
-    """Every address is a data URI or a place in the page; each SVG of the folder is inside."""
+def test_the_report_needs_no_network_and_contains_every_figure(analysis) -> None:
+    """Every URL is a data URI or an anchor in the page; each SVG of the folder is embedded."""
     text = analysis.files["report.html"].read_text(encoding="utf-8")
     page = Page(text)
     assert page.open == []
@@ -132,8 +132,8 @@ def test_the_report_needs_no_network_and_holds_every_figure(analysis) -> None:
     assert not re.search(r"https?://|@import|url\(|<script", text)
 
 
-def test_the_report_says_the_numbers(analysis) -> None:
-    """Counts and p of dominance in (A, C), no information in (B, D), aliasing among the limits."""
+def test_the_report_gives_the_numbers(analysis) -> None:
+    """Counts and p of dominance in (A, C), no information in (B, D), and confounding among the limits."""
     page = Page(analysis.files["report.html"].read_text(encoding="utf-8"))
     shown = re.sub(r"\s+", " ", page.shown)
     assert "39 C, 0 A, 1 both of 40 answers; 10 of 10 participants lean to C" in shown
@@ -144,7 +144,7 @@ def test_the_report_says_the_numbers(analysis) -> None:
 
 
 def test_names_from_the_table_are_text_in_the_report(write_csv, paper_rows, tmp_path) -> None:
-    """Autoescape: a finger condition named like a script stays a name."""
+    """Autoescape: a finger condition named like a script is shown as text."""
     name = "<script>alert(1)</script>"
     rows = [{**row, "finger_condition": name} for row in paper_rows if row["finger_condition"] == "one_hand"]
     report = analyse(write_csv(rows), tmp_path / "out").files["report.html"].read_text(encoding="utf-8")
@@ -152,23 +152,25 @@ def test_names_from_the_table_are_text_in_the_report(write_csv, paper_rows, tmp_
     assert html.escape(name) in report
 
 
-def test_equal_answers_give_a_whole_report(build, write_csv, tmp_path) -> None:
-    """Nothing breaks when everyone always says the same; warnings are errors here."""
+def test_constant_answers_give_a_complete_report(build, write_csv, tmp_path) -> None:
+    """Identical answers of all participants cause no error and no warning."""
     analysis = analyse(write_csv(build["constant"](3)), tmp_path / "out")
     assert Page(analysis.files["report.html"].read_text(encoding="utf-8")).open == []
 
 
 @pytest.mark.parametrize(("zones", "size", "fewest"), [("ABC", 6, 8), ("A", 2, 7)])
-def test_how_many_participants_a_sign_flip_test_takes(build, write_csv, tmp_path, zones, size, fewest) -> None:
-    """2/2^N times the tests of the smallest family at most 0.05; the paper's six take eight."""
+def test_the_report_gives_the_participants_a_sign_flip_test_needs(
+    build, write_csv, tmp_path, zones, size, fewest
+) -> None:
+    """2/2^N times the tests of the smallest family must be at most 0.05; the paper's six need eight."""
     rows = [row for row in build["constant"](3) if row["zone_left"] in zones]
     limits = design_limits(analyse(write_csv(rows), tmp_path / "out"))
     (told,) = [limit for limit in limits if "no sign-flip test" in limit]
     assert f"a family of {size}: its smallest p is 2/2^3 = 0.25. At least {fewest} participants are needed." in told
 
 
-def test_bars_of_several_answers_each_say_what_their_intervals_are(build, write_csv, tmp_path) -> None:
-    """Shares of three answers are no counts, so their intervals are not exact."""
+def test_bars_of_repeated_answers_state_their_intervals(build, write_csv, tmp_path) -> None:
+    """With three answers per participant, shares are not binomial counts and the intervals not exact."""
     files = analyse(write_csv(build["random"](3, 1, repetitions=3)), tmp_path / "out").files
     page = files["report.html"].read_text(encoding="utf-8")
     assert (
@@ -178,21 +180,21 @@ def test_bars_of_several_answers_each_say_what_their_intervals_are(build, write_
     assert "exact 95 % intervals" not in page
 
 
-def test_one_answer_is_the_smallest_analysis(write_csv, paper_rows, tmp_path) -> None:
+def test_a_single_answer_can_be_analysed(write_csv, paper_rows, tmp_path) -> None:
     """One participant, condition, pair and level."""
     analysis = analyse(write_csv(paper_rows[:1]), tmp_path / "out")
     assert analysis.as_dict()["n_responses"] == 1
     assert "Only one participant" in analysis.files["report.html"].read_text(encoding="utf-8")
 
 
-def test_results_land_beside_the_data_unless_told_otherwise(tmp_path) -> None:
-    """A CSV gets a folder of its name, a tree its own analysis folder."""
+def test_results_are_written_beside_the_data_by_default(tmp_path) -> None:
+    """A CSV gets a folder with its name, a tree its own analysis folder."""
     assert default_folder(tmp_path / "a.csv") == tmp_path / "a_analysis"
     assert default_folder(tmp_path) == tmp_path / "analysis"
 
 
 def test_the_analysis_loads_neither_instrument_nor_screen() -> None:
-    """A fresh interpreter loads it without PyVISA, PsychoPy, pyglet or pyplot, and without statsmodels."""
+    """A new interpreter loads it without PyVISA, PsychoPy, pyglet, pyplot and statsmodels."""
     code = (
         "import sys, modaltouch.analysis.pipeline, modaltouch.analysis.figures, modaltouch.analysis.report\n"
         "import modaltouch.analysis.statistics, modaltouch.analysis.optional_figures\n"
@@ -202,8 +204,8 @@ def test_the_analysis_loads_neither_instrument_nor_screen() -> None:
     assert done.stdout.strip() == "[]"
 
 
-def test_an_analysis_inside_a_dataset_goes_to_its_derivatives(tmp_path) -> None:
-    """BIDS: what is derived lies under ``derivatives``, or the raw dataset becomes invalid."""
+def test_an_analysis_of_a_dataset_is_written_to_its_derivatives(tmp_path) -> None:
+    """BIDS: derived files must be under ``derivatives``, or the raw dataset becomes invalid."""
     session = tmp_path / "sub-p01" / "ses-1" / "beh"
     session.mkdir(parents=True)
     (tmp_path / "dataset_description.json").write_text("{}")

@@ -1,4 +1,4 @@
-"""All of several unordered answers together: exact enumeration, sign flips, and what no answer shows by itself."""
+"""Joint tests of several unordered answers: exact enumeration, sign flips, and effects that no single answer shows."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ PAIRS = (Pair.of("A", "C", "C"), Pair.of("C", "E", "C"))
 
 
 def every_arrangement(counts: np.ndarray) -> float:
-    """Return p by going through all arrangements of conditions within participants."""
+    """Return p from all arrangements of conditions within participants."""
     totals = counts.sum(axis=(0, 1))
     expected = counts.sum(axis=2, keepdims=True) * counts.sum(axis=1, keepdims=True) / counts.sum(axis=(1, 2))[
         :, np.newaxis, np.newaxis]  # fmt: skip
@@ -41,28 +41,28 @@ def every_arrangement(counts: np.ndarray) -> float:
 
 @pytest.fixture
 def rng() -> np.random.Generator:
-    """Return the same chance in every run."""
+    """Return a generator with a fixed seed."""
     return np.random.default_rng(18)
 
 
 @pytest.mark.parametrize("missing", [False, True])
 def test_p_is_that_of_all_arrangements(rng, missing) -> None:
-    """Four participants, three conditions, three answers, with and without gaps: within the error of 9,999 shuffles."""
+    """Four participants, three conditions and answers, with and without gaps: within the error of 9,999 shuffles."""
     counts = rng.multinomial(4, [0.5, 0.3, 0.2], size=(6, 4, 3))
     counts -= missing * (rng.random(counts.shape) < 0.2) * (counts > 0)
     exact = np.array([every_arrangement(each) for each in counts])
     assert association_test(counts).p == pytest.approx(exact, abs=5 * np.sqrt(0.25 / 9999))
 
 
-def test_of_two_answers_in_two_conditions_it_is_the_sign_flip_test(rng) -> None:
-    """The sum of squares grows with the size of the sum of differences; exact p by convolution."""
+def test_two_answers_in_two_conditions_give_the_sign_flip_test(rng) -> None:
+    """The sum of squares is monotone in the absolute sum of differences; exact p by convolution."""
     counts = rng.multinomial(6, [0.6, 0.4], size=(5, 9, 2))
     exact = sign_flip_test(counts[..., 0, 0] - counts[..., 1, 0]).p
     assert association_test(counts).p == pytest.approx(exact, abs=5 * np.sqrt(0.25 / 9999))
 
 
-def test_what_is_spread_over_the_other_answers_is_found_in_any_order_of_answers_and_people() -> None:
-    """Eight people each gain one "sharp": half of them in place of "rough", half of "smooth"."""
+def test_a_gain_from_several_answers_is_found_in_any_order() -> None:
+    """Eight people each gain one "sharp", half of them from "rough" and half from "smooth"."""
     counts = np.tile(np.array([[3, 3, 0], [3, 3, 0]]), (8, 1, 1))
     counts[:4, 1] = [2, 3, 1]
     counts[4:, 1] = [3, 2, 1]
@@ -73,14 +73,14 @@ def test_what_is_spread_over_the_other_answers_is_found_in_any_order_of_answers_
         assert sign_flip_test(counts[:, 0, answer] - counts[:, 1, answer]).p_min > 0.05
 
 
-def test_missing_answers_alone_are_no_difference() -> None:
-    """All say the same, but the second condition lacks most answers."""
+def test_missing_answers_alone_are_not_a_difference() -> None:
+    """All answers are the same, but most are missing in the second condition."""
     counts = np.tile(np.array([[4, 0, 0], [1, 0, 0]]), (10, 1, 1))
     assert (association_test(counts).p, association_test(counts).p_min) == (1, 1)
 
 
 def test_the_smallest_p_is_that_of_the_most_extreme_data() -> None:
-    """Six people, two conditions: 2/2^6; three conditions of which two are alike in three people: 3/3^3."""
+    """Six people, two conditions: 2/2^6; three conditions, two of them equal in three people: 3/3^3."""
     two = np.tile(np.array([[4, 0, 0], [0, 2, 2]]), (6, 1, 1))
     assert association_test(two).p_min == pytest.approx(2 / 64)
     three = np.tile(np.array([[4, 0, 0], [2, 1, 1], [2, 1, 1]]), (3, 1, 1))
@@ -88,8 +88,8 @@ def test_the_smallest_p_is_that_of_the_most_extreme_data() -> None:
     assert association_test(three).p == pytest.approx(every_arrangement(three), abs=0.02)
 
 
-def test_thirty_conditions_have_a_smallest_p_too() -> None:
-    """30! is no number of a machine: all alike, p is 1; one odd condition each of four people, 30/30^4 or 1/10,000."""
+def test_thirty_conditions_have_a_smallest_p() -> None:
+    """30! overflows an integer: all equal gives p 1; one odd condition in each of four people, 30/30^4 or 1/10,000."""
     alike = np.tile(np.array([2, 1, 1]), (4, 30, 1))
     assert (association_test(alike).p, association_test(alike).p_min) == (1, 1)
     odd = alike.copy()
@@ -97,7 +97,7 @@ def test_thirty_conditions_have_a_smallest_p_too() -> None:
     assert association_test(odd).p == association_test(odd).p_min == pytest.approx(1e-4)
 
 
-def test_each_question_has_its_test_and_no_answer_is_passed_over(rng) -> None:
+def test_each_question_has_its_joint_test_of_all_answers(rng) -> None:
     """Two hands, two pairs, three levels: four tests over levels, two between hands, two between pairs."""
     counts = rng.multinomial(2, [0.5, 0.3, 0.2], size=(6, 2, 2, 3))
     people = tuple(f"p{n}" for n in range(6))
@@ -112,7 +112,9 @@ def test_each_question_has_its_test_and_no_answer_is_passed_over(rng) -> None:
     expected += [association_test(counts[:, f].sum(axis=2)).p for f in (0, 1)]
     assert [row.p for row in found] == expected
     one = AnswerCounts(people, ("one_hand", "two_hands"), PAIRS[:1], (80.0,), counts[:, :, :1, :1], 2, answers=WORDS)
-    assert [row.family for row in joint_findings(one)] == ["c together"], "one level and one pair compare nothing"
+    assert [row.family for row in joint_findings(one)] == ["c together"], (
+        "one level and one pair leave nothing to compare"
+    )
     assert [word for word, _ in answers.effects(PAIRS[0])] == ["rough", "smooth", "sharp"]
     cells = [row.quantity for row in cell_share_findings(answers)]
     assert cells == ["P(rough)", "P(smooth)", "P(sharp)"] * 12
@@ -138,7 +140,7 @@ def values_of(measures, shares, places, levels=(80.0,)) -> list[IndividualValue]
 
 
 def test_stimuli_are_compared_by_all_answers_together(rng) -> None:
-    """Of equal numbers of answers, the test of shares is that of counts; by all 2^7 arrangements."""
+    """With equal numbers of answers, the test of shares is that of counts; reference: all 2^7 arrangements."""
     counts = rng.multinomial(4, [0.5, 0.3, 0.2], size=(7, 2))
     values = values_of(SHARES, counts[:, :, np.newaxis] / 4, ("A-C fast", "A-C slow"))
     *each, both = contrast_findings(values)
@@ -149,8 +151,8 @@ def test_stimuli_are_compared_by_all_answers_together(rng) -> None:
     assert len(list(contrast_findings(values_of(two, counts[:, :, np.newaxis] / 4, ("A-C fast", "A-C slow"))))) == 2
 
 
-def test_three_stimuli_are_compared_at_once_at_the_levels_of_all(rng) -> None:
-    """Three stimuli at two levels: one test of the shares over both; who lacks a level of one counts by the other."""
+def test_three_stimuli_are_compared_jointly_at_their_common_levels(rng) -> None:
+    """One test of shares covers both levels; a participant with a level missing counts with the other."""
     counts = rng.multinomial(4, [0.5, 0.3, 0.2], size=(6, 3, 2))
     places = ("A-C fast", "A-C mid", "A-C slow")
     values = values_of(SHARES, counts / 4, places, (80.0, 100.0))
@@ -165,8 +167,8 @@ def test_three_stimuli_are_compared_at_once_at_the_levels_of_all(rng) -> None:
     assert sum("together" in row.name for row in contrast_findings(gone)) == 1
 
 
-def test_stimuli_that_nobody_met_all_are_compared_two_at_a_time(rng) -> None:
-    """One at other levels: the others are tested. Incomplete blocks: each two. One is missing: all, with a note."""
+def test_stimuli_without_complete_participants_are_compared_pairwise(rng) -> None:
+    """A stimulus at other levels is left out, incomplete blocks are tested in pairs, a gap is noted."""
     counts = rng.multinomial(4, [0.5, 0.3, 0.2], size=(6, 3, 2))
     places = ("A-C fast", "A-C mid", "A-C slow")
     values = values_of(SHARES, counts / 4, places, (80.0, 100.0))
@@ -187,7 +189,7 @@ def joint(values) -> list[Finding]:
 
 
 def test_groups_are_compared_by_all_answers_together() -> None:
-    """Two groups of four: the three answers change places in part; by all 70 ways to name the groups."""
+    """Two groups of four with partly exchanged shares of three answers; reference: all 70 assignments to groups."""
     shares = np.array([[5, 1, 4], [4, 2, 4], [5, 2, 3], [4, 1, 5], [2, 5, 3], [4, 3, 3], [3, 4, 3], [1, 5, 4]]) / 10
 
     def statistic(first: tuple[int, ...]) -> float:
@@ -205,7 +207,7 @@ def test_groups_are_compared_by_all_answers_together() -> None:
 
 
 def test_answers_to_a_further_question_are_tested_together_over_levels(rng) -> None:
-    """Three levels, three words: the test over levels of the answers to the first question, of the same counts."""
+    """Three levels, three answers: the same test over levels as of the first question, on the same counts."""
     counts = rng.multinomial(4, [0.5, 0.3, 0.2], size=(6, 3))
     *_, both = level_findings(values_of(RATED, counts[:, np.newaxis] / 4, ("A-C",), (80.0, 100.0, 150.0)), {})
     assert both.p == association_test(counts).p

@@ -1,4 +1,4 @@
-"""Tests and intervals of many experiments at once, against each of them alone and against enumeration."""
+"""Tests and intervals of many experiments together, against each alone and against enumeration."""
 
 from __future__ import annotations
 
@@ -17,28 +17,28 @@ from modaltouch.analysis.intervals import BoundedMean, Interval, clopper_pearson
 @settings(max_examples=60, deadline=None)
 @given(arrays(np.int64, st.tuples(st.integers(1, 5), st.integers(1, 14)), elements=st.integers(-9, 9)))
 def test_quick_sign_flips_equal_convolution_bit_by_bit(scores: np.ndarray) -> None:
-    """Expected: each row alone, whose p is a whole number of 2^-N; no error at all up to forty participants."""
+    """Each row equals the row alone, whose p is a multiple of 2^-N; up to forty participants without any error."""
     test = sign_flip_test(scores)
     assert test.quick_p.tolist() == test.p.tolist() == [sign_flip_test(row).p for row in scores]
     assert sign_test(scores).quick_p.tolist() == [sign_test(row).p for row in scores]
 
 
 def test_quick_sign_flips_equal_enumeration() -> None:
-    """Expected: the share of all 2^7 sign patterns whose sum is as far from zero, counted here."""
+    """The p value is the share of all 2^7 sign patterns whose sum is as far from zero, counted here."""
     scores = np.array([3, -1, 4, 1, -5, 9, 2])
     sums = np.array([np.dot(signs, scores) for signs in product((-1, 1), repeat=7)])
     assert sign_flip_test(scores).quick_p == pytest.approx(np.mean(np.abs(sums) >= abs(scores.sum())), abs=0)
 
 
-def test_forty_participants_have_the_very_p_of_convolution() -> None:
-    """Expected: multiples of 2^-40, which transforms alone miss by their rounding."""
+def test_forty_participants_have_exactly_the_p_of_convolution() -> None:
+    """The p value is a multiple of 2^-40, which a transform alone misses by rounding."""
     test = sign_flip_test(np.random.default_rng(40).choice([-3, -2, -1, 1, 2, 3], (20, 40)))
     assert test.quick_p.tolist() == test.p.tolist()
 
 
 @pytest.mark.parametrize(("n_participants", "largest"), [(41, 4), (60, 16), (200, 4)])
-def test_many_participants_keep_their_quick_p(n_participants: int, largest: int) -> None:
-    """Expected: `p` within 1e-13, where it no longer lies on a grid that rounding can tell."""
+def test_quick_p_of_many_participants_is_accurate(n_participants: int, largest: int) -> None:
+    """It agrees with `p` within 1e-13, where p is no longer on a grid that rounding resolves."""
     rng = np.random.default_rng(n_participants)
     test = sign_flip_test(rng.integers(-largest, largest + 1, (20, n_participants)))
     assert test.quick_p == pytest.approx(test.p, abs=1e-13)
@@ -47,7 +47,7 @@ def test_many_participants_keep_their_quick_p(n_participants: int, largest: int)
 @settings(max_examples=50, deadline=None)
 @given(st.data())
 def test_quick_trends_equal_convolution(data: st.DataObject) -> None:
-    """Expected: each experiment alone, any number of participants, levels and repetitions."""
+    """Each experiment equals that alone, for any number of participants, levels and repetitions."""
     levels = data.draw(st.lists(st.sampled_from([5.0, 20.0, 80.0, 92.5, 100.0, 150.0, 200.0]), min_size=1, max_size=5))
     n_repetitions = data.draw(st.integers(1, 4))
     shape = (3, data.draw(st.integers(1, 12)), len(levels))
@@ -62,7 +62,7 @@ def test_quick_trends_equal_convolution(data: st.DataObject) -> None:
 
 
 def test_a_batch_of_many_participants_is_tested_as_each_alone() -> None:
-    """Expected: exactly, as no participant has many answers, however many all have together."""
+    """The agreement is exact, since no participant has many answers, however many there are in total."""
     chosen = np.random.default_rng(4).integers(0, 3, (2, 210, 2))
     test, alone = trend_test(chosen, [80, 200], 2), [trend_test(rows, [80, 200], 2) for rows in chosen]
     assert test.p.tolist() == [each.p for each in alone]
@@ -71,28 +71,28 @@ def test_a_batch_of_many_participants_is_tested_as_each_alone() -> None:
 @settings(max_examples=30, deadline=None)
 @given(st.lists(st.tuples(*[st.integers(0, 12)] * 3), min_size=1, max_size=6))
 def test_multinomial_tests_with_different_totals_equal_each_alone(counts: list[tuple[int, int, int]]) -> None:
-    """Expected: the same numbers, zero answers among them."""
+    """The numbers are the same, also with zero answers."""
     test = multinomial_test(counts)
     for name in ("statistic", "p", "p_min", "n_informative"):
         assert getattr(test, name).tolist() == [getattr(multinomial_test(row), name) for row in counts]
 
 
-def test_no_answer_leaves_no_information() -> None:
-    """Expected: p 1 where all scores are zero, all answers the same, or there is one level."""
+def test_uninformative_answers_give_p_one() -> None:
+    """The p value is 1 if all scores are zero, all answers are the same, or there is one level."""
     assert sign_flip_test(np.zeros((2, 5), dtype=int)).quick_p.tolist() == [1.0, 1.0]
     assert trend_test(np.full((2, 5, 4), 3), [80, 100, 150, 200], 3).quick_p.tolist() == [1.0, 1.0]
     assert trend_test(np.ones((2, 5, 1), dtype=int), [80], 2).quick_p.tolist() == [1.0, 1.0]
 
 
-def test_levels_far_from_a_common_grid_stay_affordable() -> None:
-    """Expected: convolution, where levels take a thousand steps."""
+def test_levels_without_a_coarse_common_grid_are_computed() -> None:
+    """Convolution agrees where the levels need a grid of a thousand steps."""
     levels = [80.001, 99.997, 150.003, 199.999]
     test = trend_test(np.random.default_rng(2).integers(0, 2, (4, 15, 4)), levels)
     assert test.quick_p == pytest.approx(test.p, abs=1e-12)
 
 
 def assert_each_alone(batch: Interval, alone: list[Interval]) -> None:
-    """Check that a batch holds the very intervals."""
+    """Check that a batch has exactly the intervals of each experiment."""
     for name in ("estimate", "low", "high", "n_effective", "half_width"):
         expected = [getattr(each, name) for each in alone]
         np.testing.assert_allclose(getattr(batch, name), expected, rtol=1e-10, atol=1e-12)
@@ -103,7 +103,7 @@ def assert_each_alone(batch: Interval, alone: list[Interval]) -> None:
     arrays(np.float64, st.tuples(st.integers(1, 4), st.integers(1, 9)), elements=st.sampled_from([-1, 0, 0.5, np.nan]))
 )
 def test_means_of_a_batch_are_those_of_each_experiment(scores: np.ndarray) -> None:
-    """Expected: the same estimates, bounds and p, with participants left out, constant answers and one participant."""
+    """Estimates, bounds and p agree, with missing participants, constant answers and a single participant."""
     batch, alone = BoundedMean(scores), [BoundedMean(row) for row in scores]
     assert_each_alone(batch.interval(), [each.interval() for each in alone])
     np.testing.assert_allclose(batch.test().p, [each.test().p for each in alone], rtol=1e-12)
@@ -112,5 +112,5 @@ def test_means_of_a_batch_are_those_of_each_experiment(scores: np.ndarray) -> No
 
 @pytest.mark.parametrize("n", [0, 1, 10])
 def test_shares_of_a_batch_are_those_of_each_experiment(n: int) -> None:
-    """Expected: Clopper and Pearson's interval for every count, none out of none included."""
+    """They are Clopper-Pearson intervals for every count, including none of none."""
     assert_each_alone(clopper_pearson(np.arange(n + 1), n), [clopper_pearson(k, n) for k in range(n + 1)])

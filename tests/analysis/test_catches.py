@@ -1,4 +1,4 @@
-"""Catch trials and the answer none: kept out of the cells, counted, and what the statistics make of them."""
+"""Catch trials and the answer none: excluded from the cells, counted, and used in the statistics."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ HEADER = "participant,finger_condition,zone_left,zone_right,velocity_mm_s,respon
 
 
 def write(path: Path, answers: dict[str, str], caught: dict[str, str]) -> Path:
-    """Write a table: each participant's answers to A-C at 80, 100, ... mm/s, and to catch trials, by first letter."""
+    """Write each participant's answers to A-C at 80, 100, ... mm/s and to catch trials, by first letter."""
     words = {"l": "left", "b": "both", "r": "right", "n": "none"}
     lines = [HEADER]
     for name, letters in answers.items():
@@ -41,7 +41,7 @@ def table(tmp_path: Path) -> Path:
 
 
 def test_catch_trials_are_in_no_cell(table: Path) -> None:
-    """Expected: the three levels alone, four answers in each; what was caught is counted by participant."""
+    """The cells have the three levels with four answers each; catch trials are counted by participant."""
     responses = read_responses(table)
     answers = count_answers(responses.frame)
     assert answers.levels == (80.0, 100.0, 120.0)
@@ -50,8 +50,8 @@ def test_catch_trials_are_in_no_cell(table: Path) -> None:
     assert [item.reason for item in responses.left_out] == ["catch trials, counted apart"]
 
 
-def test_none_has_a_column_and_a_row_of_its_own(table: Path) -> None:
-    """Expected counts by hand: none twice at 80 mm/s, once at 100 mm/s, never at 120 mm/s."""
+def test_none_has_its_own_column_and_row(table: Path) -> None:
+    """Counted by hand: none twice at 80 mm/s, once at 100 mm/s, never at 120 mm/s."""
     answers = count_answers(read_responses(table).frame, "C")
     counts = tabulate(answers)
     assert counts["none"].tolist() == [2, 1, 0]
@@ -61,7 +61,7 @@ def test_none_has_a_column_and_a_row_of_its_own(table: Path) -> None:
 
 
 def test_a_table_without_none_keeps_its_three_answers(tmp_path: Path) -> None:
-    """Expected: no column and no row of none, no outcome of catch trials."""
+    """There is no column or row of none, and no result of catch trials."""
     path = write(tmp_path / "answers.csv", {"p1": "rrb", "p2": "lrr"}, {})
     answers = count_answers(read_responses(path).frame)
     assert answers.counts.shape[-1] == 3
@@ -70,8 +70,8 @@ def test_a_table_without_none_keeps_its_three_answers(tmp_path: Path) -> None:
     assert list(catch_findings(read_responses(path))) == []
 
 
-def test_false_alarms_misses_and_detection_are_as_counted_by_hand(table: Path) -> None:
-    """Expected: 2 of 12 and 3 of 12; of each participant d' = z((k + .5) / 4) less the same of the false alarms."""
+def test_false_alarms_misses_and_d_prime_agree_with_a_hand_count(table: Path) -> None:
+    """2 of 12 and 3 of 12; for each participant d' = z((k + .5) / 4) minus the same of the false alarms."""
     responses = read_responses(table)
     *rows, total = catch_rows(responses)
     assert [(row.participant, row.false_alarms, row.n_missed) for row in rows] == [
@@ -91,8 +91,8 @@ def test_false_alarms_misses_and_detection_are_as_counted_by_hand(table: Path) -
     assert d_prime["p2"] == pytest.approx(z(2.5 / 4) - z(2.5 / 4))
 
 
-def test_the_test_against_chance_is_of_those_who_felt_something(table: Path) -> None:
-    """At 80 mm/s one right, one left, two none: the test has two answers, the share of C is one of four."""
+def test_the_test_against_chance_leaves_out_the_answer_none(table: Path) -> None:
+    """At 80 mm/s with one right, one left, two none, the test has two answers, but the share of C is one of four."""
     answers = count_answers(read_responses(table).frame, "C")
     first = next(iter(family_findings("a1", answers)))
     assert first.p == pytest.approx(multinomial_test([1, 0, 1]).p)
@@ -100,16 +100,16 @@ def test_the_test_against_chance_is_of_those_who_felt_something(table: Path) -> 
     assert "none 2, left out of the test" in first.note
 
 
-def test_dominance_counts_none_for_neither_zone(table: Path) -> None:
-    """Eight right less one left of twelve answers, whatever else they are: 7 right - 1 left as counted by hand."""
+def test_dominance_counts_the_answer_none_for_neither_zone(table: Path) -> None:
+    """Counted by hand: 7 right minus 1 left of all twelve answers."""
     answers = count_answers(read_responses(table).frame, "C")
     first = next(iter(family_findings("a2", answers)))
     assert first.estimate == pytest.approx((7 - 1) / 12)
     assert "7 C, 1 A, 1 both and 3 none of 12 answers" in first.note
 
 
-def test_catch_trials_without_the_answer_none_count_no_false_alarms(tmp_path: Path) -> None:
-    """Nothing could be answered rightly, so only the answers themselves are told."""
+def test_without_the_answer_none_catch_trials_give_no_false_alarms(tmp_path: Path) -> None:
+    """No answer would have been correct, so only the answers are reported."""
     path = write(tmp_path / "answers.csv", {"p1": "rrb", "p2": "lrr"}, {"p1": "lb", "p2": "br"})
     responses = read_responses(path)
     assert catch_rows(responses)[-1].answers == {"left": 1, "right": 1, "both": 2, "none": 0}
@@ -125,15 +125,15 @@ def test_catch_trials_without_the_answer_none_count_no_false_alarms(tmp_path: Pa
     ],
 )
 def test_faults_of_catch_trials_have_their_place(table: Path, old: str, new: str, fault: str) -> None:
-    """A standstill that is no catch trial, a flag that is none, a word that is no answer."""
+    """A velocity of zero outside a catch trial, an invalid flag, an unknown answer."""
     table.write_text(table.read_text().replace(old, new, 1))
     with pytest.raises(InputError) as caught:
         read_responses(table)
     assert fault in str(caught.value)
 
 
-def test_the_report_and_the_json_tell_the_outcome(table: Path, tmp_path: Path) -> None:
-    """One table with a row for each participant; the words say where else catch trials count."""
+def test_the_report_and_the_json_give_the_results(table: Path, tmp_path: Path) -> None:
+    """One table has a row for each participant, and the text states where else catch trials count."""
     analysis = analyse(table, tmp_path / "out")
     page = (tmp_path / "out" / "report.html").read_text()
     assert "Catch trials and the answer “none”" in page
@@ -146,8 +146,8 @@ def test_the_report_and_the_json_tell_the_outcome(table: Path, tmp_path: Path) -
     assert np.isclose(rows[0]["estimate"], 2 / 12)
 
 
-def test_a_design_without_catch_trials_tells_of_none(tmp_path: Path) -> None:
-    """The answer none alone: misses, and no word, column or false alarm of trials that were not there."""
+def test_a_design_without_catch_trials_does_not_mention_them(tmp_path: Path) -> None:
+    """With the answer none alone there are misses, but no text, column or false alarm of catch trials."""
     table = write(tmp_path / "answers.csv", {"p1": "nrr", "p2": "rrr"}, {})
     page = analyse(table, tmp_path / "out").files["report.html"].read_text()
     assert "<h2>The answer “none”</h2>" in page and "<td>1 of 3</td>" in page

@@ -1,4 +1,4 @@
-"""Results of each participant, over participants and between groups: observers whose numbers are known."""
+"""Results of each participant, over participants and between groups, for observers with known parameters."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ SILENT = {(who, "one_hand", ""): Counter(nothing=12) for who in PEOPLE}
 
 
 def presented(levels: tuple[float, ...], times: int, n_intervals: int = 1) -> pd.DataFrame:
-    """Return the trials of eight people to A-C with one hand, each interval equally often."""
+    """Return the trials of eight people on A-C with one hand, each interval equally often."""
     rows = list(product(PEOPLE, levels, range(1, times + 1)))
     frame = pd.DataFrame(rows, columns=["participant", "velocity_mm_s", "repetition"])
     frame["interval"] = (frame["repetition"] - 1) % n_intervals + 1
@@ -57,14 +57,14 @@ def presented(levels: tuple[float, ...], times: int, n_intervals: int = 1) -> pd
 
 
 def take(frame: pd.DataFrame, design: dict, **others: object) -> Responses:
-    """Return answers as an analysis takes them."""
+    """Return answers in the form that the analysis reads."""
     answers = AnswerList.of(design["answers"])
     taken = frame.assign(response=pd.Categorical(frame["response"], list(answers.names)))
     return Responses(taken, (), (), AnswerSource("table", "csv", ""), answers=answers, design=design, **others)
 
 
 def found(responses: Responses) -> tuple[dict[tuple[str, str], Finding], dict[str, dict[str, float]]]:
-    """Return the findings by name and scope, and the values of each participant by measure, the last level's.
+    """Return the findings by name and scope, and each participant's values by measure at the last level.
 
     Each p and interval of each design must have a certificate.
     """
@@ -81,7 +81,7 @@ def found(responses: Responses) -> tuple[dict[tuple[str, str], Finding], dict[st
 
 @pytest.fixture(scope="module")
 def compared() -> pd.DataFrame:
-    """Eight observers who compare with 80 mm/s: points of equality about 84 mm/s, a spread of 2 dB, a group of four."""
+    """Eight observers comparing with 80 mm/s: PSE about 84 mm/s, a spread of 2 dB, a group of four."""
     frame, rng = presented((60, 70, 80, 90, 105, 120), 24, 2), np.random.default_rng(5)
     shift = frame["participant"].map(dict(zip(PEOPLE, np.linspace(-0.6, 0.6, 8), strict=True)))
     felt = (20 * np.log10(frame["velocity_mm_s"] / 84) + shift) / 2
@@ -93,8 +93,8 @@ def compared() -> pd.DataFrame:
 
 
 @pytest.mark.parametrize("levels", [(60, 70, 75, 90, 105), (60, 70, 79, 80.5, 105)])
-def test_answers_that_change_at_once_show_no_shift_of_equality(levels) -> None:
-    """All eight right at each level: any PSE from 75 to 90 fits, whose middle, 82.2 by dB, is not the standard."""
+def test_a_perfect_step_of_answers_shows_no_shift_of_the_pse(levels) -> None:
+    """All eight are correct at each level: any PSE from 75 to 90 fits; its centre, 82.2 by dB, is not the standard."""
     frame = presented(levels, 8, 2)
     first = (frame["velocity_mm_s"] > 80) == (frame["interval"] == 1)
     findings, values = found(take(frame.assign(response=np.where(first, "first", "second")), TWO))
@@ -105,8 +105,8 @@ def test_answers_that_change_at_once_show_no_shift_of_equality(levels) -> None:
     assert f"any PSE between {levels[2]:g} and {levels[3]:g} mm/s fits: taken as the standard" in equal.note
 
 
-def test_equal_magnitudes_of_all_have_no_interval() -> None:
-    """Everybody always says 5: nothing is known of others, nor of the deviation from a power law."""
+def test_equal_magnitudes_have_no_interval() -> None:
+    """Everyone always answers 5: the spread between people and the deviation from a power law are unknown."""
     frame = presented((5.0, 10.0, 20.0), 2).assign(response="rated", value=5.0)
     findings, _ = found(take(frame, {"answers": {"scale": {"kind": "number"}}}))
     mean, exponent = (findings[f"{name} over participants", scope] for name, scope in (
@@ -116,8 +116,8 @@ def test_equal_magnitudes_of_all_have_no_interval() -> None:
     assert "every participant has the same value" in mean.note
 
 
-def test_points_of_equality_and_differences_are_those_of_the_observers(compared) -> None:
-    """Known: 84 mm/s and 0.6745 of 2 dB; the mean is not the standard of 80 mm/s, which all are above or near."""
+def test_pse_and_jnd_are_those_of_the_observers(compared) -> None:
+    """Known: PSE 84 mm/s, JND 0.6745 of 2 dB; the mean PSE differs from the standard of 80 mm/s."""
     findings, values = found(take(compared, TWO))
     equal, noticed = (findings[f"{name} over participants", "one_hand A-C"] for name in ("PSE", "JND"))
     assert equal.estimate == pytest.approx(84, rel=0.03)
@@ -132,14 +132,14 @@ def test_points_of_equality_and_differences_are_those_of_the_observers(compared)
 
 
 def test_a_just_noticeable_difference_is_never_below_zero(compared) -> None:
-    """Synthetic: nobody ever errs, so the steepest function fits as well; its bound was minus infinity."""
+    """Synthetic: nobody ever errs, so the steepest function fits as well; its lower bound is 0, not minus infinity."""
     sure = np.where((compared["velocity_mm_s"] > 80) == (compared["interval"] == 1), "first", "second")
     design = analyse_design(take(compared.assign(response=sure), TWO))
     own = [each.interval for each in design.values if each.measure.name == "JND"]
     assert [interval.low for interval in own] == [0.0] * 8
 
 
-def test_d_prime_of_a_comparison_is_that_of_its_distance_from_the_standard(compared) -> None:
+def test_d_prime_of_a_comparison_follows_from_its_distance_to_the_standard(compared) -> None:
     """Known: for 120 against 80 mm/s P(comparison) = Phi(3.1 / 2), so d' = sqrt 2 times 1.55, less the correction."""
     findings, _ = found(take(compared, TWO))
     own = findings["d' over participants", "one_hand A-C 120 mm/s"]
@@ -148,8 +148,8 @@ def test_d_prime_of_a_comparison_is_that_of_its_distance_from_the_standard(compa
     assert ("d' over participants", "one_hand A-C 80 mm/s") not in findings
 
 
-def test_an_equally_strong_standard_of_another_field_has_no_right_answer(compared) -> None:
-    """At 80 mm/s neither is stronger: their difference is the point of equality's, and no sensitivity."""
+def test_a_standard_of_equal_level_in_another_field_has_no_correct_answer(compared) -> None:
+    """At 80 mm/s neither is stronger: the difference belongs to the PSE and is not sensitivity."""
     design = {**TWO, "intervals": {**TWO["intervals"], "standard": {"velocity_mm_s": 80, "stimulus": "sharp"}}}
     findings, _ = found(take(compared.assign(stimulus="blunt"), design))
     told = {scope for name, scope in findings if name == "d' over participants"}
@@ -158,8 +158,8 @@ def test_an_equally_strong_standard_of_another_field_has_no_right_answer(compare
 
 
 @pytest.mark.parametrize("word", ["unsure", "same"])
-def test_answers_that_name_no_interval_are_left_out(compared, word: str) -> None:
-    """Known: with some of each level left unsaid, all measures are those of the rest, and who said it is not wrong."""
+def test_answers_that_choose_no_interval_are_left_out(compared, word: str) -> None:
+    """All measures equal those without these answers, which do not count as wrong."""
     said = {"first": 1, "second": 2, **({"same": "same"} if word == "same" else {})}
     answers = {"keys": dict.fromkeys(("first", "second", word), ["x"]), "intervals": said}
     unsaid = compared["repetition"] > 18
@@ -174,8 +174,8 @@ def test_answers_that_name_no_interval_are_left_out(compared, word: str) -> None
     assert limit.startswith("Answers that name no interval are left out of d'")
 
 
-def test_of_three_intervals_no_answer_is_right_where_two_are_the_stronger() -> None:
-    """Known: who always names the strongest, and guesses between two, has no negative d' below the standard."""
+def test_of_three_intervals_none_is_correct_if_two_are_stronger() -> None:
+    """An observer who finds the strongest, and guesses between two, has no negative d' below the standard."""
     frame, rng = presented((60.0, 80.0, 100.0), 18, 3), np.random.default_rng(1)
     words = np.array(["one", "two", "three"])
     other = (frame["interval"] - 1 + rng.integers(1, 3, len(frame))) % 3
@@ -188,16 +188,16 @@ def test_of_three_intervals_no_answer_is_right_where_two_are_the_stronger() -> N
 
 
 @pytest.mark.parametrize(("design", "is_told"), [(TWO, False), ({"answers": {"keys": TWO["answers"]["keys"]}}, True)])
-def test_guessing_is_unknown_only_where_no_design_tells_it(compared, design: dict, is_told: bool) -> None:
-    """Of two intervals one is right by chance in half; of one finger condition none can be shown to be alike."""
+def test_guessing_is_unknown_only_if_the_design_does_not_fix_it(compared, design: dict, is_told: bool) -> None:
+    """Of two intervals one is correct by chance in half; one finger condition cannot be shown equivalent to another."""
     responses = take(compared, design).by_choice()
     limits = " ".join(design_limits(Analysis(responses, responses.count(), ())))
     assert ("lapses and guessing stay unknown" in limits) == is_told
     assert "finger conditions can be shown to be alike" not in limits
 
 
-def test_answers_that_name_an_interval_are_counted_by_what_they_choose(compared) -> None:
-    """Known: of comparisons at 120 mm/s about Phi(1.55) = 0.94 are chosen, whichever interval they stand in."""
+def test_answers_of_an_interval_are_counted_by_the_stimulus_chosen(compared) -> None:
+    """Known: comparisons at 120 mm/s are chosen in about Phi(1.55) = 0.94, whichever interval they are in."""
     counts = take(compared, TWO).by_choice().count()
     assert counts.answers.names == ("comparison", "standard")
     shares = counts.counts[:, 0, 0].sum(axis=0) / 192
@@ -206,7 +206,7 @@ def test_answers_that_name_an_interval_are_counted_by_what_they_choose(compared)
 
 
 def test_confidence_is_compared_between_correct_and_incorrect_answers(compared) -> None:
-    """Known: they are the surer the farther the comparison, and so when correct; Friedman finds the levels."""
+    """Known: confidence rises with the distance of the comparison, so also when correct; Friedman finds levels."""
     design = {**TWO, "answers": {**TWO["answers"], "then": {"sure": {"scale": {"kind": "likert"}}}}}
     findings, _ = found(take(compared.astype({"sure": str}), design))
     gap = findings["sure when correct minus when not over participants", "one_hand A-C"]
@@ -215,8 +215,8 @@ def test_confidence_is_compared_between_correct_and_incorrect_answers(compared) 
     assert over_levels.p == pytest.approx(1e-4) and over_levels.family == "rating over levels"
 
 
-def test_further_answers_of_a_list_are_counted_and_have_no_order(compared) -> None:
-    """Known: smooth below 100 mm/s, rough above, some unanswered; listing them in another order changes no number."""
+def test_answers_to_a_further_question_are_counted_without_order(compared) -> None:
+    """Known: smooth below 100 mm/s, rough above, some unanswered; the order of the list changes no number."""
     felt = np.where(compared["velocity_mm_s"] > 100, "rough", "smooth")
     felt[::7], felt[::11] = "neither", "time_out"
     keys = {"rough": ["a"], "smooth": ["b"], "neither": ["c"]}
@@ -234,8 +234,8 @@ def test_further_answers_of_a_list_are_counted_and_have_no_order(compared) -> No
         assert p["P(texture: neither)"] > 0.05
 
 
-def test_of_two_further_answers_the_share_of_the_second_tells_both(compared) -> None:
-    """One test instead of two that say the same."""
+def test_two_further_answers_have_one_share(compared) -> None:
+    """One test replaces two equivalent ones."""
     answers = {**TWO["answers"], "then": {"sure": {"keys": {"guessed": ["a"], "certain": ["b"]}}}}
     frame = compared.assign(sure=np.where(compared["velocity_mm_s"] > 100, "certain", "guessed"))
     _, values = found(take(frame, {**TWO, "answers": answers}))
@@ -243,8 +243,8 @@ def test_of_two_further_answers_the_share_of_the_second_tells_both(compared) -> 
     assert names == {"P(sure: certain)", "P(sure: certain) when correct minus when not"}
 
 
-def test_groups_are_compared_by_participants_and_never_by_trials(compared) -> None:
-    """Known: the low ones feel 0.6 dB less; every trial twice leaves p of the shares as it was."""
+def test_groups_are_compared_by_participants_not_by_trials(compared) -> None:
+    """Known: the low group feels 0.6 dB less; doubling every trial leaves p of the shares unchanged."""
     few = compared[compared["velocity_mm_s"] > 100]
     once, _ = found(take(few, TWO))
     twice, _ = found(take(pd.concat([few, few], ignore_index=True), TWO))
@@ -258,7 +258,7 @@ RATED = {"answers": {"scale": {"kind": "likert", "lowest": 1, "highest": 9}}}
 
 
 def rated(**levels: tuple[float, ...]) -> Responses:
-    """Return ratings of one for each 40 mm/s, one more of the participants 4 to 7, by groups with their own levels."""
+    """Return ratings of one per 40 mm/s, plus one for participants 4 to 7, in groups with their own levels."""
     frame = presented((40, 80, 160), 2)
     frame["group"] = pd.Categorical(np.where(frame["participant"] < "p4", *levels), list(levels))
     frame = frame[[level in levels[group] for level, group in zip(frame["velocity_mm_s"], frame["group"], strict=True)]]
@@ -266,8 +266,8 @@ def rated(**levels: tuple[float, ...]) -> Responses:
     return take(frame.assign(value=value, response="rated"), {"answers": RATED["answers"]})
 
 
-def test_groups_are_compared_over_the_cells_that_both_met() -> None:
-    """By hand: at 80 mm/s, which alone both met, the groups are one apart; over all that each met it would be three."""
+def test_groups_are_compared_over_their_common_cells() -> None:
+    """By hand: at 80 mm/s, their only common level, the groups differ by one; over all cells it would be three."""
     findings, _ = found(rated(low=(40, 80), high=(80, 160)))
     between = findings["rating between groups", "low - high"]
     assert (between.estimate, between.p, between.n) == (-1.0, pytest.approx(2 / 70), 8)
@@ -278,8 +278,8 @@ def test_groups_are_compared_over_the_cells_that_both_met() -> None:
     assert shared == 80
 
 
-def test_groups_with_levels_of_their_own_are_tested_over_those() -> None:
-    """Each group rises from level to level in all four: 2/2^4 by signed ranks, at levels that the other never met."""
+def test_groups_with_different_levels_are_tested_over_their_own() -> None:
+    """Each group rises from level to level in all four members: 2/2^4 by signed ranks, at its own levels."""
     findings, _ = found(rated(low=(40, 80), high=(80, 160)))
     told = {scope: row for (name, scope), row in findings.items() if name.startswith("rating over levels")}
     assert list(told) == ["one_hand A-C low", "one_hand A-C high"]
@@ -289,8 +289,8 @@ def test_groups_with_levels_of_their_own_are_tested_over_those() -> None:
     assert scope == "one_hand A-C"
 
 
-def test_participants_who_lack_a_level_are_counted_beside_a_comparison_of_groups() -> None:
-    """The mean of who lacks the highest level is lower for that alone."""
+def test_participants_with_a_level_missing_are_counted_in_group_comparisons() -> None:
+    """The mean of a participant without the highest level is lower for that reason alone."""
     whole = rated(low=(40, 80), high=(40, 80))
     lacking = whole.frame[~((whole.frame["participant"] == "p0") & (whole.frame["velocity_mm_s"] == 80))]
     findings, _ = found(replace(whole, frame=lacking))
@@ -300,15 +300,15 @@ def test_participants_who_lack_a_level_are_counted_beside_a_comparison_of_groups
 
 
 def test_groups_without_a_common_cell_are_described_and_not_tested() -> None:
-    """There is no number in which they could be compared, and no p in a family."""
+    """No number compares them, and no p enters a family."""
     findings, _ = found(rated(low=(40,), high=(80, 160)))
     between = findings["rating between groups", "low - high"]
     assert math.isnan(between.p) and math.isnan(between.estimate) and between.family == ""
     assert "no values from both groups in cells that both met" in between.note
 
 
-def test_felt_or_not_gives_a_threshold_and_d_prime_by_level() -> None:
-    """Known: half felt at 12 mm/s, a spread of 4 dB, no false alarm in 12 catch trials of each."""
+def test_detection_gives_a_threshold_and_d_prime_by_level() -> None:
+    """Known: half felt at 12 mm/s, a spread of 4 dB, no false alarm in 12 catch trials each."""
     frame, rng = presented((5, 10, 20, 40), 12), np.random.default_rng(2)
     felt = rng.random(len(frame)) < ndtr(20 * np.log10(frame["velocity_mm_s"] / 12) / 4)
     design = {"answers": {"keys": {"felt": ["f1"], "nothing": ["f2"]}, "fingers": {"nothing": []}}}
@@ -316,12 +316,12 @@ def test_felt_or_not_gives_a_threshold_and_d_prime_by_level() -> None:
     findings, values = found(take(answers, design, catches=SILENT))
     threshold = findings["detection threshold over participants", "one_hand A-C"]
     assert threshold.estimate == pytest.approx(12, rel=0.15)
-    # All 12 felt and no false alarm of 12: z(12.5 / 13) - z(0.5 / 13).
+    # All 12 felt and no false alarm in 12: z(12.5 / 13) - z(0.5 / 13).
     assert max(values["d'"].values()) == pytest.approx(2 * 1.769, abs=0.01)
 
 
-def test_the_interval_of_three_is_named_above_chance() -> None:
-    """Known: d' = 1.5 at every level, so 0.75 of the answers are correct; guesses are no even split, so not tested."""
+def test_a_signal_in_one_of_three_intervals_has_its_d_prime() -> None:
+    """Known: d' = 1.5 at every level, so 0.75 of the answers are correct; guesses are uneven and not tested."""
     frame, rng = presented((20.0, 30.0, 40.0), 30, 3), np.random.default_rng(3)
     felt = rng.normal(0, 1, (len(frame), 3))
     felt[np.arange(len(frame)), frame["interval"] - 1] += 1.5
@@ -337,8 +337,8 @@ def test_the_interval_of_three_is_named_above_chance() -> None:
     assert responses.by_choice().answers.names == ("correct", "incorrect")
 
 
-def test_two_alternatives_in_space_are_the_fingers_on_the_focus() -> None:
-    """Known: d' = 1 of two alternatives, C under either finger; the same share correct whichever, so no criterion."""
+def test_two_spatial_alternatives_are_the_fingers_at_the_focus() -> None:
+    """Known: d' = 1 of two alternatives, with C under either finger; equal shares correct, so the criterion is 0."""
     frame = pd.concat([presented((80.0, 100.0), 16).assign(zone_left=a, zone_right=b) for a, b in ("AC", "CE")])
     frame = frame.drop(columns="interval").reset_index(drop=True)
     n_correct = round(16 * ndtr(1 / math.sqrt(2)))
@@ -361,8 +361,8 @@ def test_two_alternatives_in_space_are_the_fingers_on_the_focus() -> None:
         ([(-math.inf, math.inf)] * 5 + [(-0.5, 1.0)], 0.2, 0.7),
     ],
 )
-def test_a_mean_is_not_bounded_on_a_side_by_values_that_have_no_bound(own, low, high) -> None:
-    """Six values from 0.2 to 0.7, whose flips give [0.2, 0.7]: without a bound above, some lows are not enough."""
+def test_a_mean_has_no_bound_where_too_few_values_have_one(own, low, high) -> None:
+    """Six values from 0.2 to 0.7, whose sign flips give [0.2, 0.7]; unbounded values widen or remove a bound."""
     values = [
         IndividualValue(CRITERION, f"p{n}", "one_hand", "A-C", math.nan, Interval(0.2 + n / 10, *ends, 8), 8)
         for n, ends in enumerate(own)
@@ -371,8 +371,8 @@ def test_a_mean_is_not_bounded_on_a_side_by_values_that_have_no_bound(own, low, 
     assert (interval.low, interval.high) == pytest.approx((low, high), abs=1e-3)
 
 
-def test_the_interval_of_a_mean_d_prime_holds_zero_unless_the_rates_reject_it() -> None:
-    """No d' of the odd one of three is below zero, so that by chance alone their mean is above: p of the rates is 1."""
+def test_the_interval_of_a_mean_d_prime_contains_zero_unless_the_rates_reject_it() -> None:
+    """No d' of an oddity task is below zero, so their mean is positive by chance alone: p of the rates is 1."""
     values = [
         IndividualValue(D_PRIME, f"p{n}", "one_hand", "A-C", 80.0, Interval(0.5 + n / 10, 0, 2, 9), 9, tested=gap)
         for n, gap in enumerate([0.1, -0.1] * 4)
@@ -383,16 +383,16 @@ def test_the_interval_of_a_mean_d_prime_holds_zero_unless_the_rates_reject_it() 
     assert test.p < 0.01 and interval.low > 0.5
 
 
-def test_a_comparison_of_conditions_is_named_without_the_zones_that_go_together() -> None:
-    """Two alternatives in space have one d' for all pairs: their scope ends with the finger conditions."""
+def test_a_comparison_over_all_pairs_has_no_pair_in_its_scope() -> None:
+    """Two spatial alternatives have one d' for all pairs: its scope has the finger conditions only."""
     frame = presented((80.0,), 8).drop(columns="interval").assign(response="right")
     both = pd.concat([frame, frame.assign(finger_condition="two_hands")], ignore_index=True)
     findings, _ = found(take(both, {"answers": {"keys": {"left": ["a"], "right": ["b"]}}}, focus="C"))
     assert ("d' compared", "one_hand - two_hands") in findings
 
 
-def test_same_and_different_are_told_against_the_standard() -> None:
-    """Known: percepts 1 and 3 from the standard's, "different" beyond 1.5; 80 against 80 mm/s are the same."""
+def test_same_and_different_are_relative_to_the_standard() -> None:
+    """Known: percepts 1 and 3 from the standard's, "different" beyond 1.5; 80 and 80 mm/s are the same."""
     frame, rng = presented((80.0, 90.0, 110.0), 40, 2), np.random.default_rng(4)
     apart = frame["velocity_mm_s"].map({80.0: 0.0, 90.0: 1.0, 110.0: 3.0}) + rng.normal(0, math.sqrt(2), len(frame))
     design = {
@@ -413,7 +413,7 @@ SAME_OR_NOT = {
 }
 
 
-def test_other_stimuli_are_told_from_the_standard_that_is_one() -> None:
+def test_other_stimuli_are_compared_with_a_standard_stimulus() -> None:
     """By hand, differencing model: sharp called different in 4 of 20, blunt in 16, wide in 12; level by level."""
     often = {"sharp": 4, "blunt": 16, "wide": 12}
     frame = pd.concat([presented((80.0, 90.0), 20).assign(stimulus=name) for name in often], ignore_index=True)
@@ -429,8 +429,8 @@ def test_other_stimuli_are_told_from_the_standard_that_is_one() -> None:
     }
 
 
-def test_the_odd_one_of_three_has_its_own_model_and_others_none() -> None:
-    """The protocol says which: the odd one, the one above silence, or none of three where no model fits."""
+def test_the_model_of_three_intervals_follows_from_the_protocol() -> None:
+    """It is the oddity model, 3AFC for one above silence or for the stronger, or none if no model fits."""
     frame, words = presented((60.0, 100.0), 9, 3), ("one", "two", "three")
     frame = frame.assign(response=np.where(frame["repetition"] % 2, np.array(words)[frame["interval"] - 1], "two"))
     answers = {"keys": dict.fromkeys(words, ["x"]), "intervals": {"one": 1, "two": 2, "three": 3}}
@@ -453,7 +453,7 @@ def test_the_odd_one_of_three_has_its_own_model_and_others_none() -> None:
 
 
 def test_recorded_trials_of_same_and_different_are_analysed_together(tmp_path: Path) -> None:
-    """The example of sharp and blunt, of two intervals: d' of either participant from all 20 answers; no --stimulus."""
+    """The two-interval example of sharp and blunt: d' of each participant from all 20 answers, without --stimulus."""
     example = ROOT / "docs" / "examples" / "protocol_same_different.yaml"
     text = example.read_text(encoding="utf-8").replace("../../", f"{ROOT}/")
     protocol = tmp_path / "two.yaml"
@@ -470,7 +470,7 @@ def test_recorded_trials_of_same_and_different_are_analysed_together(tmp_path: P
 
 @pytest.fixture(scope="module")
 def magnitudes() -> pd.DataFrame:
-    """Eight people whose numbers grow as the 0.6th power of the level, each with a modulus of the own."""
+    """Eight people whose numbers grow as the 0.6th power of the level, each with an individual modulus."""
     frame, rng = presented((20, 40, 80, 160), 3), np.random.default_rng(6)
     modulus = frame["participant"].map(dict(zip(PEOPLE, np.geomspace(2, 40, 8), strict=True)))
     value = modulus * (frame["velocity_mm_s"] / 80) ** 0.6 * np.exp(rng.normal(0, 0.1, len(frame)))
@@ -478,7 +478,7 @@ def magnitudes() -> pd.DataFrame:
 
 
 def test_magnitudes_have_the_exponent_of_their_power_law(magnitudes, tmp_path: Path) -> None:
-    """Known: 0.6 (Stevens); the report says so, and the table has every participant's; no bars of the word rated."""
+    """Known: 0.6 (Stevens); report and table have each participant's exponent, and there is no bar chart of "rated"."""
     table = tmp_path / "numbers.csv"
     magnitudes.to_csv(table, index=False)
     design = {"answers": {"scale": {"kind": "number"}}}
@@ -495,7 +495,7 @@ def test_magnitudes_have_the_exponent_of_their_power_law(magnitudes, tmp_path: P
     assert not {"fig_10.svg", "fig_10.csv"} & set(done.files)
 
 
-def test_numerical_noise_is_no_difference_between_conditions(magnitudes, tmp_path: Path) -> None:
+def test_rounding_error_is_not_a_difference_between_conditions(magnitudes, tmp_path: Path) -> None:
     """Numbers twice as large with two hands have the same exponent, however its sums are rounded."""
     exact = magnitudes.assign(value=magnitudes["velocity_mm_s"].astype(float), finger_condition="one_hand")
     doubled = exact.assign(value=2 * exact["value"], finger_condition="two_hands")
@@ -509,7 +509,7 @@ def test_numerical_noise_is_no_difference_between_conditions(magnitudes, tmp_pat
 
 
 def test_the_power_law_is_least_squares_of_logarithms() -> None:
-    """Reference: scipy.stats.linregress of the logarithms, and t of n - 2 degrees."""
+    """Reference: scipy.stats.linregress of the logarithms, and t with n - 2 degrees of freedom."""
     levels, values = pd.Series([10.0, 20.0, 40.0, 80.0, 160.0]), pd.Series([1.0, 1.8, 2.2, 4.5, 5.0])
     line = stats.linregress(np.log(levels), np.log(values))
     found = power_law(levels, values)
@@ -517,7 +517,7 @@ def test_the_power_law_is_least_squares_of_logarithms() -> None:
     assert found.high - found.estimate == pytest.approx(stats.t.ppf(0.975, 3) * line.stderr)
 
 
-def test_signed_ranks_are_those_of_the_book() -> None:
+def test_signed_ranks_agree_with_a_textbook_example() -> None:
     """Hollander and Wolfe (1973), table 3.1, depression: p = 0.039, estimate 0.46, bounds 0.010 and 0.786."""
     first = np.array([1.83, 0.50, 1.62, 2.48, 1.68, 1.88, 1.55, 3.06, 1.30])
     second = np.array([0.878, 0.647, 0.598, 2.05, 1.06, 1.29, 1.06, 3.14, 1.29])
@@ -526,8 +526,8 @@ def test_signed_ranks_are_those_of_the_book() -> None:
     assert (interval.estimate, interval.low, interval.high) == pytest.approx((0.46, 0.010, 0.786))
 
 
-def test_drawn_shuffles_do_not_hang_on_the_names() -> None:
-    """Twelve participants in two orders: p of Friedman's test and of two groups is the same."""
+def test_random_shuffles_do_not_depend_on_the_order_of_participants() -> None:
+    """Twelve participants in two orders have the same p in Friedman's test and between two groups."""
     rows = np.random.default_rng(4).normal(size=(24, 4)) + [0, 0.1, 0.2, 0.3]
     assert friedman(rows)[0].p == friedman(rows[::-1])[0].p
     test, interval = group_test(rows[:10, 0], rows[10:, 1])
@@ -535,8 +535,8 @@ def test_drawn_shuffles_do_not_hang_on_the_names() -> None:
     assert (test.p, interval.low) == (turned.p, moved.low)
 
 
-def test_an_interval_that_ends_at_zero_beside_a_rejection_says_why() -> None:
-    """Differences of 0 are left out of the signed ranks, not of their interval: p = 2 / 2^6, and [0, 1]."""
+def test_an_interval_ending_at_zero_beside_a_rejection_is_explained() -> None:
+    """Zero differences are left out of the signed ranks but not of their interval: p = 2 / 2^6, and [0, 1]."""
     measure = Measure("sure", "sure", "rating", None, is_ranked=True)
     gaps = [1.0] * 6 + [0.0] * 3
     values = [
@@ -549,8 +549,8 @@ def test_an_interval_that_ends_at_zero_beside_a_rejection_says_why() -> None:
     assert "the interval ends at 0, which the test rejects" in found.note
 
 
-def test_a_sample_in_which_nobody_differs_does_not_show_that_nobody_does() -> None:
-    """Ten alike: the mean difference may be 1 - 0.025^(1/10), as for any score (`BoundedMean`); of d', anything."""
+def test_a_sample_without_differences_does_not_prove_their_absence() -> None:
+    """Ten equal: the mean difference may be 1 - 0.025^(1/10), as of any score (`BoundedMean`); of d', any value."""
 
     def compared(measure: Measure) -> list[Finding]:
         both = product(range(10), ("A-C fast", "A-C slow"))
@@ -572,8 +572,8 @@ def test_a_sample_in_which_nobody_differs_does_not_show_that_nobody_does() -> No
     assert "without a difference, there is no interval" in found.note
 
 
-def test_an_interval_that_errs_too_often_says_so() -> None:
-    """That of magnitudes errs of any mean, by its certificates; that of d' only of the true mean."""
+def test_an_interval_with_too_many_errors_is_labelled() -> None:
+    """By its certificates that of magnitudes errs for any mean, that of d' only for the true mean."""
     magnitude = Measure("magnitude", "magnitude", "rating", None, True)
     for measure, said in (
         (magnitude, "not a 95 % interval: a few participants may use much larger numbers"),
@@ -587,8 +587,8 @@ def test_an_interval_that_errs_too_often_says_so() -> None:
         assert said in row.note
 
 
-def test_a_mean_at_the_ceiling_is_known_no_better_than_each_value() -> None:
-    """Twelve people, 8 of 8 right each: their equal d' have no spread, yet each may be lower, down to its own bound."""
+def test_a_mean_at_the_ceiling_is_no_more_certain_than_each_value() -> None:
+    """Twelve people with 8 of 8 correct: their equal d' have no spread, yet each may be as low as its own bound."""
     own = m_intervals((8, 8), 2)
     values = [
         IndividualValue(D_PRIME, f"p{who}", "one_hand", "A-C", 80.0, own.d_prime, 8, "", own.contrast)
@@ -603,8 +603,8 @@ def test_a_mean_at_the_ceiling_is_known_no_better_than_each_value() -> None:
 
 
 @pytest.mark.parametrize(("after", "is_said"), [(12, False), (40, True)])
-def test_estimates_from_unequal_numbers_of_trials_are_said_to_be_biased_unequally(after, is_said) -> None:
-    """All right, before from 12 trials of either kind and after from so many: d' of 24 and more trials, corrected."""
+def test_estimates_from_unequal_numbers_of_trials_are_labelled_as_biased_unequally(after, is_said) -> None:
+    """All correct, from 12 trials of each kind before and another number after: corrected d' of 24 and more trials."""
     before, later = (yes_no((n, n), (0, n)).d_prime for n in (12, after))
     values = [
         IndividualValue(D_PRIME, f"p{who}", "one_hand", place, 80.0, interval, int(interval.n_effective))
@@ -620,7 +620,7 @@ def test_estimates_from_unequal_numbers_of_trials_are_said_to_be_biased_unequall
 
 
 def test_groups_without_any_difference_have_no_interval() -> None:
-    """Two groups of five at the ceiling: nothing is known of a shift."""
+    """Two groups of five at the ceiling give no information on a shift."""
     values = [
         IndividualValue(D_PRIME, f"p{who}", "one_hand", "A-C", 80.0, Interval.point(2.0, 9), 9) for who in range(10)
     ]
@@ -629,15 +629,15 @@ def test_groups_without_any_difference_have_no_interval() -> None:
 
 
 def test_equal_means_share_their_rank() -> None:
-    """By hand: 0.1 + 0.2 is 0.3 but for the last bit, so their difference is no rank, and two who tie them agree."""
+    """By hand: 0.1 + 0.2 equals 0.3 except for the last bit, so their difference is not ranked and counts as a tie."""
     none = 0.1 + 0.2 - 0.3
     assert none != 0 and by_ranks(np.array([none, 1.0, 2.0]))[0].p == by_ranks(np.array([0.0, 1.0, 2.0]))[0].p == 0.5
     rows = np.array([[0.1 + 0.2, 0.3, 0.5], [0.3, 0.1 + 0.2, 0.5]])
     assert friedman(rows)[1] == pytest.approx(1)
 
 
-def test_the_bounds_of_a_group_difference_are_the_shifts_that_its_test_keeps() -> None:
-    """By hand: three far above three have p = 2 / 20, of all orders; a shift by a bound is kept, one past it not."""
+def test_the_bounds_of_a_group_difference_invert_its_test() -> None:
+    """By hand: three far above three have p = 2 / 20; shifts just inside a bound are kept, just outside rejected."""
     low, high = np.array([1.0, 2.0, 4.0, 5.0]), np.array([9.0, 11.0, 12.0, 16.0])
     assert group_test(high[1:], low[1:])[0].p == pytest.approx(2 / 20)
     test, interval = group_test(high, low)
@@ -646,7 +646,7 @@ def test_the_bounds_of_a_group_difference_are_the_shifts_that_its_test_keeps() -
         assert group_test(high - bound - inwards, low)[0].p > 0.05 >= group_test(high - bound + inwards, low)[0].p
 
 
-def test_friedman_is_that_of_scipy_and_of_all_shuffles() -> None:
+def test_friedman_agrees_with_scipy_and_with_all_orders() -> None:
     """Reference: the statistic of scipy; p over all 6^4 orders, within four standard errors of 9,999 shuffles."""
     rows = np.array([[1.0, 2.0, 3.0], [2.0, 1.0, 3.0], [1.0, 2.5, 2.5], [3.0, 1.0, 2.0]])
     test, _ = friedman(rows)
@@ -658,7 +658,7 @@ def test_friedman_is_that_of_scipy_and_of_all_shuffles() -> None:
 
 
 @pytest.mark.parametrize("factor", ["finger_condition", "session_kind"])
-def test_false_alarms_count_where_they_were_made(factor: str) -> None:
+def test_false_alarms_count_in_their_own_condition(factor: str) -> None:
     """By hand: half felt in both; 0 of 4 false alarms in the first, 2 of 4 in the second: d' is -z(0.1), and 0."""
     frame, own = presented((5, 10), 6), (("first", 0), ("second", 2))
     frame = pd.concat([frame.assign(**{factor: name}) for name, _ in own])
@@ -674,8 +674,8 @@ def test_false_alarms_count_where_they_were_made(factor: str) -> None:
     assert len(by_name) == 2
 
 
-def test_fingers_without_catch_trials_have_no_d_prime_and_say_so() -> None:
-    """False alarms of one hand are none of two."""
+def test_a_finger_condition_without_catch_trials_has_no_d_prime() -> None:
+    """False alarms with one hand do not apply to two; a note gives the reason."""
     frame = pd.concat([presented((5, 10), 6).assign(finger_condition=name) for name in ("one_hand", "two_hands")])
     design = {"answers": {"keys": {"felt": ["f1"], "nothing": ["f2"]}, "fingers": {"nothing": []}}}
     told = analyse_design(take(frame.assign(response="felt"), design, catches=SILENT)).values
@@ -683,23 +683,23 @@ def test_fingers_without_catch_trials_have_no_d_prime_and_say_so() -> None:
     assert notes == {"one_hand": "yes-no model", "two_hands": "no d' from answers without catch trials of their own"}
 
 
-def test_sign_flips_of_large_numbers_are_those_of_small_ones() -> None:
-    """A unit changes neither p nor what the interval holds."""
+def test_sign_flips_do_not_depend_on_the_unit() -> None:
+    """Scaling changes neither p nor the scaled interval."""
     values = np.array([0.2, 0.9, 1.4, -0.3, 2.2, 1.1, 0.8])
     small, large = by_flips(values), by_flips(values * 1e6)
     assert small[0].p == large[0].p
     assert small[1].low * 1e6 == pytest.approx(large[1].low)
 
 
-def test_sign_flips_of_shares_keep_their_ties() -> None:
-    """Enumeration of 2^7 signs of multiples of 1/18: rounded to four digits, 1/18 + 1/18 would differ from 1/9."""
+def test_sign_flips_of_shares_preserve_ties() -> None:
+    """Reference: all 2^7 signs of multiples of 1/18; rounded to four digits, 1/18 + 1/18 would differ from 1/9."""
     values = np.array([1, 1, -2, 6, 3, -1, 4]) / 18
     sums = np.abs([np.array(signs) @ values for signs in product((-1, 1), repeat=len(values))])
     assert by_flips(values)[0].p == (sums >= abs(values.sum()) - 1e-9).mean()
 
 
-def test_groups_that_all_reach_the_ceiling_cannot_differ() -> None:
-    """Of three people and four, any allotment has the same means; of 1, 2, 3 and 5 to 8, one in 35 is as far apart."""
+def test_groups_at_the_ceiling_do_not_differ() -> None:
+    """With 3 and 4 equal people any assignment has the same means; of 1, 2, 3 and 5 to 8, one in 35 is as far apart."""
     equal, apart = (
         group_test(np.array(a), np.array(b))[0] for a, b in (([1.0] * 3, [1.0] * 4), ([1.0, 2, 3], [5.0, 6, 7, 8]))
     )
@@ -709,8 +709,8 @@ def test_groups_that_all_reach_the_ceiling_cannot_differ() -> None:
     assert (together.p_min, together.n_informative) == (1, 0)
 
 
-def test_people_who_all_reach_the_ceiling_give_no_upper_bound() -> None:
-    """Synthetic: all 12 felt and no false alarm of 12, by all: nobody's d' has an upper bound, nor has the mean."""
+def test_participants_at_the_ceiling_give_no_upper_bound() -> None:
+    """Synthetic: all have 12 of 12 felt and no false alarm in 12: neither their d' nor the mean has an upper bound."""
     frame = presented((5, 10), 12).assign(response="felt")
     design = {"answers": {"keys": {"felt": ["f1"], "nothing": ["f2"]}, "fingers": {"nothing": []}}}
     findings, _ = found(take(frame, design, catches=SILENT))
@@ -720,8 +720,8 @@ def test_people_who_all_reach_the_ceiling_give_no_upper_bound() -> None:
 
 
 @pytest.mark.parametrize(("lowest", "is_magnitude"), [(-5, False), (0, False), (0.5, True)])
-def test_a_typed_number_may_be_zero_where_the_protocol_allows_it(lowest, is_magnitude) -> None:
-    """Two answers to each level, the lowest possible and 5: their mean counts both; above 0 it is the geometric one."""
+def test_a_typed_number_may_be_zero_if_the_protocol_allows_it(lowest, is_magnitude) -> None:
+    """Two answers per level, the lowest possible and 5: the mean is arithmetic, or geometric if all are above 0."""
     frame = presented((5.0, 10.0), 2).assign(response="rated")
     frame["value"] = np.where(frame["repetition"] == 1, lowest, 5.0)
     design = {"answers": {"scale": {"kind": "number", "lowest": lowest, "highest": 5}}}
@@ -733,7 +733,7 @@ def test_a_typed_number_may_be_zero_where_the_protocol_allows_it(lowest, is_magn
 
 
 def test_ratings_that_all_agree_still_have_an_interval() -> None:
-    """The bounded mean of eight equal ratings of 4, of 1 to 7: those who may be missing could have rated otherwise."""
+    """It is that of the bounded mean of eight equal ratings of 4 on 1 to 7: others could have rated differently."""
     frame = presented((5.0, 10.0), 2).assign(response="rated", value=4.0)
     findings, _ = found(take(frame, {"answers": {"scale": {"kind": "likert"}}}))
     rating = findings["rating over participants", "one_hand A-C 5 mm/s"]
@@ -742,8 +742,8 @@ def test_ratings_that_all_agree_still_have_an_interval() -> None:
     assert expected.low < 4 < expected.high
 
 
-def test_recorded_answers_and_ratings_come_to_each_participant(edit, tmp_path: Path) -> None:
-    """The shipped detection with confidence, two answers a level: d' of 8 trials and 4 catch trials, ratings."""
+def test_recorded_answers_and_ratings_are_analysed_by_participant(edit, tmp_path: Path) -> None:
+    """Shipped detection with confidence, two answers per level: d' of 8 trials and 4 catch trials, and ratings."""
     few = ("repetitions: 10", "repetitions: 2"), ("catch_trials: 10", "catch_trials: 4")
     protocol = edit("detection_with_confidence.yaml", *few)
     simulate_session(protocol, "p1", tmp_path / "results")
@@ -766,16 +766,16 @@ def test_recorded_answers_and_ratings_come_to_each_participant(edit, tmp_path: P
         (lambda table: table.assign(interval=3), "interval: given '3'.*allowed: a whole number, 1 to 2"),
     ],
 )
-def test_a_table_of_intervals_has_to_tell_where_the_comparison_stood(compared, tmp_path: Path, change, reason) -> None:
-    """One column more than of other designs, whole numbers, as many as there are intervals."""
+def test_a_table_of_intervals_needs_the_interval_of_the_comparison(compared, tmp_path: Path, change, reason) -> None:
+    """It is an additional column of whole numbers up to the number of intervals."""
     path = tmp_path / "answers.csv"
     change(compared).to_csv(path, index=False)
     with pytest.raises(InputError, match=reason):
         read_responses(path, table_format=TableFormat(AnswerList.of(TWO["answers"]), design=TWO))
 
 
-def test_a_measure_that_nobody_has_is_told_as_such() -> None:
-    """Synthetic: everything felt at every level, so no threshold; the row says for how many, and gives no number."""
+def test_a_measure_without_any_value_is_described() -> None:
+    """Synthetic: everything felt at every level gives no threshold; the row has the number left out and no estimate."""
     frame = presented((5, 10, 20), 4).assign(response="felt")
     design = {"answers": {"keys": {"felt": ["f1"], "nothing": ["f2"]}, "fingers": {"nothing": []}}}
     findings, _ = found(take(frame, design))
@@ -789,15 +789,15 @@ def test_a_measure_that_nobody_has_is_told_as_such() -> None:
     assert math.isnan(compared.p) and math.isnan(compared.low)
 
 
-def test_no_p_of_friedman_is_below_the_smallest_there_is() -> None:
-    """Six who agree about three levels: 6 of the 6^6 orders, although none of the 9,999 that were drawn."""
+def test_friedman_p_is_not_below_the_smallest_possible() -> None:
+    """Six who agree on three levels: p is 6 of the 6^6 orders, though none of the 9,999 drawn was as extreme."""
     test, _ = friedman(np.tile([1.0, 2.0, 3.0], (6, 1)))
     assert test.p == test.p_min == pytest.approx(6**-5)
 
 
 @pytest.mark.parametrize("is_ratio", [False, True])
 def test_ratings_of_two_levels_are_compared_by_signed_ranks(is_ratio) -> None:
-    """Reference: scipy's Wilcoxon test, of magnitudes by their logarithms; one without the second level is left out."""
+    """Reference: scipy's Wilcoxon test, of log magnitudes; a participant without the second level is left out."""
     measure = Measure("loud", "loud", "rating", None, is_ratio=is_ratio, is_ranked=True)
     low, high = np.array([1.0, 2, 4, 3, 5, 2, 7]), np.array([2.0, 6, 4.5, 10, 3.5, 7, 30])
     values = [

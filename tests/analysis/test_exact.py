@@ -54,31 +54,31 @@ class TestMultinomial:
         "observed", [[9, 1, 0], [7, 1, 2], [4, 3, 3], [2, 0, 0], [3, 1, 2, 1], [0, 3, 0, 1, 2], [4, 0, 0, 1, 1, 0, 0]]
     )
     def test_p_equals_enumeration_in_rational_arithmetic(self, observed) -> None:
-        """Expected value: every outcome listed, probabilities as fractions."""
+        """Reference: every outcome listed, with probabilities as fractions."""
         null = [Fraction(1, len(observed))] * len(observed)
         assert multinomial_test(observed).p == pytest.approx(enumerate_multinomial(observed, null), rel=1e-12)
 
-    def test_forty_answers_of_seven_kinds_are_few_enough_to_list(self) -> None:
-        """Closed form: seven outcomes of probability 7^-40 are the most extreme; 1.2 million heads are 11,000 alike."""
+    def test_forty_answers_of_seven_kinds_are_enumerated(self) -> None:
+        """Closed form: seven outcomes of 7^-40 are the most extreme; of 1.2 million heads, 11,000 are distinct."""
         assert multinomial_test([40, 0, 0, 0, 0, 0, 0]).p == pytest.approx(7.0**-39, rel=1e-12, abs=0)
         assert sum(1 for _ in _heads(40, 5, 40)) < 20_000
 
-    def test_ten_equal_answers_have_the_smallest_p_there_is(self) -> None:
+    def test_ten_equal_answers_have_the_smallest_p(self) -> None:
         """Closed form: three outcomes of probability 3^-10."""
         test = multinomial_test([0, 0, 10])
         assert test.p == pytest.approx(3.0**-9, rel=1e-12)
         assert test.p_min == test.p
 
-    def test_hundreds_of_answers_are_weighed_part_by_part(self) -> None:
-        """Closed forms for 150 of three kinds: p 3^-149 at one end, 1 in the middle; a batch has those of each."""
+    def test_hundreds_of_answers_are_summed_in_parts(self) -> None:
+        """Closed forms for 150 of three kinds: p is 3^-149 at one end, 1 in the middle; a batch equals each alone."""
         alike, even = multinomial_test([150, 0, 0]), multinomial_test([50, 50, 50])
         assert (alike.p, even.p) == (pytest.approx(3.0**-149, rel=1e-9, abs=0), pytest.approx(1.0, rel=1e-9))
         assert alike.p_min == even.p_min == alike.p
         batch = multinomial_test([[150, 0, 0], [60, 50, 40]])
         assert batch.p == pytest.approx([alike.p, multinomial_test([60, 50, 40]).p], rel=1e-12, abs=0)
 
-    def test_what_is_weighed_part_by_part_is_what_is_kept(self, monkeypatch) -> None:
-        """Two ways to one number."""
+    def test_summing_in_parts_equals_summing_at_once(self, monkeypatch) -> None:
+        """Both methods give the same p and smallest p."""
         kept = multinomial_test([[9, 1, 4], [3, 5, 6]])
         monkeypatch.setattr("modaltouch.analysis.exact._KEPT", 0)
         parts = multinomial_test([[9, 1, 4], [3, 5, 6]])
@@ -86,13 +86,13 @@ class TestMultinomial:
         assert parts.p_min == pytest.approx(kept.p_min, rel=1e-12)
 
     def test_no_probability_exceeds_one(self) -> None:
-        """The probabilities of all outcomes add up to 1, and to a little more in floats."""
+        """In floating point the probabilities of all outcomes add up to slightly more than 1."""
         for n in range(1, 15):
             even = multinomial_test([n // 2, n - n // 2])
             assert even.p <= 1
 
     def test_no_answers_give_p_one(self) -> None:
-        """Nothing observed is nothing learnt."""
+        """No observation gives no information."""
         assert multinomial_test([0, 0, 0]).p == 1
 
     @pytest.mark.parametrize(
@@ -104,7 +104,7 @@ class TestMultinomial:
         ],
     )
     def test_faulty_input_is_refused_with_its_values(self, counts, words) -> None:
-        """House rule: say what was given and what is allowed."""
+        """The message gives the value and what is allowed."""
         with pytest.raises(ValueError, match=words):
             multinomial_test(counts)
 
@@ -119,7 +119,7 @@ class TestSignFlip:
     @given(st.lists(st.integers(-12, 12), min_size=1, max_size=10))
     @settings(max_examples=60, deadline=None)
     def test_p_equals_full_enumeration(self, scores) -> None:
-        """Expected value: all 2^N sign assignments counted."""
+        """Reference: all 2^N sign assignments counted."""
         sums = flips(scores)
         test = sign_flip_test(scores)
         assert test.p == pytest.approx(sum(abs(s) >= abs(sum(scores)) for s in sums) / len(sums), rel=1e-12)
@@ -127,7 +127,7 @@ class TestSignFlip:
     @given(st.lists(st.integers(-5, 5), min_size=1, max_size=8))
     @settings(max_examples=40, deadline=None)
     def test_p_min_is_the_least_p_over_all_signs(self, scores) -> None:
-        """Expected value: the test run on every sign assignment of the same sizes."""
+        """Reference: the test run on every sign assignment of the same magnitudes."""
         sizes = [abs(s) for s in scores]
         least = min(
             sign_flip_test([s * sign for s, sign in zip(sizes, signs, strict=True)]).p
@@ -137,30 +137,30 @@ class TestSignFlip:
 
     @pytest.mark.parametrize("sizes", [[1, 1, 1, 1, 1, 1], [4, 4, 3, 2, 1, 1, 4], [1, 2, 4, 8, 16]])
     @pytest.mark.parametrize("alpha", [0.01, 0.05, 0.1, 0.5])
-    def test_the_level_is_kept_exactly_under_the_null(self, sizes, alpha) -> None:
-        """Type I error by enumeration: at most alpha of all sign assignments are rejected."""
+    def test_the_significance_level_holds_exactly_under_the_null(self, sizes, alpha) -> None:
+        """By enumeration, at most alpha of all sign assignments are rejected."""
         p = [
             sign_flip_test([s * e for s, e in zip(sizes, signs, strict=False)]).p
             for signs in product((1, -1), repeat=len(sizes))
         ]
         assert np.mean(np.array(p) <= alpha + 1e-12) <= alpha
 
-    def test_zero_scores_hold_no_information(self) -> None:
-        """All answers "both": p and the smallest p are 1, not an error."""
+    def test_zero_scores_have_no_information(self) -> None:
+        """If all answers are "both", p and the smallest p are 1, without an error."""
         test = sign_flip_test([0, 0, 0])
         assert (test.p, test.p_min, test.n_informative) == (1, 1, 0)
 
     def test_seven_participants_cannot_pass_holm_over_six_but_eight_can(self) -> None:
-        """Design floor of the plan: 2/2^N x 6."""
+        """The floor of the design is 2/2^N x 6."""
         assert sign_flip_test([4] * 7).p * 6 > 0.05 > sign_flip_test([4] * 8).p * 6
 
     def test_a_thousand_participants_need_no_enumeration(self) -> None:
-        """All lean one way: p is 2^(1-1000), as far as a float reaches."""
+        """If all lean one way, p is 2^(1-1000), to floating-point precision."""
         assert sign_flip_test([3] * 1000).p == pytest.approx(2.0**-999, rel=1e-9, abs=0)
 
     @pytest.mark.parametrize(("against", "n_alike"), [(0, 1), (1, 1 + 60)])
-    def test_transforms_keep_the_smallest_p(self, against, n_alike, monkeypatch) -> None:
-        """Closed form for 60 participants: each of the most extreme patterns has 2^-60, on either side."""
+    def test_transforms_resolve_the_smallest_p(self, against, n_alike, monkeypatch) -> None:
+        """Closed form for 60 participants: each of the most extreme patterns has 2^-60, on both sides."""
         monkeypatch.setattr("modaltouch.analysis.sums.DIRECT_COST", 0)
         test = sign_flip_test([-3] * against + [3] * (60 - against))
         assert test.p == pytest.approx(2 * n_alike * 2.0**-60, rel=1e-8, abs=0)
@@ -170,20 +170,20 @@ class TestSignFlip:
         assert 0 < sign_flip_test([1] * 3000).p < 1e-300
 
     def test_fractions_are_refused(self) -> None:
-        """Scores are integers so that ties are exact."""
+        """Scores must be integers so that ties are exact."""
         with pytest.raises(ValueError, match="whole numbers"):
             sign_flip_test([0.5, 1.0])
 
     @given(st.integers(0, 12), st.integers(0, 12))
     @settings(max_examples=30, deadline=None)
     def test_the_sign_test_is_the_binomial_test(self, positive, negative) -> None:
-        """Reference: scipy.stats.binomtest on the participants who lean at all."""
+        """Reference: scipy.stats.binomtest on the participants with a nonzero score."""
         test = sign_test([3] * positive + [-1] * negative + [0])
         expected = binomtest(positive, positive + negative).pvalue if positive + negative else 1.0
         assert test.p == pytest.approx(expected, rel=1e-9)
 
-    def test_its_statistic_counts_those_who_lean_up(self) -> None:
-        """Zeros lean neither way and carry no information."""
+    def test_the_statistic_of_the_sign_test_counts_positive_scores(self) -> None:
+        """Zero scores have no direction and no information."""
         test = sign_test([5, 1, 0, 0, -2])
         assert (test.statistic, test.n_informative) == (2, 3)
 

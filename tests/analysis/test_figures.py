@@ -48,21 +48,21 @@ def test_pairs_have_the_papers_colours(table) -> None:
 
 
 def test_the_three_colours_differ_in_greyscale() -> None:
-    """A print without colour still parts them: luminance contrast of at least 1.3 between neighbours."""
+    """In a print without colour, neighbours have a luminance contrast of at least 1.3."""
     dark, light, yellow = sorted(luminance(colour) for colour in PAIR_COLOURS[:3])
     assert (light + 0.05) / (dark + 0.05) > 3
     assert (yellow + 0.05) / (light + 0.05) > 1.3
 
 
 def test_error_bars_are_clopper_pearson(table) -> None:
-    """10 of 10: from 6.9150 (10 x 0.025^(1/10)) to 10."""
+    """10 of 10 gives 6.9150 (10 x 0.025^(1/10)) to 10."""
     axes = draw_counts(table, "one_hand").axes[0]
     low, high = axes.collections[0].get_segments()[0][:, 1]
     assert (low, high) == pytest.approx((10 * 0.025**0.1, 10))
 
 
 def test_repetitions_do_not_narrow_the_bars(build) -> None:
-    """Two answers of each of five participants: as wide as five answers, scaled to ten."""
+    """Two answers each of five participants give the width of five answers, scaled to ten."""
     frame = build["tidy"]([{**row, "repetition": r} for row in build["constant"](5, "left") for r in (1, 2)])
     table = zone_table(count_answers(frame), "one_hand")
     axes = draw_counts(table, "one_hand", 5).axes[0]
@@ -72,7 +72,7 @@ def test_repetitions_do_not_narrow_the_bars(build) -> None:
 
 
 def test_the_axis_runs_from_none_to_all(table) -> None:
-    """Y from 0 to N, its label names N."""
+    """The y axis runs from 0 to N, and its label gives N."""
     axes = draw_counts(table, "one_hand").axes[0]
     assert axes.get_ylim()[0] == 0
     assert 10 <= axes.get_ylim()[1] <= 10.5
@@ -80,7 +80,7 @@ def test_the_axis_runs_from_none_to_all(table) -> None:
 
 
 def test_every_answer_and_level_is_written_out(table) -> None:
-    """Labels, not colour alone: three pairs, nine answers, four levels under each."""
+    """Text labels supplement colour: three pairs, nine answers, four levels under each."""
     words = [text.get_text() for text in draw_counts(table, "one_hand").axes[0].texts]
     assert [word for word in words if "&" in word] == ["C & A", "B & D", "C & E"]
     assert words.count("150") == 9
@@ -88,7 +88,7 @@ def test_every_answer_and_level_is_written_out(table) -> None:
 
 
 def test_five_pairs_of_seven_levels_fit_in_two_rows(build) -> None:
-    """Other designs than the paper's: more pairs and levels."""
+    """A design with more pairs and levels than the paper's is laid out in two rows."""
     rows = [
         {"participant": f"p{i}", "finger_condition": "one_hand", "zone_left": left, "zone_right": right,
          "velocity_mm_s": level, "response": "left"}
@@ -99,8 +99,8 @@ def test_five_pairs_of_seven_levels_fit_in_two_rows(build) -> None:
     assert len(bars(figure)[0]) == 5 * 3 * 7
 
 
-def test_strips_show_every_answer_as_letter(paper_frame) -> None:
-    """240 cells, each with its zone or &."""
+def test_strips_show_every_answer_as_a_letter(paper_frame) -> None:
+    """240 cells each have the letter of their zone, or &."""
     strips = participant_strips(count_answers(paper_frame))
     letters = [
         kind.letter
@@ -113,8 +113,8 @@ def test_strips_show_every_answer_as_letter(paper_frame) -> None:
 
 @pytest.mark.parametrize("levels", [[2.0], [1.0, 1.5, 2.0, 3.0]])
 @pytest.mark.parametrize("conditions", [["one_hand"], ["one_hand", "two_hands"]])
-def test_no_legend_is_cut_or_hides_an_answer(build, levels, conditions) -> None:
-    """A narrow picture, of few levels; a mark of the legend among those of the data would pass for one."""
+def test_no_legend_is_cut_off_or_hides_an_answer(build, levels, conditions) -> None:
+    """In a narrow figure of few levels, a legend symbol among the data could be mistaken for data."""
     rows = [
         {"participant": f"p{i}", "finger_condition": fingers, "zone_left": left, "zone_right": right, "trial": i + j,
          "velocity_mm_s": level, "response": response}
@@ -137,7 +137,7 @@ LONG = ("clearly_stronger_on_the_left", *(f"stronger_under_finger_{n}_of_6" for 
 
 
 def answers_of(build, names, n_pairs, levels):
-    """Return counts in which seven participants give the answers of a list in turn."""
+    """Return counts in which seven participants give the answers of a list in rotation."""
     rows = [
         {"participant": f"p{i}", "finger_condition": fingers, "zone_left": left, "zone_right": right,
          "velocity_mm_s": level, "response": names[(i + place) % len(names)]}
@@ -148,7 +148,7 @@ def answers_of(build, names, n_pairs, levels):
 
 
 def cut_or_overlapping(figure, texts):
-    """Return the texts that leave a figure, or lie on another one."""
+    """Return the texts that leave the figure or overlap another one."""
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
     boxes = {text: text.get_window_extent() for text in texts if text.get_text() and text.get_visible()}
@@ -161,8 +161,8 @@ def cut_or_overlapping(figure, texts):
 @pytest.mark.parametrize("levels", [(100,), (80, 100, 150, 200)], ids=len)
 @pytest.mark.parametrize("n_pairs", [1, 3])
 @pytest.mark.parametrize("names", [LONG, LONG[:2], tuple("abcdefg")], ids=["long", "two", "short"])
-def test_names_of_any_answers_are_read_below_their_bars(build, names, n_pairs, levels) -> None:
-    """Two or seven answers of up to 30 letters: none is cut, none lies on another, all are there."""
+def test_answer_names_are_legible_below_their_bars(build, names, n_pairs, levels) -> None:
+    """Two or seven answers of up to 30 letters: all are drawn, none is cut off or overlaps another."""
     answers = answers_of(build, names, n_pairs, levels)
     figure = draw_counts(zone_table(answers, "one_hand"), "one_hand")
     texts = [text for axes in figure.axes for text in (*axes.texts, axes.xaxis.label)]
@@ -171,29 +171,29 @@ def test_names_of_any_answers_are_read_below_their_bars(build, names, n_pairs, l
     assert all(written.count(f" {name} ") == n_pairs for name in names)
 
 
-def test_strips_tell_seven_answers_apart(build) -> None:
-    """Seven colours, far enough apart, and seven letters."""
+def test_strips_distinguish_seven_answers(build) -> None:
+    """There are seven colours, sufficiently different, and seven letters."""
     legend = participant_strips(answers_of(build, LONG, 3, (80, 100, 150, 200)))["legend"]
     assert len({kind.letter for kind in legend}) == 7
     colours = [np.array(to_rgb(kind.colour)) for kind in legend]
     assert min(float(np.abs(a - b).max()) for a, b in combinations(colours, 2)) > 0.05
 
 
-def test_letters_are_dark_enough_on_every_colour() -> None:
-    """WCAG 2.2, success criterion 1.4.3: a contrast of at least 4.5, also of faint words on white."""
+def test_letters_have_enough_contrast_on_every_colour() -> None:
+    """WCAG 2.2, success criterion 1.4.3: a contrast of at least 4.5, also of faint text on white."""
     under = [*ZONE_COLOURS, *OTHER_COLOURS, TIED, NOTHING]
     pairs = [(INK, colour) for colour in under] + [(FAINT, "#ffffff")]
     assert min((luminance(b) + 0.05) / (luminance(a) + 0.05) for a, b in pairs) >= 4.5
 
 
 @pytest.mark.parametrize("kind", ["svg", "png"])
-def test_a_figure_is_the_same_bytes_every_time(paper_frame, kind) -> None:
-    """No date and no random identifier."""
+def test_a_figure_has_reproducible_bytes(paper_frame, kind) -> None:
+    """It has no date and no random identifier."""
     table = zone_table(count_answers(paper_frame), "one_hand")
     assert render(draw_counts(table, "one_hand"), kind) == render(draw_counts(table, "one_hand"), kind)
 
 
-def test_further_figures_need_their_columns(paper_frame) -> None:
+def test_optional_figures_need_their_columns(paper_frame) -> None:
     """Without order, times and speeds there is nothing to draw."""
     answers = count_answers(paper_frame)
     assert draw_order(answers, paper_frame) is None
@@ -201,8 +201,8 @@ def test_further_figures_need_their_columns(paper_frame) -> None:
     assert draw_speeds(answers, paper_frame) is None
 
 
-def test_further_figures_draw_what_they_are_given(paper_frame) -> None:
-    """Synthetic order, times and speeds; every axis names its quantity and unit."""
+def test_optional_figures_label_their_axes(paper_frame) -> None:
+    """With synthetic order, times and speeds, every axis has its quantity and unit."""
     frame = paper_frame.assign(
         trial=paper_frame.groupby("participant").cumcount() + 1.0,
         response_time=1.0 + np.arange(len(paper_frame)) % 7 / 10,
@@ -217,8 +217,8 @@ def test_further_figures_draw_what_they_are_given(paper_frame) -> None:
     assert all(render(figure, "svg").startswith(b"<?xml") for figure in figures if figure)
 
 
-def test_a_cell_without_answers_has_no_error_bar_and_one_with_few_counts_them_alone(table) -> None:
-    """Ten participants, but seven answers to one level and none to another: 1 of 7, from 0.36 to 57.87 %."""
+def test_error_bars_depend_on_the_answers_of_their_cell(table) -> None:
+    """Of ten participants seven answered one level and none another: 1 of 7 gives 0.36 to 57.87 %, none no bar."""
     table = table.copy()
     table.loc["A-C", 80.0] = [1, 0, 6]
     table.loc["A-C", 100.0] = [0, 0, 0]

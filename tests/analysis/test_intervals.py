@@ -28,8 +28,8 @@ class TestClopperPearson:
             assert tail(0, k, interval.high) == pytest.approx(0.025, abs=1e-9)
 
     @pytest.mark.parametrize(("k", "n"), [(0.5, 7.25), (6.75, 7.25)])
-    def test_counts_that_a_design_effect_has_scaled_need_not_be_whole(self, k, n) -> None:
-        """The binomial tails as the regularised beta function, by mpmath."""
+    def test_counts_scaled_by_a_design_effect_may_be_fractional(self, k, n) -> None:
+        """The binomial tails are regularised incomplete beta functions, computed by mpmath."""
         interval = clopper_pearson(k, n)
         assert mpmath.betainc(k, n - k + 1, 0, interval.low, regularized=True) == pytest.approx(0.025, abs=1e-9)
         assert mpmath.betainc(k + 1, n - k, interval.high, 1, regularized=True) == pytest.approx(0.025, abs=1e-9)
@@ -43,14 +43,14 @@ class TestClopperPearson:
         """Closed form 0.025^(1/10) = 0.6915."""
         assert clopper_pearson(10, 10).low == pytest.approx(0.025**0.1, rel=1e-12)
 
-    def test_no_answers_say_nothing(self) -> None:
-        """Zero of zero: anything from 0 to 1."""
+    def test_no_answers_give_the_whole_range(self) -> None:
+        """Zero of zero has the interval 0 to 1."""
         interval = clopper_pearson(0, 0)
         assert (interval.low, interval.high) == (0, 1)
         assert math.isnan(interval.estimate)
 
     def test_more_successes_than_answers_are_refused(self) -> None:
-        """House rule: what was given, what is allowed."""
+        """The message gives the value and what is allowed."""
         with pytest.raises(ValueError, match="11 successes out of 10: allowed: 0 to n"):
             clopper_pearson(11, 10)
 
@@ -62,7 +62,7 @@ def test_wilson_gives_the_published_interval() -> None:
 
 
 @pytest.mark.parametrize(("k", "n"), [(0, 10), (10, 10), (0, 1), (3, 7)])
-def test_wilson_is_where_the_score_statistic_reaches_z(k, n) -> None:
+def test_wilson_bounds_are_where_the_score_statistic_is_z(k, n) -> None:
     """(p - q)^2 = z^2 q (1 - q) / n at both bounds (Wilson 1927)."""
     interval = wilson(k, n)
     for bound in (interval.low, interval.high):
@@ -80,7 +80,7 @@ def test_the_matched_odds_ratio_is_the_transformed_binomial_interval(b, c, low, 
     assert (interval.low, interval.high) == pytest.approx((low, high))
 
 
-def test_a_mean_has_the_bounds_of_student() -> None:
+def test_a_mean_has_the_bounds_of_students_t() -> None:
     """Reference: scipy.stats.t."""
     values = np.array([0.31, 0.42, 0.35, 0.58])
     interval = student_interval(values)
@@ -90,8 +90,8 @@ def test_a_mean_has_the_bounds_of_student() -> None:
 
 
 @pytest.mark.parametrize("values", [[0.5, 0.5, 0.5], [0.5]])
-def test_values_that_do_not_vary_give_a_mean_without_bounds(values) -> None:
-    """A width of zero would claim to know what one value, or one value again and again, cannot tell."""
+def test_values_without_variation_give_a_mean_without_bounds(values) -> None:
+    """A width of zero would claim a certainty that equal values cannot give."""
     interval = student_interval(np.array(values))
     assert interval.estimate == 0.5
     assert math.isnan(interval.low) and math.isnan(interval.high)

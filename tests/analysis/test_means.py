@@ -1,4 +1,4 @@
-"""The mean of a bounded score: closed forms, published bounds, and what its interval promises."""
+"""The mean of a bounded score: closed forms, published bounds, and the coverage of its interval."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ def test_scores_at_the_two_ends_give_clopper_and_pearsons_bounds(successes, n, l
 
 
 @pytest.mark.parametrize("n", [1, 6, 10, 40])
-def test_without_any_difference_the_bounds_are_the_rule_of_three(n) -> None:
-    """Closed form: 1 - 0.025^(1/n) of people may differ wholly and be missing by chance."""
+def test_without_differences_the_bounds_are_the_rule_of_three(n) -> None:
+    """Closed form: a share 1 - 0.025^(1/n) of people may differ fully and be missing by chance."""
     interval = BoundedMean(np.zeros(n)).interval()
     assert (interval.low, interval.high) == pytest.approx((0.025 ** (1 / n) - 1, 1 - 0.025 ** (1 / n)), abs=1e-12)
 
@@ -46,8 +46,8 @@ def test_p_is_the_divided_difference_of_a_truncated_power(scores) -> None:
             assert BoundedMean(scores).p_above(value) == pytest.approx(float(1 - above), abs=1e-14)
 
 
-def test_p_is_the_chance_of_gaffkes_weighted_mean() -> None:
-    """Gaffke (2005): spacings of uniform numbers as weights, the low end for the first; 200,000 draws, 4 sd."""
+def test_p_is_the_probability_of_gaffkes_weighted_mean() -> None:
+    """Gaffke (2005): spacings of uniform numbers as weights, with the low end added; 200,000 draws, 4 sd."""
     rng = np.random.default_rng(1)
     scores = np.array([-0.5, -0.25, 0.0, 0.0, 0.25, 0.25, 0.5, 1.0])
     spacings = np.diff(np.sort(rng.random((200_000, 8)), axis=1), prepend=0.0, append=1.0)
@@ -57,15 +57,15 @@ def test_p_is_the_chance_of_gaffkes_weighted_mean() -> None:
 
 
 @pytest.mark.parametrize(("mean", "nearer"), [(0.2, 0.2), (0.5, 0.5), (0.8, 0.2)])
-def test_the_smallest_p_is_that_of_everybody_at_the_nearer_end(mean, nearer) -> None:
+def test_the_smallest_p_is_that_of_all_at_the_nearer_end(mean, nearer) -> None:
     """Closed form for five on a scale from 0 to 1: twice the distance to the nearer end, to the fifth power."""
     assert BoundedMean([0.5] * 5, 0.0, 1.0).test(mean).p_min == pytest.approx(2 * nearer**5)
 
 
 @settings(max_examples=40, deadline=None)
 @given(SCORES)
-def test_the_interval_holds_what_the_test_does_not_reject(scores) -> None:
-    """Inversion: p is 0.05 at each bound inside the scale, above it within and below it outside."""
+def test_the_interval_inverts_the_test(scores) -> None:
+    """The p value is 0.05 at each bound inside the scale, larger within the interval and smaller outside."""
     mean = BoundedMean(scores)
     interval = mean.interval()
     assert -1 <= interval.low <= interval.estimate <= interval.high <= 1
@@ -78,7 +78,7 @@ def test_the_interval_holds_what_the_test_does_not_reject(scores) -> None:
 
 @pytest.mark.parametrize("n", [6, 10, 20])
 def test_more_discordance_never_narrows_an_interval(n) -> None:
-    """Every way to turn one agreeing pair into a pair of opposite answers, from none to all."""
+    """Agreeing pairs are replaced by opposite answers one by one, from none to all."""
     for size in (0.25, 0.5, 1.0):
         widths = [
             BoundedMean([size] * k + [-size] * k + [0.0] * (n - 2 * k)).interval().half_width for k in range(n // 2 + 1)
@@ -86,8 +86,8 @@ def test_more_discordance_never_narrows_an_interval(n) -> None:
         assert np.diff(widths).min() > 0
 
 
-def test_an_even_spread_never_narrows_an_interval() -> None:
-    """Two participants move apart by as much, in every sample of four on a grid of quarters."""
+def test_a_symmetric_spread_never_narrows_an_interval() -> None:
+    """Two participants move apart by equal steps, in every sample of four on a grid of quarters."""
     grid = np.arange(-1, 1.01, 0.25)
     samples = np.array([row for row in product(grid, repeat=4) if list(row) == sorted(row)])
     inner = samples[(samples[:, 1] > -1) & (samples[:, 2] < 1)]
@@ -99,7 +99,7 @@ def test_an_even_spread_never_narrows_an_interval() -> None:
 @pytest.mark.parametrize("share", [0.05, 0.1, 0.2, 0.3])
 @pytest.mark.parametrize("n", [6, 10, 20])
 def test_a_minority_that_differs_is_covered(n, share) -> None:
-    """Exact coverage where a share of people differs wholly and the others not at all: binomial, summed."""
+    """A share of people differs fully and the others not at all: exact binomial coverage, summed."""
     interval = BoundedMean(np.tri(n + 1, n, -1)).interval()
     held = (interval.low <= share) & (share <= interval.high)
     chances = [float(mpmath.binomial(n, k) * share**k * (1 - share) ** (n - k)) for k in range(n + 1)]
@@ -107,8 +107,8 @@ def test_a_minority_that_differs_is_covered(n, share) -> None:
 
 
 @pytest.mark.parametrize(("scores", "margin", "p"), [([0.0] * 29, 0.1, 0.9**29), ([0.0] * 10, 0.25, 0.75**10)])
-def test_alike_is_shown_by_as_many_as_the_margin_asks_for(scores, margin, p) -> None:
-    """Closed form: nobody of n differs, p = (1 - margin)^n; 29 for a tenth, as 0.9^29 = 0.047."""
+def test_equivalence_without_differences_has_its_closed_form(scores, margin, p) -> None:
+    """If none of n differs, p = (1 - margin)^n; a margin of a tenth needs 29, as 0.9^29 = 0.047."""
     test = BoundedMean(scores).equivalence(margin)
     assert test.p == pytest.approx(p, rel=1e-12)
     assert test.p == test.p_min
@@ -116,7 +116,7 @@ def test_alike_is_shown_by_as_many_as_the_margin_asks_for(scores, margin, p) -> 
 
 @settings(max_examples=30, deadline=None)
 @given(SCORES, st.sampled_from([0.1, 0.3, 0.5]))
-def test_alike_is_shown_where_the_90_percent_interval_lies_within_the_margin(scores, margin) -> None:
+def test_equivalence_holds_if_the_90_percent_interval_is_within_the_margin(scores, margin) -> None:
     """Schuirmann (1987): two one-sided tests at 0.05."""
     mean = BoundedMean(scores)
     interval = mean.interval(0.9)
@@ -124,15 +124,15 @@ def test_alike_is_shown_where_the_90_percent_interval_lies_within_the_margin(sco
 
 
 def test_participants_without_a_score_are_left_out() -> None:
-    """Missing answers: the same as without them; without any, nothing is known."""
+    """Missing scores change nothing; without any score the interval is the whole scale."""
     some, all_there = BoundedMean([0.5, np.nan, 0.0, 1.0]), BoundedMean([0.5, 0.0, 1.0])
     assert (some.n, some.test().p) == (3, all_there.test().p)
     nobody = BoundedMean([np.nan]).interval()
     assert (np.isnan(nobody.estimate), nobody.low, nobody.high) == (True, -1, 1)
 
 
-def test_the_bounds_are_those_of_a_proportion_out_of_the_same_number() -> None:
-    """Identity for any n and k: half a scale each way is a share moved."""
+def test_scores_at_both_ends_have_the_bounds_of_a_proportion() -> None:
+    """Identity for any n and k: scores of -1 and 1 are a proportion, rescaled."""
     for n, k in ((12, 5), (60, 1)):
         moved = BoundedMean([1.0] * k + [-1.0] * (n - k)).interval()
         share = clopper_pearson(k, n)
@@ -140,8 +140,8 @@ def test_the_bounds_are_those_of_a_proportion_out_of_the_same_number() -> None:
 
 
 @pytest.mark.parametrize("spread", ["quarters", "any"])
-def test_many_participants_have_the_same_chance_by_transform(spread) -> None:
-    """Two independent ways to one number: scores dropped one by one, and the characteristic function inverted."""
+def test_the_transform_agrees_with_the_recursion(spread) -> None:
+    """Two independent algorithms: recursion over scores, and inversion of the characteristic function."""
     rng = np.random.default_rng(2)
     rows = rng.integers(-4, 5, (5, 260)) / 4 if spread == "quarters" else rng.uniform(-1, 1, (5, 260))
     rows = np.sort(rows, axis=1)
@@ -153,16 +153,16 @@ def test_many_participants_have_the_same_chance_by_transform(spread) -> None:
 
 
 @pytest.mark.parametrize("n", [300, 800, 1000])
-def test_a_thousand_alike_are_as_clear_as_they_are(n) -> None:
-    """Everyone at one end: p is 2^-n against the middle, and 1 the other way; the transform would alias."""
+def test_p_of_a_thousand_equal_scores_is_exact(n) -> None:
+    """With all at one end, p is 2^-n against the middle, and 1 the other way; the transform would alias."""
     alike = BoundedMean(np.ones(n))
     assert float(alike.p_above(0.0)) == pytest.approx(2.0**-n, rel=1e-9)
     assert float(alike.p_below(0.0)) == 1.0
     assert float(BoundedMean(np.full(n, -0.9)).p_above(0.0)) == pytest.approx(1.0)
 
 
-def test_what_the_transform_cannot_tell_is_told_by_the_recursion() -> None:
-    """Hundreds without a difference and a few with one: the interval is that of the recursion, and p as small."""
+def test_the_recursion_replaces_the_transform_where_it_is_inaccurate() -> None:
+    """Hundreds of zeros and a few ones: interval and small p are those of the recursion."""
     rows = np.zeros((2, 300))
     rows[1, :6] = 1.0
     alike = BoundedMean(rows[0]).interval()

@@ -1,4 +1,4 @@
-"""Mixed models: the table and script for R, and the logistic one against lme4."""
+"""Mixed models: the table and script for R, and the logistic model against lme4."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ the table of `spread_answers`, of lme4 1.1-31 in R 4.2.2."""
 
 
 def spread_answers() -> pd.DataFrame:
-    """Return two answers of 20 participants in each cell, from a mixed logistic model of spread 1 logit."""
+    """Return two answers of 20 participants in each cell, from a mixed logistic model with a spread of 1 logit."""
     rng, rows = np.random.default_rng(3), []
     for i in range(20):
         own = rng.normal(0, 1)
@@ -52,8 +52,8 @@ def frame() -> pd.DataFrame:
     return spread_answers()
 
 
-def test_coefficients_are_those_of_lme4(frame) -> None:
-    """Within a third of a standard error, which the priors and the joint mode cost; errors within a tenth."""
+def test_coefficients_agree_with_lme4(frame) -> None:
+    """Within a third of a standard error, due to the priors and the joint mode; standard errors within a tenth."""
     rows = {row.scope: row for row in model_findings(count_answers(frame), frame)}
     assert list(rows) == list(GLMER) and all(math.isnan(row.p) for row in rows.values())
     for scope, (estimate, error) in GLMER.items():
@@ -71,7 +71,7 @@ def test_coefficients_are_those_of_lme4(frame) -> None:
     ],
 )
 def test_separated_answers_are_refused_with_the_reason(frame, change, reason) -> None:
-    """Albert and Anderson (1984): no finite maximum of the likelihood."""
+    """Albert and Anderson (1984): the likelihood has no finite maximum."""
     table = frame.assign(response=change(frame))
     (row,) = model_findings(count_answers(table), table)
     assert math.isnan(row.estimate)
@@ -79,7 +79,7 @@ def test_separated_answers_are_refused_with_the_reason(frame, change, reason) ->
 
 
 def test_one_participant_has_no_random_intercept(frame) -> None:
-    """Nothing tells the participant from the others."""
+    """The participant's effect cannot be separated from that of the others."""
     alone = frame[frame["participant"] == "p03"]
     (row,) = model_findings(count_answers(alone), alone)
     assert "only one participant" in row.note
@@ -145,7 +145,7 @@ def test_what_no_row_has_is_no_column(frame) -> None:
 
 
 def test_an_analysis_writes_the_table_and_the_script(paper_csv, tmp_path) -> None:
-    """Every answer with its zone; the formula names what varies; the model is fitted where it is asked for."""
+    """Every answer has its zone, the formula has the factors that vary, and the model is fitted on request."""
     found = analyse(paper_csv, tmp_path / "out", model=True)
     rows = list(csv.DictReader(found.files["answers.csv"].read_text(encoding="utf-8").splitlines()))
     assert len(rows) == 240
@@ -160,8 +160,8 @@ def test_an_analysis_writes_the_table_and_the_script(paper_csv, tmp_path) -> Non
     assert "What does a mixed model say?" in found.files["report.html"].read_text(encoding="utf-8")
 
 
-def test_a_rating_counts_where_the_answer_named_no_zone(frame) -> None:
-    """One answer in ten is none: its row has no zone in the table, and its rating, for the models of ratings."""
+def test_a_rating_counts_even_if_the_answer_has_no_zone(frame) -> None:
+    """One answer in ten is none: its row has no zone in the table, but its rating for the models of ratings."""
     answers = AnswerList.of_words(("none",))
     response = frame["response"].astype(str).where(np.arange(len(frame)) % 10 > 0, "none")
     rated = frame.assign(sure=3, response=pd.Categorical(response, [*answers.names]))
@@ -180,8 +180,8 @@ def test_a_rating_counts_where_the_answer_named_no_zone(frame) -> None:
     assert [row.name for row in model_findings(counts, rated) if math.isfinite(row.estimate)]
 
 
-def test_answers_that_name_no_finger_have_a_table_and_a_script_too() -> None:
-    """Of trials of two intervals: what was chosen, where it stood, how sure; a term for group and level, which vary."""
+def test_answers_of_intervals_have_a_table_and_a_script() -> None:
+    """For two intervals: the choice, its interval and the confidence; group and level vary and have a term."""
     rows = [
         {"participant": who, "group": who, "finger_condition": "one_hand", "zone_left": "A", "zone_right": "C", "n": 1,
          "velocity_mm_s": level, "interval": 1 + level // 100, "response": "first", "sure": "low"}
@@ -204,11 +204,11 @@ def test_answers_that_name_no_finger_have_a_table_and_a_script_too() -> None:
     assert [row["chosen"] for row in table] == ["1", "0"] * 2, "of the first answer, which the script names"
     assert "glmer(\n  chosen ~ group + level + (1 | participant)" in files["models.R"]
     assert 'glmer(\n  (`sure` == "high") ~ group + level + (1 | participant)' in files["models.R"]
-    assert "ordered(`sure`)" not in files["models.R"]  # a list has no order
+    assert "ordered(`sure`)" not in files["models.R"]  # the answers of a list have no order
 
 
-def test_what_does_not_vary_is_no_term(frame) -> None:
-    """One pair under one finger condition."""
+def test_a_factor_that_does_not_vary_has_no_term(frame) -> None:
+    """The data have one pair under one finger condition."""
     alone = frame[(frame["zone_left"] == "A") & (frame["finger_condition"] == "one_hand")]
     given = Responses(
         alone.assign(sure=3), (), (), AnswerSource("", "csv", ""), design={"answers": {"then": {"sure": {}}}}

@@ -1,4 +1,4 @@
-"""Designs that are not crossed: each crossed part has the tests that it would have alone, and its own denominators."""
+"""Designs that are not crossed: each crossed part has the tests it would have alone, and its own denominators."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ CELLS = [("A", "C", 80.0, 1), ("A", "C", 150.0, 1), ("B", "D", 120.0, 2), ("C", 
 
 
 def responses(rows: list[dict[str, object]], answers: AnswerList = PAPER) -> Responses:
-    """Return answers of a design that is not crossed; a response that is no answer is a trial without one."""
+    """Return answers of a design that is not crossed; an unknown response is a trial without an answer."""
     usual = {"group": "", "session_kind": "", "stimulus": "", "focus": "C", "finger_condition": "one_hand", "n": 1}
     scheduled = pd.DataFrame([usual | row for row in rows])
     frame = scheduled[scheduled["response"].isin(answers.names)].reset_index(drop=True)
@@ -32,7 +32,7 @@ def responses(rows: list[dict[str, object]], answers: AnswerList = PAPER) -> Res
 
 
 def rows(people: list[str] = PEOPLE, **more: str) -> list[dict[str, object]]:
-    """Return an answer to every trial of a design with levels of each pair, drawn at random."""
+    """Return a random answer to every trial of a design with individual levels for each pair."""
     rng = np.random.default_rng(1)
     return [
         {"participant": who, "zone_left": left, "zone_right": right, "velocity_mm_s": level,
@@ -57,8 +57,8 @@ def test_pairs_that_share_levels_and_numbers_are_one_part(analysis: PartsAnalysi
     assert [part.counts.n_repetitions for part in analysis.parts] == [1, 2]
 
 
-def test_pairs_of_different_numbers_of_answers_are_compared_by_each_participants_shares() -> None:
-    """C-E twice as often as A-C: by all 2^10 signs of the differences of mean shares; pairs of one part have "d"."""
+def test_pairs_with_different_numbers_of_answers_are_compared_by_shares() -> None:
+    """C-E twice as often as A-C: all 2^10 signs of the differences of mean shares; pairs of one part have "d"."""
     rng = np.random.default_rng(4)
     met = [("A", "C", 1), ("B", "D", 1), ("C", "E", 2)]
     found = analyse_parts(responses([
@@ -78,8 +78,8 @@ def test_pairs_of_different_numbers_of_answers_are_compared_by_each_participants
     assert [row.scope for _, row in found.findings if row.family == "d"] == ["one_hand A-C - B-D"]
 
 
-def test_parts_come_in_the_order_of_their_pairs_in_every_run() -> None:
-    """One hand meets five pairs, two hands one of them: a part for each pair, not in the order of their hashes."""
+def test_parts_are_always_in_the_order_of_their_pairs() -> None:
+    """One hand has five pairs, two hands one of them: the parts do not depend on the order of hashes."""
     pairs = [("A", "C"), ("A", "D"), ("B", "D"), ("B", "E"), ("C", "E")]
     met = [("one_hand", *pair) for pair in pairs] + [("two_hands", "A", "C")]
     found = analyse_parts(
@@ -92,8 +92,8 @@ def test_parts_come_in_the_order_of_their_pairs_in_every_run() -> None:
     assert [part.counts.pairs[0].zones for part in found.parts] == pairs
 
 
-def test_each_part_has_the_tests_that_it_would_have_alone(analysis: PartsAnalysis) -> None:
-    """The same p and estimates as of a crossed table with these answers alone."""
+def test_each_part_has_the_tests_it_would_have_alone(analysis: PartsAnalysis) -> None:
+    """Estimates and p equal those of a crossed table with these answers only."""
     for part in analysis.parts:
         pairs = {(pair.left, pair.right) for pair in part.counts.pairs}
         alone = [row for row in rows() if (row["zone_left"], row["zone_right"]) in pairs]
@@ -108,21 +108,21 @@ def test_each_part_has_the_tests_that_it_would_have_alone(analysis: PartsAnalysi
 
 
 def test_holm_corrects_over_all_parts(analysis: PartsAnalysis) -> None:
-    """A family is all of its tests, in whichever part: Holm (1979)."""
+    """A family comprises its tests in all parts: Holm (1979)."""
     family = [finding for _, finding in analysis.findings if finding.family == "a2"]
     assert len(family) == 3
     np.testing.assert_allclose([one.p_holm for one in family], holm([one.p for one in family]))
 
 
-def test_counts_are_of_those_who_met_the_cell_as_often_as_they_met_it(analysis: PartsAnalysis) -> None:
-    """Ten participants once, and twice where the weight is two; nothing is missing."""
+def test_denominators_are_the_presented_trials(analysis: PartsAnalysis) -> None:
+    """Ten participants count once, and twice in a cell of weight two; no answer is missing."""
     asked = dict(zip(analysis.counts["pair"], analysis.counts["asked"], strict=True))
     assert asked == {"A-C": 10, "C-E": 10, "B-D": 20}
     assert analysis.as_dict()["missing"] == []
 
 
-def test_an_answer_that_did_not_come_is_missing_and_its_participant_stays() -> None:
-    """Who timed out in both trials of B-D still counts among those who were asked."""
+def test_a_missing_answer_keeps_its_participant() -> None:
+    """A participant who timed out in both trials of B-D still counts in the denominator."""
     every = rows()
     for row in every:
         if row["participant"] == "p03" and row["zone_left"] == "B":
@@ -133,8 +133,8 @@ def test_an_answer_that_did_not_come_is_missing_and_its_participant_stays() -> N
     assert found.as_dict()["n_responses"] == 58
 
 
-def test_a_part_that_nobody_answered_has_no_test_and_no_figure() -> None:
-    """All time out in B-D, whose trials are missing; the other part is as it was."""
+def test_a_part_without_answers_has_no_test_and_no_figure() -> None:
+    """All time out in B-D, whose trials are missing; the other part does not change."""
     every = [row | {"response": "time_out"} if row["zone_left"] == "B" else row for row in rows()]
     found = analyse_parts(responses(every))
     assert {part.name for part, _ in found.findings} == {"one_hand A-C, C-E at 80, 150 mm/s"}
@@ -143,8 +143,8 @@ def test_a_part_that_nobody_answered_has_no_test_and_no_figure() -> None:
     assert pictures == ["part_1_one_hand.png"]
 
 
-def test_a_figure_names_its_part_in_its_title(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As a picture on a slide it stands without the page's heading."""
+def test_a_figure_has_its_part_in_its_title(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a slide, a figure has no page heading."""
     titles: list[str] = []
     monkeypatch.setattr("matplotlib.figure.Figure.suptitle", lambda figure, title, **_: titles.append(title))
     every = [row | {"stimulus": name} for row in rows() for name in ("sharp", "blunt") if row["zone_left"] != "B"]
@@ -186,23 +186,23 @@ def test_answers_of_three_intervals_are_not_held_against_an_even_split() -> None
     assert not [finding.scope for _, finding in found.findings if finding.question == "a1"]
 
 
-def test_a_design_that_falls_into_one_part_is_not_told_as_several() -> None:
-    """One pair twice at one level is crossed, whatever key of the protocol listed its cell."""
+def test_a_design_of_one_part_is_reported_as_crossed() -> None:
+    """One pair twice at one level is crossed, whichever key of the protocol listed its cell."""
     found = analyse_parts(responses([row for row in rows() if row["zone_left"] == "B"]))
     page = render_parts(found)["report.html"]
     assert "Every pair has every level equally often." in page
     assert found.as_dict()["notes"] == []
 
 
-def test_each_question_of_a_part_is_answered_in_a_sentence() -> None:
-    """As in the report of a crossed design: what was found, its clearest number, and words instead of file names."""
+def test_each_question_of_a_part_has_its_sentence() -> None:
+    """As in the report of a crossed design, it has the result, its main number, and text instead of file names."""
     page = render_parts(analyse_parts(responses(rows())))["report.html"]
     assert page.count("Is one zone of each pair chosen more than the other?") == 2
     assert "<strong>Not shown: " in page or "<strong>The data cannot tell whether " in page
 
 
 def test_parts_of_ratings_have_no_empty_tables() -> None:
-    """Numbers are compared over all parts, so that no part has a test of its own."""
+    """Ratings are compared over all parts, so that no part has tests of its own."""
     scale = {"scale": {"kind": "vas", "lowest": 0, "highest": 100}}
     given = [row | {"response": "rated", "value": 50.0} for row in rows()]
     found = analyse_parts(replace(responses(given, AnswerList.of(scale)), design={"answers": scale}))
@@ -210,8 +210,8 @@ def test_parts_of_ratings_have_no_empty_tables() -> None:
     assert "Over all parts" in page and "0 tests" not in page
 
 
-def test_groups_are_parts_of_their_own() -> None:
-    """Participants of one group lack nothing of what the other met."""
+def test_groups_are_separate_parts() -> None:
+    """Participants of one group have no missing answers in cells of the other group."""
     high = [row | {"velocity_mm_s": 200.0} for row in rows(PEOPLE[5:], group="high") if row["zone_left"] == "B"]
     found = analyse_parts(responses([*rows(PEOPLE[:5], group="low"), *high]))
     assert [part.name for part in found.parts] == [
@@ -223,8 +223,8 @@ def test_groups_are_parts_of_their_own() -> None:
     assert found.as_dict()["n_missing"] == 0
 
 
-def test_groups_are_compared_by_one_number_of_each_participant() -> None:
-    """By hand: all of one group answer right, all of the other left: p = 2 / 70, in the table and in words."""
+def test_groups_are_compared_by_one_number_per_participant() -> None:
+    """By hand: all of one group answer right, all of the other left: p = 2 / 70, in the table and in the text."""
     both = [
         row | {"response": word}
         for people, group, word in ((PEOPLE[:4], "low", "left"), (PEOPLE[4:8], "high", "right"))
@@ -242,8 +242,8 @@ def test_groups_are_compared_by_one_number_of_each_participant() -> None:
     assert "The participants are from the groups high, low." in page and "Not every participant met" not in page
 
 
-def test_stimuli_are_parts_and_compared_within_participants() -> None:
-    """By hand: all answer right to one stimulus and left to the other, so that of 2^10 sign flips two are as far."""
+def test_stimuli_are_parts_compared_within_participants() -> None:
+    """By hand: all answer right to one stimulus and left to the other, so 2 of 2^10 sign flips are as extreme."""
     both = [
         row | {"response": word}
         for stimulus, word in (("slow", "left"), ("usual", "right"))
@@ -267,8 +267,8 @@ def test_stimuli_are_parts_and_compared_within_participants() -> None:
     assert "stimulus" in files["models.R"] and "The answers are to the stimuli slow, usual." in files["report.html"]
 
 
-def test_who_missed_a_session_is_named() -> None:
-    """p10 was not there after training; a kind that the other group never has is no one's loss."""
+def test_participants_who_missed_a_session_are_listed() -> None:
+    """p10 has no session after training; a kind of session that the other group does not have is not missing."""
     both = [*rows(session_kind="pre"), *rows(PEOPLE[:-1], session_kind="post")]
     found = analyse_parts(responses(both))
     said = f"without trials of the kind of session post, and left out of its results: {PEOPLE[-1]}"
@@ -278,7 +278,7 @@ def test_who_missed_a_session_is_named() -> None:
 
 
 def test_kinds_of_session_are_compared_within_participants() -> None:
-    """By hand, as for stimuli: all answer left before and right after, so that of 2^10 sign flips two are as far."""
+    """By hand, as for stimuli: all answer left before and right after, so 2 of 2^10 sign flips are as extreme."""
     before_after = [
         row | {"response": word}
         for kind, word in (("post", "right"), ("pre", "left"))
@@ -292,7 +292,7 @@ def test_kinds_of_session_are_compared_within_participants() -> None:
     assert "; kinds of session are compared by each participant" in render_parts(found)["report.html"]
 
 
-def test_participants_of_a_group_who_met_other_cells_are_refused() -> None:
-    """Two versions of a protocol make no denominators."""
+def test_participants_of_a_group_with_different_cells_are_refused() -> None:
+    """Two versions of a protocol have no common denominators."""
     with pytest.raises(InputError, match=r"met one_hand B D 120.0 unequally often \(p01 2, p04 3\)"):
         analyse_parts(responses([*rows(), next(row for row in rows(["p04"]) if row["zone_left"] == "B")]))

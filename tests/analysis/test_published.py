@@ -1,4 +1,4 @@
-"""The statistics against worked examples and tables that others have published."""
+"""The statistics against published worked examples and tables."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_convolution_gives_pages_table(n_levels: int, n_judges: int, five: int, 
             assert tail_probability(judges, below_all, critical - 1) > level
 
 
-def test_the_trend_over_equal_steps_is_pages_test_of_yes_and_no() -> None:
+def test_the_trend_over_equal_steps_is_pages_test_of_binary_answers() -> None:
     """Identity: with equal ranks for equal answers, L is the trend up to scale and shift; p by every rearrangement.
 
     Reference for L: scipy.stats.page_trend_test, whose own p ignores ties.

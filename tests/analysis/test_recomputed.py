@@ -22,23 +22,23 @@ from modaltouch.analysis.ratings import power_law
 
 @pytest.fixture(params=range(5))
 def rng(request: pytest.FixtureRequest) -> np.random.Generator:
-    """Return a source of chance of its own for each test."""
+    """Return a generator with its own seed for each test."""
     return np.random.default_rng(request.param)
 
 
 def close(value: float, other: float) -> bool:
-    """Whether two values are the same to 1e-8."""
+    """Whether two values agree to 1e-8."""
     return value == pytest.approx(other, rel=1e-8, abs=1e-8)
 
 
-def test_holm_is_that_of_statsmodels(rng) -> None:
+def test_holm_agrees_with_statsmodels_with_ties(rng) -> None:
     """Families of 1 to 11 tests, with ties."""
     p = rng.integers(1, 40, rng.integers(1, 12)) / 40
     assert holm(p) == pytest.approx(multipletests(p, method="holm")[1])
 
 
-def test_ac1_is_gwets_formula_also_with_gaps(rng) -> None:
-    """Gwet (2008): agreement over items with two answers or more, chance from the mean shares of the categories."""
+def test_ac1_is_gwets_formula_with_missing_ratings(rng) -> None:
+    """Gwet (2008): agreement over items with at least two answers, chance from the mean shares of the categories."""
     n, items, kinds = rng.integers(4, 9), rng.integers(2, 6), rng.integers(2, 5)
     given = rng.integers(0, kinds, (n, items))
     told = rng.random((n, items)) > 0.15
@@ -53,8 +53,8 @@ def test_ac1_is_gwets_formula_also_with_gaps(rng) -> None:
     assert close(ac1_interval(table).estimate, (agreement - chance) / (1 - chance))
 
 
-def test_a_bounded_mean_is_that_of_drawn_weights(rng) -> None:
-    """Distinct scores: Dirichlet weights as a divided difference; bounds, both p and equivalence follow from it."""
+def test_a_bounded_mean_agrees_with_divided_differences(rng) -> None:
+    """With distinct scores, Dirichlet weights give a divided difference; bounds, both p and equivalence follow."""
     scores = np.sort(rng.uniform(-0.9, 0.9, rng.integers(3, 8)))
 
     def p(values: np.ndarray, mean: float) -> float:
@@ -71,8 +71,8 @@ def test_a_bounded_mean_is_that_of_drawn_weights(rng) -> None:
     assert (mean.interval().low, mean.interval().high) == pytest.approx((low, high), abs=1e-8)
 
 
-def test_a_trend_is_that_of_all_orders(rng) -> None:
-    """Three participants, four levels on no even grid: every assignment of their answers to the levels."""
+def test_a_trend_agrees_with_all_orders(rng) -> None:
+    """Three participants, four unevenly spaced levels: every assignment of their answers to the levels."""
     levels = np.array([5.0, 12.0, 30.0, 80.0])
     counts = rng.integers(0, 2, (3, 4))
     own = [[levels[list(which)].sum() for which in combinations(range(4), int(row.sum()))] for row in counts]
@@ -81,16 +81,16 @@ def test_a_trend_is_that_of_all_orders(rng) -> None:
     assert close(trend_test(counts, levels.tolist()).p, np.mean(np.abs(sums) >= abs(observed) - 1e-9))
 
 
-def test_an_odds_ratio_is_that_of_scipys_exact_interval(rng) -> None:
-    """Ratio b / c of the discordant pairs, its bounds those of the binomial share."""
+def test_an_odds_ratio_agrees_with_scipys_exact_interval(rng) -> None:
+    """The ratio b / c of the discordant pairs has the bounds of the binomial share."""
     b, c = rng.integers(1, 12, 2).tolist()
     share, odds = stats.binomtest(b, b + c).proportion_ci(method="exact"), matched_odds_ratio(b, c)
     expected = (b / c, share.low / (1 - share.low), share.high / (1 - share.high))
     assert (odds.estimate, odds.low, odds.high) == pytest.approx(expected, rel=1e-8)
 
 
-def test_flips_ranks_and_shuffles_are_those_of_scipy(rng) -> None:
-    """Whole numbers with ties and zeros, and two groups: scipy counts every order."""
+def test_flips_ranks_and_shuffles_agree_with_scipy(rng) -> None:
+    """Integers with ties and zeros, and two groups: scipy counts every order."""
     values = rng.integers(-6, 7, 9)
     known = stats.permutation_test((values,), np.sum, permutation_type="samples", n_resamples=np.inf)
     assert close(sign_flip_test(values).p, min(1.0, known.pvalue))
@@ -103,8 +103,8 @@ def test_flips_ranks_and_shuffles_are_those_of_scipy(rng) -> None:
     assert close(shuffle_test(first, second).p, np.mean(np.abs(gaps) >= abs(first.mean() - second.mean()) - 1e-12))
 
 
-def test_the_multinomial_test_and_the_exponent_are_those_of_scipy(rng) -> None:
-    """Every outcome of seven answers, weighed by scipy; a line through logarithms with its t interval."""
+def test_the_multinomial_test_and_the_exponent_agree_with_scipy(rng) -> None:
+    """Every outcome of seven answers with scipy's probabilities; a line through logarithms with its t interval."""
     counts = rng.multinomial(7, np.ones(3) / 3)
 
     def ratio(given: np.ndarray) -> float:
@@ -121,8 +121,8 @@ def test_the_multinomial_test_and_the_exponent_are_those_of_scipy(rng) -> None:
     assert (found.estimate, found.low, found.high) == pytest.approx((line.slope, line.slope - half, line.slope + half))
 
 
-def test_agreement_side_bias_and_prevalence_are_those_of_single_answers(rng) -> None:
-    """Six people, five answers a cell: pairs of people for AC1, shares for the side, scipy's sign test of each."""
+def test_agreement_side_bias_and_prevalence_agree_with_single_answers(rng) -> None:
+    """Six people, five answers per cell: pairs of people for AC1, shares for the side, scipy's sign test for each."""
     kinds, pairs = ("left", "both", "right"), (("A", "C"), ("C", "E"))
     cells = [*product(range(6), pairs, (80.0, 150.0), range(5))]
     words = [str(rng.choice(kinds, p=(0.2, 0.2, 0.6) if pair[1] == "C" else (0.5, 0.3, 0.2))) for _, pair, *_ in cells]

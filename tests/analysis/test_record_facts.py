@@ -23,37 +23,37 @@ def session(participant: str, *events: dict) -> Session:
 
 
 def facts(*sessions: Session):
-    """Return what the report says of these sessions."""
+    """Return the record section of the report on these sessions."""
     return describe_record([take_facts(each) for each in sessions])
 
 
-def test_a_table_has_no_record_to_tell_of() -> None:
-    """A CSV knows nothing of what was presented."""
+def test_a_table_has_no_record_section() -> None:
+    """A CSV has no information on what was presented."""
     assert facts() is None
 
 
-def test_planned_and_confirmed_stand_side_by_side() -> None:
+def test_planned_and_confirmed_amplitudes_are_listed_together() -> None:
     """Two sessions at one level: sent 1.5 and 2 Vpp, read back 1.5 and 2.01."""
     (row,) = facts(session("p01"), session("p02"))["presented"]
     assert (row["level"], row["n_trials"], row["n_confirmed"]) == ("80", 2, 2)
     assert (row["commanded"], row["confirmed"]) == ("1.5, 2", "1.5, 2.01")
 
 
-def test_what_went_wrong_is_counted_with_its_sessions() -> None:
-    """A cut trial and a resumed sitting of the second participant."""
+def test_faults_are_counted_with_their_sessions() -> None:
+    """The second participant had an interrupted trial and resumed the session."""
     found = facts(session("p01"), session("p02", {"event": "trial_cut", "n": 3}, {"event": "resume", "n": 4}))
     assert ("trials interrupted and presented again", 1, "p02 (session 1)") in found["faults"]
     assert [row.faults.total() for row in found["sessions"]] == [0, 2]
 
 
 def test_settings_that_differ_are_listed() -> None:
-    """Two generators, one protocol."""
+    """The sessions have two generators and one protocol."""
     settings = facts(session("p01"), session("p02"))["settings"]
     assert settings["protocol"] == "touch"
     assert settings["rig"] == "AFG of p01 (sessions: 1); AFG of p02 (sessions: 1)"
 
 
-def test_settings_of_some_sessions_are_not_said_of_all() -> None:
+def test_settings_of_some_sessions_are_not_attributed_to_all() -> None:
     """One of six sessions had masking noise, and each its own generator: four are listed, the others counted."""
     sessions = [session(f"p0{number}") for number in range(6)]
     sessions[0].start["masking"] = {"state": "masked", "noise": "pink", "level_dB_FS": -30, "level_dB_SPL": None,
@@ -63,21 +63,21 @@ def test_settings_of_some_sessions_are_not_said_of_all() -> None:
     assert settings["rig"].count("AFG of") == 4 and settings["rig"].endswith("; 2 others")
 
 
-def test_the_end_of_a_complete_sitting_is_no_deviation() -> None:
-    """Every sitting writes a stop; one that came too early counts."""
+def test_the_end_of_a_complete_session_is_not_a_fault() -> None:
+    """Every session writes a stop event; only an early one counts."""
     ends = [session(f"p{i}", {"event": "stop", "n": 3, "complete": whole}) for i, whole in enumerate((True, False))]
     assert facts(*ends)["faults"] == [("sittings ended early", 1, "p1 (session 1)")]
 
 
-def test_troubles_of_the_rig_are_found_among_its_exchanges() -> None:
-    """Ordinary commands are no deviation, a lost connection is."""
+def test_rig_faults_are_found_among_its_exchanges() -> None:
+    """A lost connection is a fault, an ordinary command is not."""
     lost = {"event": "rig", "n": 3, "exchanges": [{"what": "scpi"}, {"what": "connection_lost"}]}
     calm = {"event": "rig", "n": 3, "exchanges": [{"what": "scpi"}]}
     assert [row.faults.total() for row in facts(session("p1", lost), session("p2", calm))["sessions"]] == [1, 0]
 
 
 def with_form(participant: str, **said: float | str):
-    """Return the facts of a session whose form holds these numbers and words."""
+    """Return the facts of a session whose form has the given numbers and answers."""
     own = session(participant, *(
         {"event": "form", "n": 3 + place, "name": name,
          "response": {"answer": value} if isinstance(value, str) else {"answer": "rated", "value": value}}
@@ -87,8 +87,8 @@ def with_form(participant: str, **said: float | str):
     return take_facts(own)
 
 
-def test_the_form_is_summarised_over_participants_and_not_over_sessions() -> None:
-    """By numpy's quartiles of 1, 2, 5 and the mean of 6 and 10; of words, each session counts; a time-out does not."""
+def test_the_form_is_summarised_over_participants() -> None:
+    """Numpy's quartiles of 1, 2, 5 and the mean of 6 and 10; answers in words count by session, a time-out does not."""
     sessions = [with_form("p1", tired=1, again="yes"), with_form("p2", tired=2, again="no"),
                 with_form("p3", tired=5, again="time_out"), with_form("p4", tired=6, again="yes"),
                 with_form("p4", tired=10, again="yes")]  # fmt: skip
@@ -101,8 +101,8 @@ def test_the_form_is_summarised_over_participants_and_not_over_sessions() -> Non
     assert form_files([take_facts(session("p1"))]) == {}
 
 
-def test_groups_and_kinds_of_session_have_forms_apart() -> None:
-    """One participant of each group: two rows, each with its own number as all three quartiles."""
+def test_forms_are_summarised_by_group_and_kind_of_session() -> None:
+    """With one participant per group, two rows have that number as all three quartiles."""
     low, high = with_form("p1", tired=1), with_form("p2", tired=5)
     told = list(summarise_form([replace(low, occasion=("low", "test")), replace(high, occasion=("high", "test"))]))
     assert [(row["group"], row["session_kind"], row["quartile_low"], row["n"]) for row in told] == [

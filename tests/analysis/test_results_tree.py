@@ -41,7 +41,7 @@ def paper() -> Preflight:
 
 @pytest.fixture
 def record(tmp_path: Path, build: dict[str, Any], scribe: Write, paper: Preflight) -> Write:
-    """Write a session log as a sitting does, with the synthetic answers of one participant."""
+    """Write a session log, as a session does, with the synthetic answers of one participant."""
     rows = (row for row in build["paper"]() if row["participant"] == "p01")
     cells = ("finger_condition", "zone_left", "zone_right", "velocity_mm_s")
     words = {tuple(row[name] for name in cells): row["response"] for row in rows}
@@ -59,12 +59,12 @@ def record(tmp_path: Path, build: dict[str, Any], scribe: Write, paper: Prefligh
 
 
 def reasons(responses) -> dict[str, str]:
-    """Return why each session stays out, by participant folder."""
+    """Return why each session is left out, by participant folder."""
     return {Path(item.source).parts[-3]: item.reason for item in responses.left_out}
 
 
 def test_complete_sessions_are_read_without_their_practice(record, tmp_path) -> None:
-    """Two synthetic sessions of 24 answers and one practice trial each."""
+    """Two synthetic sessions have 24 answers and one practice trial each."""
     record("p01"), record("p02")
     responses = read_responses(tmp_path / "results")
     assert len(responses.frame) == 48
@@ -74,15 +74,15 @@ def test_complete_sessions_are_read_without_their_practice(record, tmp_path) -> 
 
 
 @pytest.mark.parametrize("depth", [0, 1, 2, 3, 5])
-def test_any_folder_of_the_tree_or_the_log_itself_can_be_given(record, tmp_path, depth) -> None:
-    """From the results down to the session's log."""
+def test_any_folder_of_the_tree_or_the_log_can_be_given(record, tmp_path, depth) -> None:
+    """From the results folder down to the session's log."""
     path = record("p01")
     chain = [path, *path.parents][:7]
     assert len(read_responses(chain[depth]).frame) == 24
 
 
 def test_a_superseded_answer_does_not_count(record) -> None:
-    """An answer withdrawn and asked again replaces the one it names, nothing is rewritten."""
+    """A withdrawn and repeated answer replaces the one it refers to; no line is rewritten."""
     first = record("p01")
     events = read_chain(first).events
     fired, old = (next(e for e in events if e["event"] == kind and not e["trial"]["practice"]) for kind in KINDS)
@@ -103,8 +103,8 @@ def test_a_superseded_answer_does_not_count(record) -> None:
     assert frame[frame["trial"] == 1]["response"].tolist() == [response["answer"]]
 
 
-def test_what_stays_out_is_named_with_its_reason(record, tmp_path) -> None:
-    """Incomplete, damaged, pilot and simulated sessions beside a sound one."""
+def test_excluded_sessions_are_listed_with_their_reason(record, tmp_path) -> None:
+    """Incomplete, damaged, pilot and simulated sessions are excluded beside a sound one."""
     record("p01")
     record("p02", n_answered=20)
     damaged = record("p03")
@@ -122,7 +122,7 @@ def test_what_stays_out_is_named_with_its_reason(record, tmp_path) -> None:
 
 
 def test_a_chosen_mode_leaves_the_others_out(record, tmp_path) -> None:
-    """Mode simulated with a real session beside."""
+    """The mode is simulated, with a real session beside."""
     record("p01"), record("p02", mode="simulated")
     responses = read_responses(tmp_path / "results", mode="simulated")
     assert set(responses.frame["participant"]) == {"p02"}
@@ -141,8 +141,10 @@ def test_a_chosen_mode_leaves_the_others_out(record, tmp_path) -> None:
         ([], None, "a folder without a recorded session"),
     ],
 )
-def test_what_cannot_be_pooled_is_refused_with_a_way_out(record, edit, paper, tmp_path, sessions, mode, words) -> None:
-    """Modes, protocols and designs are never mixed; InputError, not a traceback."""
+def test_sessions_that_cannot_be_pooled_are_refused_with_a_remedy(
+    record, edit, paper, tmp_path, sessions, mode, words
+) -> None:
+    """Different modes, protocols and designs raise InputError with the option to choose one."""
     (tmp_path / "results").mkdir()
     for i, options in enumerate(sessions):
         change = options.get("change")
@@ -182,8 +184,8 @@ def test_an_unreadable_file_is_left_out_and_named(record, tmp_path) -> None:
     assert "sub-p02" in reasons(read_responses(tmp_path / "results"))
 
 
-def test_a_second_session_of_some_participants_stays_out(record, tmp_path) -> None:
-    """Everyone enters with as many sessions as the one with fewest; the rest is named."""
+def test_a_second_session_of_some_participants_is_excluded(record, tmp_path) -> None:
+    """Everyone counts with as many sessions as the participant with the fewest; the rest are listed."""
     record("p01"), record("p01", session=2), record("p02")
     responses = read_responses(tmp_path / "results")
     assert len(responses.frame) == 48
@@ -191,14 +193,14 @@ def test_a_second_session_of_some_participants_stays_out(record, tmp_path) -> No
 
 
 def test_two_sessions_of_everyone_are_repetitions(record, tmp_path) -> None:
-    """Two answers of each participant in each cell."""
+    """Each participant has two answers in each cell."""
     for participant in ("p01", "p02"):
         record(participant), record(participant, session=2)
     assert count_answers(read_responses(tmp_path / "results").frame).n_repetitions == 2
 
 
-def test_a_turned_beam_is_told_by_zone(record, edit, tmp_path) -> None:
-    """Mirrored placement of the second participant: same zones chosen, same speeds under them, other side."""
+def test_answers_at_a_turned_beam_are_assigned_by_zone(record, edit, tmp_path) -> None:
+    """For the mirrored second participant zones and the speeds under them are equal, and the sides exchanged."""
     record("p01"), record("p02", altered(edit, MIRRORED))
     responses = read_responses(tmp_path / "results")
     answers = count_answers(responses.frame, responses.focus)
@@ -208,8 +210,8 @@ def test_a_turned_beam_is_told_by_zone(record, edit, tmp_path) -> None:
     assert (cells["speed_left_mm_s"].nunique() == 1).all()
 
 
-def test_catch_trials_of_a_session_are_counted_apart(record, edit, tmp_path) -> None:
-    """One more for each finger condition: no row of the table; who was not in time raised no false alarm."""
+def test_catch_trials_of_a_session_are_counted_separately(record, edit, tmp_path) -> None:
+    """One per finger condition: they are not in the table, and a time-out is not a false alarm."""
     preflight = altered(edit, CATCHES, NONE)
     for participant, word in (("p01", "none"), ("p02", "left"), ("p03", "time_out")):
         record(participant, preflight, answer=lambda trial, word=word: word if trial.condition.is_catch else "both")
@@ -221,8 +223,8 @@ def test_catch_trials_of_a_session_are_counted_apart(record, edit, tmp_path) -> 
     assert responses.catches == {(who, each, ""): {word: 1} for who, word in words.items() for each in fingers}
 
 
-def test_who_was_never_in_time_is_named_and_a_tree_without_any_answer_refused(record, edit, tmp_path) -> None:
-    """They are in no table; that they took part, and that nobody answered for B and D, must not go unsaid."""
+def test_participants_and_cells_without_any_answer_are_listed(record, edit, tmp_path) -> None:
+    """They are in no table and must be reported; a results folder without any answer is refused."""
     preflight = altered(edit, ("  keys:", "  time_out_s: 5\n  keys:"))
     record("p01", preflight, answer=lambda trial: "time_out")
     with pytest.raises(InputError, match="no answer to any trial"):
@@ -234,8 +236,8 @@ def test_who_was_never_in_time_is_named_and_a_tree_without_any_answer_refused(re
 
 
 @pytest.mark.parametrize("was_on", [True, False])
-def test_reading_leaves_garbage_collection_as_it_was(record, tmp_path, monkeypatch, was_on) -> None:
-    """It is off while logs are read, and afterwards what it was, also where reading fails."""
+def test_reading_restores_garbage_collection(record, tmp_path, monkeypatch, was_on) -> None:
+    """It is off while logs are read and restored afterwards, also if reading fails."""
     record("p01")
     seen: list[bool] = []
 
@@ -257,8 +259,8 @@ def test_reading_leaves_garbage_collection_as_it_was(record, tmp_path, monkeypat
         gc.enable()
 
 
-def test_the_trees_of_several_labs_are_one_analysis_with_the_lab_as_a_factor(record, tmp_path) -> None:
-    """The same participant label in two labs is two people; each lab is a group, and nothing is left out."""
+def test_folders_of_several_labs_are_analysed_with_the_lab_as_group(record, tmp_path) -> None:
+    """The same participant label in two labs means two people; each lab is a group, and nothing is left out."""
     record("p01"), record("p02")
     (tmp_path / "results").rename(tmp_path / "north")
     record("p01"), record("p02")
@@ -274,12 +276,12 @@ def test_the_trees_of_several_labs_are_one_analysis_with_the_lab_as_a_factor(rec
     assert {finding.scope for finding in between} == {"north - south"}
     assert (tmp_path / "out" / "answers.csv").read_text("utf-8").splitlines()[1].startswith("north/p01,north,")
     assert "level + group + (1 | participant)" in (tmp_path / "out" / "models.R").read_text("utf-8")
-    # Both labs hold the same answers.
+    # Both labs have the same answers.
     assert {finding.estimate for finding in between} == {0.0}
 
 
-def test_labs_are_told_apart_by_the_names_of_their_folders(record, tmp_path) -> None:
-    """Two folders of one name would be one lab; a file is no lab."""
+def test_labs_are_distinguished_by_the_names_of_their_folders(record, tmp_path) -> None:
+    """Two folders of the same name, or a file, are refused."""
     path = record("p01")
     with pytest.raises(InputError, match=r"given several folders named 'results'; .*name each folder after its lab"):
         read_responses(tmp_path / "results", tmp_path / "results")
@@ -287,15 +289,15 @@ def test_labs_are_told_apart_by_the_names_of_their_folders(record, tmp_path) -> 
         read_responses(tmp_path / "results", path)
 
 
-def test_the_table_of_one_session_is_refused_with_the_folder_to_give(record) -> None:
-    """It has no column for the participant, whom its folder names."""
+def test_the_table_of_one_session_is_refused(record) -> None:
+    """It has no column for the participant; the message gives the folder to use."""
     (table,) = record("p01").parent.glob("*_beh.tsv")
     with pytest.raises(InputError, match=rf"given the table of one recorded session; .*give its folder {table.parent}"):
         read_responses(table)
 
 
-def test_a_session_that_is_there_twice_is_refused(record, tmp_path) -> None:
-    """A folder within another one's, and a copy beside the original: both places are named."""
+def test_a_session_given_twice_is_refused(record, tmp_path) -> None:
+    """It may be in a folder within another one, or copied; the message gives both paths."""
     session = record("p01").parents[1]
     with pytest.raises(InputError, match=rf"given the same session twice, {session}.* and {session}.*share no session"):
         read_responses(tmp_path / "results", session.parent)

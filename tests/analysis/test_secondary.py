@@ -18,8 +18,8 @@ from modaltouch.analysis.exact import sign_flip_test
 from modaltouch.analysis.intervals import MOST_TIME_STEPS, centre_interval, student_interval, time_steps
 
 
-def test_a_side_bias_is_the_difference_between_focus_right_and_left(build) -> None:
-    """Synthetic: everyone answers "right" always, so C wins all of (A, C) and none of (C, E)."""
+def test_the_side_bias_is_the_difference_between_focus_right_and_left(build) -> None:
+    """Synthetic: everyone always answers "right", so C wins all of (A, C) and none of (C, E)."""
     answers = count_answers(build["tidy"](build["constant"](10, "right")))
     finding = next(iter(side_findings(answers)))
     assert finding.estimate == 1
@@ -39,8 +39,8 @@ def test_a_drift_over_the_session_is_found(build) -> None:
     assert finding.p == 2 / 2**10
 
 
-def test_reaction_times_are_compared_by_medians_of_participants(build) -> None:
-    """Synthetic: (B, D) takes 0.2 s longer for everybody; answers below 0.15 s are left out and counted."""
+def test_reaction_times_are_compared_by_participants_medians(build) -> None:
+    """Synthetic: (B, D) takes 0.2 s longer for everyone; answers below 0.15 s are left out and counted."""
     frame = build["tidy"](build["paper"]())
     slow = (frame["zone_left"] == "B").to_numpy() * 0.2
     frame = frame.assign(response_time=0.8 + slow + np.tile([0.0, 0.01], 120))
@@ -85,8 +85,8 @@ def test_a_pair_that_everybody_answered_too_early_has_no_time(build) -> None:
     assert found["one_hand B-D - C-E"].n == 10
 
 
-def test_the_first_finger_condition_is_told_from_the_second(build) -> None:
-    """Synthetic: half began with each; the note counts them, the score is first minus second."""
+def test_the_first_finger_condition_is_compared_with_the_second(build) -> None:
+    """Synthetic: half of the participants began with each; the note counts them, the score is first minus second."""
     frame = build["tidy"](build["constant"](4, "both"))
     second = frame["finger_condition"] == frame["participant"].map(
         {"p01": "one_hand", "p02": "one_hand", "p03": "two_hands", "p04": "two_hands"}
@@ -101,8 +101,8 @@ def test_the_first_finger_condition_is_told_from_the_second(build) -> None:
     assert "2 began with one hand, 2 began with two hands" in finding.note
 
 
-def test_sessions_that_count_their_trials_anew_are_told_apart(build) -> None:
-    """Synthetic: one hand first in session 1, two hands first in session 2; the zone wins whatever comes first."""
+def test_sessions_with_their_own_trial_numbers_are_kept_separate(build) -> None:
+    """Synthetic: one hand first in session 1, two hands first in session 2; the zone wins in whichever is first."""
     frame = build["tidy"](build["constant"](4, "both"))
     one = frame["finger_condition"] == "one_hand"
     sessions = []
@@ -118,16 +118,16 @@ def test_sessions_that_count_their_trials_anew_are_told_apart(build) -> None:
 
 
 @pytest.mark.parametrize(("trial", "told"), [(1, False), (2, True)])
-def test_an_order_that_all_share_is_no_order_effect(build, trial, told) -> None:
-    """All began with one hand: order and fingers go together. Where both begin alike, nothing tells the order."""
+def test_an_order_common_to_all_is_confounded(build, trial, told) -> None:
+    """If all began with one hand, order and fingers are confounded; with equal trial numbers there is no order."""
     frame = build["tidy"](build["random"](4, 1))
     frame = frame.assign(trial=np.where(frame["finger_condition"] == "one_hand", 1, trial))
     found = list(order_findings(count_answers(frame), frame))[1:]
     assert ["cannot be separated from that of the finger condition" in each.note for each in found] == [True] * told
 
 
-def test_answers_without_a_time_are_counted_beside_the_others(build) -> None:
-    """One empty time no longer takes the comparison of all times away."""
+def test_answers_without_a_time_are_counted(build) -> None:
+    """One missing time does not prevent the comparison of the others."""
     frame = build["tidy"](build["paper"]())
     frame = frame.assign(response_time=np.linspace(0.5, 1.5, len(frame)))
     frame.loc[3, "response_time"] = np.nan
@@ -137,12 +137,12 @@ def test_answers_without_a_time_are_counted_beside_the_others(build) -> None:
 
 
 @pytest.mark.parametrize("n", [6, 8])
-def test_centres_are_means_of_subsets(n) -> None:
-    """Hartigan (1969): bounds are means of some participants, so many from the end that 5 % of sign patterns pass."""
+def test_bounds_of_the_centre_are_means_of_subsets(n) -> None:
+    """Hartigan (1969): a bound is a mean of some participants, at the rank that 5 % of sign patterns allow."""
     values = np.random.default_rng(n).integers(-400, 800, n)
     picked = (np.arange(1, 2**n)[:, np.newaxis] >> np.arange(n)) & 1
     means = np.sort(picked @ values / picked.sum(axis=1))
-    # p is 2 k / 2^n at a centre with k sums of signs as far out, itself among them.
+    # p is 2 k / 2^n at a centre with k sums of signs at least as extreme, its own included.
     dropped = int(0.05 * 2**n / 2)
     interval = centre_interval(values / 1000)
     assert interval.low == pytest.approx(np.floor(means[dropped - 1] + 1) / 1000, abs=1.01e-3)
@@ -152,7 +152,7 @@ def test_centres_are_means_of_subsets(n) -> None:
         assert sign_flip_test(values - at).p > 0.05 >= sign_flip_test(values - at - outwards).p
 
 
-def test_five_participants_bound_no_centre() -> None:
+def test_five_participants_give_no_bound_of_the_centre() -> None:
     """No sign flips of five reach 0.05: 2 / 2^5 = 0.0625."""
     interval = centre_interval(np.array([0.2, 0.2, 0.2, 0.2, 0.2]))
     assert (interval.low, interval.high) == (-np.inf, np.inf)
@@ -165,8 +165,8 @@ def test_equal_values_have_no_t_interval() -> None:
     assert np.isnan(interval.low)
 
 
-def test_naming_the_faster_finger_is_a_share_of_each_participant(build) -> None:
-    """All name it: 1, p 2/2^6; all say both: 0; of weights of one octave and two, the slower named for one: 1/3."""
+def test_the_faster_finger_is_chosen_in_a_share_of_each_participant(build) -> None:
+    """Always chosen: 1, p 2/2^6; always both: 0; with weights of one and two octaves, slower chosen for one: 1/3."""
     frame = build["tidy"](build["paper"](6))
     frame = frame[frame["zone_left"] != "B"]
     speeds = {"speed_left_mm_s": frame["zone_left"].map({"A": 50.0, "C": 200.0}),
@@ -181,8 +181,8 @@ def test_naming_the_faster_finger_is_a_share_of_each_participant(build) -> None:
     assert [row.estimate for row in speed_findings(count_answers(mixed), mixed)] == pytest.approx([1 / 3] * 2)
 
 
-def test_where_no_finger_is_named_there_is_no_share(build) -> None:
-    """An answer that nothing was felt says nothing of the speeds, nor does a speed of zero."""
+def test_answers_without_a_finger_have_no_such_share(build) -> None:
+    """The answer none is unrelated to speed, and a speed of zero is left out."""
     frame = build["tidy"](build["constant"](3, "none")).assign(speed_left_mm_s=50.0, speed_right_mm_s=100.0)
     assert list(speed_findings(count_answers(frame), frame)) == []
     still = build["tidy"](build["constant"](3, "left")).assign(speed_left_mm_s=0.0, speed_right_mm_s=100.0)

@@ -1,4 +1,4 @@
-"""Levels told by the speed predicted under the fingers, instead of the one asked at the focus."""
+"""Levels by the speed predicted under the fingers instead of the level at the focus."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ pytestmark = pytest.mark.usefixtures("undrawn")
 
 
 def test_a_fixed_level_has_the_mean_of_its_trials(tmp_path: Path) -> None:
-    """Of the faster finger over the three pairs, as the record predicts them: the cells of the design stay."""
+    """It is that of the faster finger over the three pairs, as in the record; the cells of the design stay."""
     log = simulate_session("demo", "p01", tmp_path).path
     told = read_responses(log)
     frame = told.frame
@@ -29,8 +29,8 @@ def test_a_fixed_level_has_the_mean_of_its_trials(tmp_path: Path) -> None:
     assert np.array_equal(analysis.answers.counts, told.count().counts)
 
 
-def test_a_run_is_fitted_over_the_speed_of_each_trial(tmp_path: Path) -> None:
-    """In proportion to the level on the untouched beam, so that the threshold is too; silence stays silent."""
+def test_a_run_is_fitted_to_the_speed_of_each_trial(tmp_path: Path) -> None:
+    """On the untouched beam speed and threshold are proportional to the level; catch trials stay catch trials."""
     log = simulate_session("threshold", "p01", tmp_path).path
     nominal, predicted = (analyse(log, tmp_path / speed, speed=speed).runs for speed in ("nominal", "predicted"))
     for one, other in zip(nominal, predicted, strict=True):
@@ -41,7 +41,7 @@ def test_a_run_is_fitted_over_the_speed_of_each_trial(tmp_path: Path) -> None:
 
 
 def test_a_table_without_speeds_is_refused(tmp_path: Path) -> None:
-    """It cannot tell them."""
+    """It has no predicted speeds."""
     rows = ["participant,finger_condition,zone_left,zone_right,velocity_mm_s,response"]
     (tmp_path / "answers.csv").write_text("\n".join([*rows, "p1,one_hand,A,C,80,right"]) + "\n", encoding="utf-8")
     with pytest.raises(InputError, match=r"without the speeds predicted.*recorded sessions.*take --speed nominal"):
@@ -49,7 +49,7 @@ def test_a_table_without_speeds_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_standard_level_is_not_compared_with_predicted_speeds() -> None:
-    """Known: 100 mm/s at the focus may be any speed under the fingers, so that below and above would be mixed up."""
+    """100 mm/s at the focus may be any speed under the fingers, so above and below would be confused."""
     design = {"intervals": {"number": 2, "standard": {"velocity_mm_s": 100}}}
     frame = pd.DataFrame(columns=["velocity_mm_s"])
     responses = Responses(frame, (), (), AnswerSource("answers", "results", ""), design=design)
