@@ -22,14 +22,14 @@ def run_tests(frame):
 
 
 def rows(tests, question: str, name: str = "", scope: str = ""):
-    """Return the rows of a question whose name and scope hold the given words."""
+    """Return the rows of a question whose name and scope contain the given words."""
     found = tests[tests["question"] == question]
     return found[found["name"].str.contains(name, regex=False) & found["scope"].str.contains(scope, regex=False)]
 
 
 @pytest.fixture(scope="module")
 def tests():
-    """Statistics of the synthetic set shaped on the paper's text."""
+    """Statistics of the synthetic set modelled on the paper's text."""
     from importlib import util
     from pathlib import Path
 
@@ -52,38 +52,38 @@ class TestPaperLikeAnswers:
             assert family["p_holm"].tolist() == pytest.approx(holm(family["p"]).tolist())
 
     def test_unanimous_dominance_reaches_the_floor(self, tests) -> None:
-        """Ten of ten lean to C: p = 2/2^10, Holm over six 0.0117."""
+        """Ten of ten lean to C: p = 2/2^10, with Holm over six 0.0117."""
         row = rows(tests, "a2", "sign-flip", "one_hand A-C").iloc[0]
         assert (row["p"], row["p_min"]) == (2 / 1024, 2 / 1024)
         assert row["p_holm"] == pytest.approx(6 * 2 / 1024)
         assert row["estimate"] == pytest.approx(39 / 40)
 
-    def test_those_who_lean_are_counted_by_whom_they_lean_to(self, tests) -> None:
-        """Ten of ten lean to C, by the exact sign test; two of two to B."""
+    def test_the_sign_test_counts_leaning_participants(self, tests) -> None:
+        """Ten of ten lean to C in the exact sign test, two of two to B."""
         for scope, n in (("one_hand A-C", 10), ("two_hands B-D", 2)):
             row = rows(tests, "a2", "sign test of leaning participants", scope).iloc[0]
             assert (row["estimate"], row["n"], row["p"]) == (1, n, 2 / 2**n)
 
-    def test_few_who_lean_are_called_no_information(self, tests) -> None:
+    def test_few_leaning_participants_give_no_information(self, tests) -> None:
         """(B, D), two hands: two participants lean, so p cannot fall below 0.5."""
         row = rows(tests, "a2", "sign-flip", "two_hands B-D").iloc[0]
         assert row["p_min"] == 0.5
         assert "no information" in row["note"]
 
-    def test_every_p_stands_at_or_above_its_smallest(self, tests) -> None:
+    def test_every_p_is_at_least_its_smallest(self, tests) -> None:
         """Definition of p_min."""
         tested = tests.dropna(subset=["p"])
         assert (tested["p"] >= tested["p_min"] - 1e-12).all()
         assert tested["p"].between(0, 1).all()
         assert (tested["p"] > 0).all()
 
-    def test_every_interval_holds_its_estimate(self, tests) -> None:
-        """Low, estimate, high in order wherever all three are."""
+    def test_every_interval_contains_its_estimate(self, tests) -> None:
+        """Low, estimate and high are in order wherever all three exist."""
         bounded = tests.dropna(subset=["estimate", "low", "high"])
         assert (bounded["low"] <= bounded["estimate"] + 1e-12).all()
         assert (bounded["estimate"] <= bounded["high"] + 1e-12).all()
 
-    def test_an_unchanged_answer_keeps_an_interval(self, tests) -> None:
+    def test_a_constant_answer_has_an_interval(self, tests) -> None:
         """(C, E) with two hands, 40 of 40: ten participants, Clopper-Pearson from 0.6915."""
         row = rows(tests, "f", "share of answers", "two_hands C-E").iloc[0]
         assert (row["estimate"], row["high"]) == (1, 1)
@@ -99,19 +99,19 @@ class TestPaperLikeAnswers:
         assert (share["estimate"], share["role"]) == (0.9, "estimate")
         assert (share["low"], share["high"]) == pytest.approx((0.555, 0.9975), abs=5e-5)  # R: binom.test(9, 10)
 
-    def test_single_cells_without_discordance_have_the_width_of_who_may_be_missing(self, tests) -> None:
-        """Closed form: 1 - 0.025^(1/10) = 0.3085."""
+    def test_cells_without_discordance_have_a_width(self, tests) -> None:
+        """Closed form: 1 - 0.025^(1/10) = 0.3085, the share of people who may differ and be missing by chance."""
         row = rows(tests, "f", "paired difference", "A-C 100 mm/s").iloc[0]
         assert (row["low"], row["high"]) == pytest.approx((-0.3085, 0.3085), abs=5e-5)
 
-    def test_a_paired_cell_counts_whoever_answered_in_both(self, tests) -> None:
+    def test_a_paired_cell_counts_participants_with_both_answers(self, tests) -> None:
         """(C, E), 80 mm/s: all ten answered; the seventh chose C with two hands only."""
         row = rows(tests, "f", "paired difference", "C-E 80 mm/s").iloc[0]
         assert (row["estimate"], row["n"]) == (pytest.approx(-0.1), 10)
         assert row["note"] == "0 chose C only in the first, 1 only in the second"
 
-    def test_no_interval_disagrees_with_the_p_beside_it(self, tests) -> None:
-        """P above 0.05 and the interval holding zero are one, wherever both are printed for a mean."""
+    def test_intervals_agree_with_the_p_beside_them(self, tests) -> None:
+        """Wherever both are printed for a mean, p is above 0.05 if and only if the interval contains zero."""
         both = tests[tests["name"].str.contains("bounded mean") & tests["p"].notna() & tests["low"].notna()]
         assert set(both["family"]) >= {"a2 mean", "b mean", "c mean", "d mean"}
         assert ((both["low"] <= 0) & (both["high"] >= 0)).equals(both["p"] > 0.05)
@@ -119,8 +119,8 @@ class TestPaperLikeAnswers:
 
 @pytest.mark.parametrize("response", ["left", "both", "right"])
 @pytest.mark.parametrize("n", [1, 2, 10])
-def test_nothing_breaks_when_every_answer_is_the_same(build, response, n) -> None:
-    """Question by question p stays a probability; no warning (an error here), no false certainty."""
+def test_constant_answers_are_analysed(build, response, n) -> None:
+    """Every p is a probability, no warning is raised (an error here), and no interval has zero width."""
     tests = run_tests(build["tidy"](build["constant"](n, response)))
     tested = tests.dropna(subset=["p"])
     assert tested["p"].between(0, 1, inclusive="right").all()
@@ -131,16 +131,16 @@ def test_nothing_breaks_when_every_answer_is_the_same(build, response, n) -> Non
 
 
 @pytest.mark.parametrize("keep", ["participant", "velocity_mm_s", "finger_condition", "zone_left"])
-def test_a_design_of_one_of_anything_can_be_analysed(build, keep) -> None:
-    """One participant, level, finger condition or pair: every question that is left is answered."""
+def test_a_design_with_one_level_of_a_factor_is_analysed(build, keep) -> None:
+    """With one participant, level, finger condition or pair, every remaining question is answered."""
     frame = build["tidy"](build["paper"]())
     tests = run_tests(frame[frame[keep] == frame[keep].iloc[0]])
     assert {"a1", "a2", "e", "f"} <= set(tests["question"])
-    assert ("b" in set(tests["question"])) is (keep != "velocity_mm_s")  # a trend takes two levels
+    assert ("b" in set(tests["question"])) is (keep != "velocity_mm_s")  # a trend needs two levels
 
 
-def test_two_levels_are_enough_for_a_change_with_the_level(build) -> None:
-    """Each participant who changes the answer from one level to the other counts as half of two shuffles."""
+def test_two_levels_are_enough_for_a_trend(build) -> None:
+    """If all ten participants change their answer from one level to the other, p is 2/2^10."""
     frame = build["tidy"](build["paper"]())
     frame = frame[frame["velocity_mm_s"].isin([80, 200])]
     frame = frame.assign(response=np.where(frame["velocity_mm_s"] == 200, "right", "left"))
@@ -148,8 +148,8 @@ def test_two_levels_are_enough_for_a_change_with_the_level(build) -> None:
     assert found["p"].tolist() == pytest.approx([2 / 2**10] * 6)
 
 
-def test_the_steepest_slope_is_that_of_who_always_changes_the_answer(build) -> None:
-    """Never the dominant zone below the mean level and always above it: the mean of a bounded score is at its bound."""
+def test_the_steepest_slope_is_that_of_a_complete_change(build) -> None:
+    """Never the dominant zone below the mean level and always above it: the slope is at the bound of its scale."""
     frame = build["tidy"](build["paper"]())
     answers = count_answers(frame.assign(response=np.where(frame["velocity_mm_s"] > 132.5, "right", "left")))
     found = slopes(answers)
@@ -160,15 +160,15 @@ def test_the_steepest_slope_is_that_of_who_always_changes_the_answer(build) -> N
 
 
 def test_two_answers_are_tested_against_guessing(build) -> None:
-    """Ten of ten gave one of two: 2/2^10; where a third was that nothing was felt, those who felt something count."""
+    """Ten of ten gave one of two answers: 2/2^10; with a third answer none, only felt trials count."""
     frame = build["tidy"](build["constant"](10, "right"))
     for keys in (["left", "right"], ["left", "right", "none"]):
         answers = count_answers(frame, offered=AnswerList.of({"keys": keys}))
         assert chance_tests(answers).test.p == pytest.approx(np.full(24, 2 / 2**10))
 
 
-def test_a_side_that_could_not_be_named_is_refused(build) -> None:
-    """With the answers that there were; whether nothing felt was one of them is known."""
+def test_a_side_without_an_answer_is_refused(build) -> None:
+    """The message lists the answers; whether none is among them is known."""
     frame = build["tidy"](build["constant"](3, "right"))
     offered = [AnswerList.of({"keys": keys}) for keys in (["left", "both", "right"], ["right", "none"])]
     whole, one = (count_answers(frame, offered=each) for each in offered)
@@ -178,26 +178,26 @@ def test_a_side_that_could_not_be_named_is_refused(build) -> None:
     assert (whole.has_none_answer, one.has_none_answer) == (False, True)
 
 
-def test_the_design_of_the_paper_is_known_by_its_pairs_and_levels(build) -> None:
-    """Three pairs at 80, 100, 150 and 200 mm/s; with a level or a pair less it is another."""
+def test_the_design_of_the_paper_is_recognised(build) -> None:
+    """Three pairs at 80, 100, 150 and 200 mm/s; without one of the levels or pairs it is another design."""
     frame = build["tidy"](build["paper"]())
     parts = frame, frame[frame["velocity_mm_s"] < 200], frame[frame["zone_left"] != "B"]
     assert [count_answers(part).is_paper_design for part in parts] == [True, False, False]
 
 
-def test_a_mean_is_of_the_values_that_there_are() -> None:
-    """One of two is missing, one of none."""
+def test_a_mean_leaves_out_missing_values() -> None:
+    """One of two values is missing, or both."""
     assert mean_of_known(np.array([[0.5, np.nan], [0.2, 0.4]])) == pytest.approx([0.5, 0.3])
     assert np.isnan(mean_of_known(np.array([[np.nan, np.nan]]))).all()
 
 
-def test_the_smallest_p_against_guessing_is_that_of_one_answer_alone() -> None:
+def test_the_smallest_p_against_guessing_is_that_of_a_single_answer() -> None:
     """Ten who all give one of three answers: 3 / 3^10."""
     assert STATISTICS["a1"].smallest_p([150.0], 10, 1, None) == pytest.approx(3.0**-9)
 
 
-def test_repetitions_enter_as_one_participant(build) -> None:
-    """Twenty-four answers of two people are not forty-eight people: the floor of the sign flips stays 2/2^2."""
+def test_repetitions_count_as_one_participant(build) -> None:
+    """Twenty-four answers of two people are not those of 48: the floor of the sign flips stays 2/2^2."""
     tests = run_tests(build["tidy"](build["random"](2, 3, repetitions=2)))
     assert rows(tests, "a2", "sign-flip")["p_min"].min() >= 0.5
     assert (rows(tests, "a1")["n"] <= 2).all()
@@ -206,16 +206,16 @@ def test_repetitions_enter_as_one_participant(build) -> None:
     assert (shares["note"] == said + (2 - shares["n"]).astype(str)).all()
 
 
-def test_the_estimate_beside_a_test_against_guessing_is_of_the_answer_that_moves_it(build) -> None:
-    """Everybody says "both": P(both) = 1 stands beside that p, not P(C) = 0."""
+def test_the_estimate_of_a_test_against_guessing_is_of_the_deviating_answer(build) -> None:
+    """If all answer "both", P(both) = 1 is beside that p, not P(C) = 0."""
     found = rows(run_tests(build["tidy"](build["constant"](10, "both"))), "a1", "multinomial")
     assert set(zip(found["quantity"], found["estimate"], strict=True)) == {
         ("P(C & A)", 1.0), ("P(B & D)", 1.0), ("P(C & E)", 1.0),
     }  # fmt: skip
 
 
-def test_who_gave_no_answer_is_not_said_to_be_tied(build) -> None:
-    """Of three people, one was never in time in the first cell."""
+def test_a_participant_without_an_answer_is_not_called_tied(build) -> None:
+    """Of three people, one always timed out in the first cell."""
     frame = build["tidy"](build["random"](3, 3, repetitions=2)).assign(response="right")
     keys = ["participant", "finger_condition", "zone_left", "velocity_mm_s"]
     is_first = (frame[keys] == frame[keys].iloc[0]).all(axis=1)
@@ -223,8 +223,8 @@ def test_who_gave_no_answer_is_not_said_to_be_tied(build) -> None:
     assert (said == "1 tied or without an answer").sum() == 1
 
 
-def test_order_times_and_speeds_are_used_where_they_are_there(build) -> None:
-    """Columns trial, response_time, speed_left_mm_s and speed_right_mm_s bring their questions."""
+def test_order_times_and_speeds_are_used_if_present(build) -> None:
+    """The columns trial, response_time, speed_left_mm_s and speed_right_mm_s add their questions."""
     frame = build["tidy"](build["random"](8, 5)).drop(columns="repetition")
     rng = np.random.default_rng(0)
     frame = frame.assign(
@@ -238,8 +238,8 @@ def test_order_times_and_speeds_are_used_where_they_are_there(build) -> None:
     assert (rows(tests, "speed")["role"] == "exploratory").all()
 
 
-def test_guesses_are_seldom_called_dominance(build) -> None:
-    """Type I error: 40 synthetic experiments of guesses, at least one Holm p <= 0.05 in a2 at most in 6 (3 sd)."""
+def test_guesses_are_rarely_called_dominance(build) -> None:
+    """Type I error: of 40 synthetic experiments of guesses, at most 6 have a Holm p <= 0.05 in a2 (3 sd)."""
     rejected = 0
     for seed in range(40):
         frame = build["tidy"](build["random"](10, seed)).drop(columns="repetition")
@@ -261,8 +261,8 @@ class TestMissingAnswers:
         other = paper_frame.index[(paper_frame["participant"] == "p02") & (paper_frame["zone_left"] == "B")][:1]
         return paper_frame.drop(index=[*first, *other])
 
-    def test_they_are_counted_and_bounded_where_they_matter(self, gaps, paper_frame) -> None:
-        """The bounds hold the estimate of the whole table, as they hold whatever was answered."""
+    def test_missing_answers_are_counted_and_bounded(self, gaps, paper_frame) -> None:
+        """The bounds contain the estimate of the complete table, as they hold for any missing answers."""
         tests, whole = run_tests(gaps), run_tests(paper_frame)
         row = rows(tests, "a2", "net dominance, mean", "one_hand C-E").iloc[0]
         known = rows(whole, "a2", "net dominance, mean", "one_hand C-E").iloc[0]["estimate"]
@@ -270,8 +270,8 @@ class TestMissingAnswers:
         assert float(told[1]) <= known <= float(told[2])
         assert "missing" not in rows(tests, "a2", "net dominance, mean", "two_hands A-C").iloc[0]["note"]
 
-    def test_the_worst_is_what_the_answers_would_have_done(self, gaps) -> None:
-        """By hand: 36 or fewer of 40 to C, two unknown; all C, or both to E, on p01's four answers."""
+    def test_the_bounds_are_the_extreme_missing_answers(self, gaps) -> None:
+        """By hand: two of 40 answers unknown, both to C or both to E, among p01's four answers."""
         row = rows(run_tests(gaps), "f", "share of answers", "one_hand C-E")
         note = row[row["quantity"] == "P(C)"]["note"].iloc[0]
         given = int(
@@ -279,13 +279,13 @@ class TestMissingAnswers:
         )
         assert f"the share could be {given / 40:.3g} to {(given + 2) / 40:.3g}" in note
 
-    def test_shares_are_bounded_by_what_was_asked_for(self) -> None:
-        """By hand: one of three answers of four, so a quarter to a half."""
+    def test_shares_are_bounded_by_the_presented_trials(self) -> None:
+        """By hand: one of three answers to four trials gives a quarter to a half."""
         shares = Shares(np.array([[1]]), np.array([[3]]), 4)
         assert (shares.least.item(), shares.most.item()) == (1 / 4, 2 / 4)
 
-    def test_flips_and_bounds_count_what_was_answered(self) -> None:
-        """By hand: of four asked, one of three against none of four, and one of three against four of four."""
+    def test_flips_and_bounds_count_answered_trials(self) -> None:
+        """By hand: of four trials, one of three against none of four, and one of three against four of four."""
         first = Shares(np.array([[[1], [1]]]), np.array([[[3], [3]]]), 4)
         second = Shares(np.array([[[0], [4]]]), np.array([[[4], [4]]]), 4)
         contrast = Contrast(["one"], ["difference"], first, second)
@@ -308,21 +308,21 @@ class TestMissingAnswers:
         assert note.endswith(f"and p at most {expected:.2g}")
 
     def test_every_question_is_still_answered(self, gaps, paper_frame) -> None:
-        """The same rows as without a gap, every p a probability."""
+        """The rows are the same as without gaps, and every p is a probability."""
         tests, whole = run_tests(gaps), run_tests(paper_frame)
         assert tests[["question", "name", "scope"]].equals(whole[["question", "name", "scope"]])
         assert tests["p"].dropna().between(0, 1, inclusive="right").all()
 
 
-def test_the_normal_law_is_named_where_it_is_used(paper_frame) -> None:
-    """By the answers given, as the test goes: 4 a participant of 800 asked for are shuffled exactly, 404 are not."""
+def test_the_normal_approximation_is_noted_where_used(paper_frame) -> None:
+    """It depends on the answers given: 4 per participant of 800 trials are shuffled exactly, 404 are not."""
     few, many = count_answers(paper_frame, asked=200), count_answers(pd.concat([paper_frame] * 101))
     assert not any("normal approximation" in note for note in level_tests(few).notes(0))
     assert any("normal approximation" in note for note in level_tests(many).notes(0))
 
 
-def test_equivalence_is_said_where_it_is_shown_and_where_it_is_not(paper_frame) -> None:
-    """Ten participants: within 0.5 it is shown for (A, C), where two differ by a quarter; within 0.1 for nothing."""
+def test_equivalence_is_reported_as_shown_or_not_shown(paper_frame) -> None:
+    """Ten participants: shown within 0.5 for (A, C), where two differ by a quarter; within 0.1 for none."""
     for margin, shown in ((0.5, True), (0.1, False)):
         tests = to_frame(find(count_answers(paper_frame, margin=margin), paper_frame))
         alike = tests[tests["family"] == "c alike"]
@@ -337,11 +337,11 @@ def test_equivalence_is_said_where_it_is_shown_and_where_it_is_not(paper_frame) 
 
 @pytest.mark.parametrize("uneven", [(8, 1, 8, 1), (8, 8, 8, 8)])
 @pytest.mark.parametrize("correlation", [0.0, 0.5])
-def test_flips_hold_their_level_with_any_number_of_answers(uneven, correlation) -> None:
-    """Eight answers against one, at some levels or at all; independent or correlated: 2,000 experiments of no effect.
+def test_flips_keep_their_level_with_unequal_numbers_of_answers(uneven, correlation) -> None:
+    """Eight answers against one, at some or all levels, independent or correlated: 2,000 experiments without effect.
 
-    Where all pairings were flipped, a fifth of tests of rare, independent answers, eight against one, were significant;
-    where answers were shuffled within levels, a third of those of correlated ones.
+    If all pairings were flipped, a fifth of tests of rare, independent answers, eight against one, would be
+    significant; if answers were shuffled within levels, a third of those of correlated ones.
     """
     rng, shape = np.random.default_rng(8), (2000, 1, 20, 1)
     chance = rng.beta(0.1, 0.9, (2, *shape)) if correlation else np.full((2, *shape), 0.01)
@@ -354,8 +354,8 @@ def test_flips_hold_their_level_with_any_number_of_answers(uneven, correlation) 
         assert (sign_flip_test(naive).p <= 0.05).mean() > 0.15
 
 
-def test_answers_are_drawn_alike_whatever_the_names_of_participants() -> None:
-    """Another order of the participants draws the same answers; a strong effect is found with half as many of one."""
+def test_answers_drawn_do_not_depend_on_the_order_of_participants() -> None:
+    """Reordered participants have the same draws; a strong effect is found with half the answers in one condition."""
     rng, asked = np.random.default_rng(9), np.full((1, 20, 4), 8)
     first = Shares(rng.binomial(asked, 0.6), asked, 8)
     second = Shares(rng.binomial(asked // 2, 0.3), asked // 2, 8)
@@ -375,8 +375,8 @@ def test_answers_are_drawn_alike_whatever_the_names_of_participants() -> None:
     assert 0 < float(told[1]) < float(told[2]) < 0.001
 
 
-def test_how_much_p_hangs_on_the_draw_is_that_of_draws_of_its_own() -> None:
-    """Two participants, one answer of two drawn from the first condition: p is 0.5 or 1, as the draws fall."""
+def test_the_range_of_p_over_draws_is_reported() -> None:
+    """Two participants, one answer of two drawn from the first condition: p is 0.5 or 1, depending on the draw."""
     first = Shares(np.array([[[1], [1]]]), np.array([[[2], [2]]]), 2)
     second = Shares(np.array([[[0], [0]]]), np.array([[[1], [1]]]), 2)
     (said,) = signs_of(Contrast(["all"], ["P"], first, second)).notes(0)

@@ -1,4 +1,4 @@
-"""Psychometric functions of adaptive runs: recovery, guards, and a whole analysis."""
+"""Psychometric functions of adaptive runs: recovery, safeguards, and a complete analysis."""
 
 from __future__ import annotations
 
@@ -68,8 +68,8 @@ def staircase(threshold: float, seed: int, n_trials: int = 40) -> Psychometric:
     return fit_psychometric(levels, successes, guess_rate=0.02, most_lapse=0.06, catches=catches)
 
 
-def test_the_threshold_lies_in_its_interval_as_often_as_promised() -> None:
-    """Known observers, 120 runs of 40 trials: covered at 95 %, less 3 Monte Carlo sd; no bias beyond 0.4 dB."""
+def test_threshold_intervals_have_their_coverage() -> None:
+    """Known observers, 120 runs of 40 trials: coverage 95 % minus 3 Monte Carlo sd, bias within 0.4 dB."""
     thresholds = np.random.default_rng(7).uniform(to_dB(6), to_dB(80), 120)
     fits = [staircase(float(threshold), seed) for seed, threshold in enumerate(thresholds)]
     told = [(fit.threshold, true) for fit, true in zip(fits, thresholds, strict=True) if fit.threshold is not None]
@@ -79,10 +79,10 @@ def test_the_threshold_lies_in_its_interval_as_often_as_promised() -> None:
     assert np.mean([e.estimate - true for e, true in told]) == pytest.approx(0, abs=0.4)
 
 
-def test_the_fit_is_that_of_psignifit() -> None:
-    """The package psignifit 4.3: 2AFC, sigmoid norm, lambda and eta held at 0; its width is from 5 to 95 %.
+def test_the_fit_agrees_with_psignifit() -> None:
+    """Package psignifit 4.3: 2AFC, sigmoid norm, lambda and eta fixed at 0; its width is from 5 to 95 %.
 
-    Its intervals are of a posterior of the threshold alone with weak priors, ours of the joint region:
+    Its intervals are of the marginal posterior of the threshold with weak priors, ours of the joint region:
     sqrt(2.996 / 1.92) times as wide, to 0.15 dB.
     """
     hits = {26: 45, 28: 50, 30: 44, 32: 56, 34: 53, 36: 63, 38: 73, 40: 79, 42: 86, 44: 88}
@@ -98,8 +98,8 @@ def test_the_fit_is_that_of_psignifit() -> None:
     assert found.spread.estimate == pytest.approx(13.6314 / (2 * 1.6449), rel=0.01)
 
 
-def test_the_fit_is_the_likeliest_one() -> None:
-    """Reference: scipy.optimize on the binomial likelihood, guess and lapse rates fixed."""
+def test_the_fit_maximises_the_likelihood() -> None:
+    """Reference: scipy.optimize on the binomial likelihood, with guess and lapse rates fixed."""
     levels = np.repeat([10.0, 14.0, 18.0, 22.0, 26.0, 30.0], 10)
     hits = np.array([0, 1, 4, 6, 9, 10])
     successes = [i < k for k in hits for i in range(10)]
@@ -119,7 +119,7 @@ def test_the_fit_is_the_likeliest_one() -> None:
 
 
 def loss_at(loss: object, threshold: float | None, start: float) -> float:
-    """Return the least loss with the threshold held."""
+    """Return the minimum loss with the threshold fixed."""
     assert threshold is not None
     return float(minimize(lambda s: loss([threshold, s[0]]), [start], method="Nelder-Mead").fun)  # type: ignore[operator]
 
@@ -135,8 +135,8 @@ def loss_at(loss: object, threshold: float | None, start: float) -> float:
         ([10.0] * 20 + [14.0] * 20, [False] * 20 + [True] * 6 + [False] * 14, "above the levels that were presented"),
     ],
 )
-def test_flat_answers_tell_no_threshold(levels: list[float], successes: list[bool], words: str) -> None:
-    """No number is invented where the answers hold none, and the reason is said."""
+def test_flat_answers_give_no_threshold(levels: list[float], successes: list[bool], words: str) -> None:
+    """There is no estimate, and the reason is given."""
     fit = fit_psychometric(levels, successes, guess_rate=0.0, most_lapse=0.06)
     assert fit.threshold is None
     assert fit.spread is None
@@ -144,8 +144,8 @@ def test_flat_answers_tell_no_threshold(levels: list[float], successes: list[boo
     assert words in fit.why_not
 
 
-def test_guessing_observers_are_seldom_given_a_threshold() -> None:
-    """Type I error of the guard: of 100 runs of an observer who ignores the level, few tell a threshold."""
+def test_guessing_observers_rarely_get_a_threshold() -> None:
+    """False positives: of 100 runs of an observer who ignores the level, at most 8 give a threshold."""
     rng = np.random.default_rng(3)
     levels = np.tile(np.linspace(10, 40, 8), 5).tolist()
     fits = [
@@ -166,10 +166,10 @@ def forced_choice(chance_of: Callable[[float], float], seed: int) -> Psychometri
     return fit_psychometric(levels, successes, guess_rate=0.5, most_lapse=0.04, flat_rate=0.5)
 
 
-def test_runs_of_a_forced_choice_that_settle_are_not_lost() -> None:
-    """Known: 28 dB, a spread of 8 dB. A constant chance explains one run in three as well; they have wide intervals.
+def test_uncertain_runs_of_a_forced_choice_are_kept() -> None:
+    """Known: 28 dB, spread 8 dB; a constant rate explains one run in three as well, which gets a wide interval.
 
-    Without them the mean would be of the others alone. Somebody who guesses at every level is seldom told one.
+    Without these runs the mean would be biased. An observer who guesses at every level rarely gets a threshold.
     """
     fits = [forced_choice(lambda level: chance(level, 28, 8, 0.5, 0.02), seed) for seed in range(40)]
     unsure = [fit.threshold for fit in fits if fit.is_uncertain and fit.threshold is not None]
@@ -182,8 +182,8 @@ def test_runs_of_a_forced_choice_that_settle_are_not_lost() -> None:
     assert sum(forced_choice(lambda level: 0.5, seed).threshold is not None for seed in range(40)) <= 8
 
 
-def test_catch_trials_decide_the_guess_rate() -> None:
-    """Half of twenty catch trials a success: the guess rate is near a half, not the protocol's."""
+def test_catch_trials_determine_the_guess_rate() -> None:
+    """With half of twenty catch trials successes, the guess rate is near 0.5, not the protocol's."""
     levels = np.repeat([10.0, 20.0, 30.0, 40.0], 20).tolist()
     successes = [i < k for k in (10, 11, 17, 20) for i in range(20)]
     fit = fit_psychometric(levels, successes, guess_rate=0.0, most_lapse=0.06, catches=[True, False] * 10)
@@ -192,7 +192,7 @@ def test_catch_trials_decide_the_guess_rate() -> None:
 
 
 def test_separated_answers_have_a_finite_threshold_and_an_open_spread() -> None:
-    """All failures below, all successes above: nothing diverges; the spread has no lower bound."""
+    """All failures below, all successes above: the fit does not diverge; the spread has no lower bound."""
     fit = fit_psychometric([10.0, 14.0, 18.0, 22.0] * 5, [False, False, True, True] * 5, guess_rate=0.0, most_lapse=0.0)
     assert fit.threshold is not None
     assert fit.spread is not None
@@ -228,10 +228,8 @@ def results(preflight: Preflight, tmp_path_factory: pytest.TempPathFactory) -> P
     return folder
 
 
-def test_a_session_ends_in_thresholds_that_the_observer_has(
-    preflight: Preflight, results: Path, tmp_path: Path
-) -> None:
-    """The whole way, rig and record with it; reference: the model's share of C."""
+def test_a_session_recovers_the_observers_thresholds(preflight: Preflight, results: Path, tmp_path: Path) -> None:
+    """The complete chain with rig and record; reference: the model's share of C."""
     found = analyse(results, tmp_path / "out")
     assert isinstance(found, ThresholdAnalysis)
     values = json.loads((tmp_path / "out" / "thresholds.json").read_text(encoding="utf-8"))
@@ -241,7 +239,7 @@ def test_a_session_ends_in_thresholds_that_the_observer_has(
     assert sum(row["n_catch_trials"] for row in values["thresholds"]) == 20
     people = {run.participant: run for run in found.runs}
     assert set(people) == {"p01", "p02"}
-    # A tenth to spare: the model's function is no cumulative normal, and the twin's beam is not the identified one.
+    # 10 % margin: the model's function is not a cumulative normal, and the twin's beam differs from the identified one.
     truth = model_threshold(preflight)
     bounds = [(row["threshold_low_mm_s"] / 1.1, row["threshold_high_mm_s"] * 1.1) for row in values["thresholds"]]
     assert sum(low <= truth <= high for low, high in bounds) >= 3
@@ -255,8 +253,8 @@ def test_a_session_ends_in_thresholds_that_the_observer_has(
     assert "http://" not in report.replace("http://www.w3.org", "")
 
 
-def test_thresholds_of_several_kinds_of_session_are_told_apart(results: Path) -> None:
-    """A threshold before and one after a training are no two measurements of one; of one kind alone nothing is said."""
+def test_thresholds_of_several_kinds_of_session_are_kept_separate(results: Path) -> None:
+    """Thresholds before and after training are not repeated measurements; with one kind only, no kind is shown."""
     responses = read_responses(results)
     kinds = responses.frame["participant"].map({"p01": "pre", "p02": "post"})
     runs = find_runs(replace(responses, frame=responses.frame.assign(session_kind=kinds)))
@@ -268,8 +266,8 @@ def test_thresholds_of_several_kinds_of_session_are_told_apart(results: Path) ->
     assert all("session_kind" not in row for row in over_participants(find_runs(responses)))
 
 
-def test_thresholds_of_several_labs_are_told_by_lab(results: Path, tmp_path: Path) -> None:
-    """One participant in each of two labs: a mean of each lab, files of plain names, and a note of what is compared."""
+def test_thresholds_of_several_labs_are_reported_by_lab(results: Path, tmp_path: Path) -> None:
+    """One participant in each of two labs: a mean for each lab, plain file names, and a note on the comparison."""
     labs = [tmp_path / name for name in ("north", "south")]
     for lab, participant in zip(labs, ("p01", "p02"), strict=True):
         (session,) = results.glob(f"**/sub-{participant}/ses-1")
@@ -286,7 +284,7 @@ def test_thresholds_of_several_labs_are_told_by_lab(results: Path, tmp_path: Pat
 
 
 def runs_of(threshold: dict[tuple[str, str, str], float | None], groups: dict[str, str] | None = None) -> list[Run]:
-    """Return runs by participant, finger condition and kind of session, with thresholds in mm/s or without one."""
+    """Return runs by participant, finger condition and kind of session, with thresholds in mm/s or None."""
     nothing = Psychometric(40, 20, 0, 0, None, None, 0.0, 0.0, "all alike")
     runs = []
     for (who, fingers, kind), value in threshold.items():
@@ -298,9 +296,9 @@ def runs_of(threshold: dict[tuple[str, str, str], float | None], groups: dict[st
 
 
 def test_thresholds_are_compared_within_participants() -> None:
-    """Two hands need twice the level in six of six, and in one of six alike: p 2/64 and 2/32 by sign flips.
+    """Two hands need twice the level in six of six, or in five with the sixth equal: p 2/64 and 2/32 by sign flips.
 
-    A seventh has a threshold with one hand alone and does not count; conditions that differ in two factors are not
+    A seventh has a threshold with one hand only and does not count; conditions that differ in two factors are not
     compared.
     """
     alone = {(f"p{k}", "one_hand", ""): 20.0 + k for k in range(7)}
@@ -316,14 +314,14 @@ def test_thresholds_are_compared_within_participants() -> None:
 
 
 def test_thresholds_before_and_after_are_compared() -> None:
-    """Kinds of session are a factor like another: the training halves every threshold."""
+    """Kinds of session are compared like other factors: training halves every threshold."""
     pre = {(f"p{k}", "one_hand", "pre"): 30.0 + k for k in range(8)}
     (row,) = compare_runs(runs_of({**pre, **{(who, c, "post"): v / 2 for (who, c, _), v in pre.items()}}))
     assert (row.scope, row.estimate, row.p) == ("one_hand A-C pre - A-C post", pytest.approx(2), 2 / 2**8)
 
 
 def test_thresholds_of_groups_are_compared_by_shuffling_participants() -> None:
-    """Four against four without overlap: 2 of 70 orders differ as much; in cells that both groups met."""
+    """Four against four without overlap: 2 of 70 orders differ as much; only common cells are used."""
     values = {(f"p{k}", "one_hand", ""): (10.0 if k < 4 else 40.0) + k for k in range(8)}
     groups = {f"p{k}": "young" if k < 4 else "old" for k in range(8)}
     (row,) = compare_runs(runs_of(values, groups))
@@ -332,7 +330,7 @@ def test_thresholds_of_groups_are_compared_by_shuffling_participants() -> None:
 
 
 @pytest.mark.parametrize(("late", "n_told"), [({"A"}, 2), ({"A", "C"}, 0)])
-def test_runs_without_any_answer_in_time_are_told(
+def test_runs_without_any_answer_in_time_are_reported(
     results: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -340,7 +338,7 @@ def test_runs_without_any_answer_in_time_are_told(
     n_told: int,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Of one pair, or of all: the run is there, without a threshold, and the console says what is missing."""
+    """For one pair, or all, the run has no threshold, and the console reports what is missing."""
     table = Session.table
 
     def late_table(session: Session) -> Iterator[dict[str, object]]:
@@ -360,7 +358,7 @@ def test_runs_without_any_answer_in_time_are_told(
 
 
 def model_threshold(preflight: Preflight) -> float:
-    """Return the level at which the middle participant names C in half of the trials on (A, C) [mm/s]."""
+    """Return the level at which the median participant answers C in half of the trials on (A, C) [mm/s]."""
     from modaltouch.protocol import Protocol
     from modaltouch.protocol.trial import Condition, Trial
 
@@ -375,8 +373,8 @@ def model_threshold(preflight: Preflight) -> float:
     return float(np.exp(np.interp(0.5, shares, np.log(levels))))
 
 
-def test_what_needs_fixed_levels_refuses_adaptive_sessions(preflight: Preflight, results: Path) -> None:
-    """Power and fits count answers in fixed cells: refused with a way out, never a traceback."""
+def test_adaptive_sessions_are_refused_where_fixed_levels_are_needed(preflight: Preflight, results: Path) -> None:
+    """Power and fits count answers in fixed cells: the refusal gives an alternative, without a traceback."""
     with pytest.raises(InputError, match="adaptive runs, which .*; let `modaltouch prereg` say how precisely"):
         designs_for(preflight, FAINT)
     with pytest.raises(InputError, match="adaptive sessions, which have no table of counts"):
@@ -389,8 +387,8 @@ def test_what_needs_fixed_levels_refuses_adaptive_sessions(preflight: Preflight,
             analyse(results, **{option: value})  # type: ignore[arg-type]
 
 
-def test_runs_that_tell_no_threshold_are_in_the_legend() -> None:
-    """Every finger condition and pair, whatever its runs tell; a warning of matplotlib fails the suite."""
+def test_runs_without_a_threshold_are_in_the_legend() -> None:
+    """The legend has every finger condition and pair; a warning of matplotlib would fail the test."""
     from modaltouch.analysis.run_report import draw_thresholds
     from modaltouch.analysis.runs import Run
 
@@ -401,8 +399,8 @@ def test_runs_that_tell_no_threshold_are_in_the_legend() -> None:
     assert [text.get_text() for text in figure.legends[0].get_texts()] == ["one hand A-C"]
 
 
-def test_trials_of_a_run_are_marked_by_whole_numbers() -> None:
-    """Twenty trials had a mark at 2.5, few trials one at every half."""
+def test_the_trial_axis_has_integer_ticks() -> None:
+    """Few trials must not give ticks at every half, nor twenty trials one at 2.5."""
     from modaltouch.analysis.run_report import draw_runs
     from modaltouch.analysis.runs import Run
 
@@ -412,8 +410,8 @@ def test_trials_of_a_run_are_marked_by_whole_numbers() -> None:
     assert list(marks) == [round(mark) for mark in marks]
 
 
-def test_kinds_of_runs_are_told_apart_by_colour_and_mark() -> None:
-    """Two finger conditions, two pairs and two stimuli are eight kinds; no two share both."""
+def test_kinds_of_runs_differ_in_colour_or_marker() -> None:
+    """Two finger conditions, two pairs and two stimuli are eight kinds, each with its own combination."""
     from modaltouch.analysis.run_report import draw_thresholds
     from modaltouch.analysis.runs import Run
 
@@ -444,8 +442,8 @@ def test_kinds_of_runs_are_told_apart_by_colour_and_mark() -> None:
          "which that answer is given."),
     ],
 )  # fmt: skip
-def test_the_report_says_what_was_a_success_and_what_the_standard(design: dict, words: str) -> None:
-    """The right interval, or an answer of the protocol: nothing of the finger on the focus, which nobody asked for."""
+def test_the_report_states_the_success_and_the_standard(design: dict, words: str) -> None:
+    """A success is the correct interval or an answer of the protocol; the finger at the focus is not mentioned."""
     design = {
         "conditions": {"peak_velocities_mm_s": [2, 200]},
         **design,
@@ -469,8 +467,8 @@ def test_the_report_says_what_was_a_success_and_what_the_standard(design: dict, 
 
 
 @pytest.mark.parametrize(("guess_rate", "expected"), [(0.3333, True), (0.33, True), (0.25, False)])
-def test_a_guess_rate_of_a_few_digits_is_that_of_guessing(guess_rate: float, expected: bool) -> None:
-    """Of three intervals 1/3, however it is rounded: `check` itself writes 0.3333."""
+def test_a_rounded_guess_rate_counts_as_guessing(guess_rate: float, expected: bool) -> None:
+    """Of three intervals it is 1/3, however rounded: `check` itself writes 0.3333."""
     answers = AnswerList.of({"keys": {"one": ["a"], "two": ["b"], "three": ["c"]}})
     frame = pd.DataFrame({"response": ["one"], "velocity_mm_s": [60.0]})
     start = {"design": {"adaptive": {"guess_rate": guess_rate}}}

@@ -30,7 +30,7 @@ def fails(path) -> list[str]:
 
 
 class TestForms:
-    """One table in many dresses gives the same counts."""
+    """One table in several file formats gives the same counts."""
 
     @pytest.mark.parametrize(
         "dress",
@@ -52,14 +52,14 @@ class TestForms:
              "empty-columns", "any-order"],
     )  # fmt: skip
     def test_a_table_is_read_in_any_usual_form(self, write_csv, paper_rows, dress) -> None:
-        """Expected value: the plain comma-separated form of the same synthetic answers."""
+        """Reference: the plain comma-separated form of the same synthetic answers."""
         plain = write_csv(paper_rows)
         other = plain.with_name("other.csv")
         other.write_bytes(dress(plain.read_text(encoding="utf-8")).encode("utf-8"))
         assert (counted(other) == counted(plain)).all()
 
     def test_counts_of_equal_answers_are_the_same_as_single_ones(self, write_csv, build) -> None:
-        """Column n: two participants' 2 answers a cell as counts and as rows."""
+        """Column n: two answers per cell as counts and as rows."""
         rows = build["random"](3, 1, repetitions=2)
         keys = list({tuple(v for k, v in row.items() if k != "repetition"): None for row in rows})
         plain = [tuple(v for k, v in row.items() if k != "repetition") for row in rows]
@@ -67,27 +67,27 @@ class TestForms:
         with_counts = [{**dict(zip(names, key, strict=True)), "n": plain.count(key)} for key in keys]
         assert (counted(write_csv(with_counts, "n.csv")) == counted(write_csv(rows))).all()
 
-    def test_repetitions_need_no_number_where_all_cells_have_as_many(self, write_csv, build) -> None:
-        """The same synthetic answers with and without the column repetition."""
+    def test_repetitions_need_no_number_if_cells_have_equally_many(self, write_csv, build) -> None:
+        """The same synthetic answers with and without the column repetition give the same counts."""
         rows = build["random"](3, 1, repetitions=2)
         bare = [{k: v for k, v in row.items() if k != "repetition"} for row in rows]
         assert (counted(write_csv(bare, "bare.csv")) == counted(write_csv(rows))).all()
 
     def test_other_columns_are_kept(self, write_csv, paper_rows) -> None:
-        """Extra columns travel along."""
+        """An extra column stays in the table."""
         frame = read_responses(write_csv([{**row, "mood": "fine"} for row in paper_rows])).frame
         assert set(frame["mood"]) == {"fine"}
 
-    def test_practice_trials_stay_out_and_are_named(self, write_csv, paper_rows) -> None:
-        """Column practice of the record's own table: never analysed, never silently dropped."""
+    def test_practice_trials_are_excluded_and_listed(self, write_csv, paper_rows) -> None:
+        """The column practice of a record's table: such rows are never analysed and never dropped silently."""
         rows = [{**row, "practice": 0} for row in paper_rows] + [{**paper_rows[0], "practice": 1}] * 3
         responses = read_responses(write_csv(rows))
         assert len(responses.frame) == 240
         assert [(item.reason, "3 rows" in item.source) for item in responses.left_out] == [("practice trials", True)]
 
     @pytest.mark.parametrize("name", ["excluded", "exclude", "withdrawn", "invalid"])
-    def test_rows_that_a_lab_marks_stay_out_and_are_named(self, write_csv, paper_rows, name) -> None:
-        """Even without a level; a word that is no mark is refused."""
+    def test_rows_marked_by_a_lab_are_excluded_and_listed(self, write_csv, paper_rows, name) -> None:
+        """They may lack a level; a mark other than 0 or 1 is refused."""
         rows = [{**row, name: 0} for row in paper_rows]
         rows += [{**paper_rows[0], "velocity_mm_s": "", name: "yes"}] * 3
         responses = read_responses(write_csv(rows))
@@ -107,13 +107,13 @@ class TestForms:
         ],
         ids=["one-participant", "one-level", "one-condition", "one-pair"],
     )
-    def test_a_small_design_is_still_a_design(self, write_csv, paper_rows, keep) -> None:
+    def test_a_small_design_is_counted(self, write_csv, paper_rows, keep) -> None:
         """One participant, level, finger condition or pair can be counted."""
         rows = [row for row in paper_rows if keep(row)]
         assert counted(write_csv(rows)).sum() == len(rows)
 
-    def test_other_zones_levels_and_conditions_than_the_papers_are_read(self, write_csv, paper_rows) -> None:
-        """Nothing hangs on the paper's names."""
+    def test_zones_levels_and_conditions_other_than_the_papers_are_read(self, write_csv, paper_rows) -> None:
+        """No code depends on the paper's names."""
         rows = [
             {**row, "zone_left": f"zone {row['zone_left']}", "velocity_mm_s": row["velocity_mm_s"] / 7,
              "finger_condition": {"one_hand": "gloved", "two_hands": "bare"}[row["finger_condition"]]}
@@ -125,7 +125,7 @@ class TestForms:
 
 
 class TestFaults:
-    """Each fault has its place, what was given, what is allowed and what to do; all are told at once."""
+    """Each fault gives its place, the value, what is allowed and a remedy; all faults are reported together."""
 
     def change(self, write_csv, rows, line: int, old: str, new: str):
         """Return the path of a table with one text changed in one line."""
@@ -156,48 +156,48 @@ class TestFaults:
             ("B,D", "D,D", r"zone_right: given zone 'D' under both fingers"),
         ],
     )
-    def test_a_faulty_field_is_told_with_its_place(self, write_csv, paper_rows, old, new, words) -> None:
+    def test_a_faulty_field_is_reported_with_its_place(self, write_csv, paper_rows, old, new, words) -> None:
         """The fifth line is p01's first answer to (B, D) after sorting by pair."""
         rows = sorted(paper_rows, key=lambda row: (row["participant"], row["finger_condition"], row["velocity_mm_s"]))
         rows = [rows[0], rows[2], {**rows[0], "velocity_mm_s": 999}, {**rows[1], "response": "both"}, *rows]
         problems = fails(self.change(write_csv, rows, 5, old, new))
         assert any(re.search(words, problem) for problem in problems), problems
 
-    def test_every_fault_is_told_at_once(self, write_csv, paper_rows) -> None:
+    def test_every_fault_is_reported_together(self, write_csv, paper_rows) -> None:
         """Three faults in three rows are three problems."""
         rows = [dict(row) for row in paper_rows]
         rows[0]["response"], rows[1]["velocity_mm_s"], rows[2]["participant"] = "up", "x", ""
         assert len(fails(write_csv(rows))) == 3
 
-    def test_a_word_that_is_wrong_everywhere_is_told_once_with_its_number(self, write_csv, build) -> None:
-        """240 rows with the same unknown word."""
+    def test_an_unknown_answer_in_all_rows_is_reported_once(self, write_csv, build) -> None:
+        """One message covers 240 rows with the same unknown answer."""
         problems = fails(write_csv(build["constant"](response="nowhere")))
         assert len(problems) == 1
         assert "given 'nowhere' (in 240 rows)" in problems[0]
 
-    def test_levels_that_all_differ_are_told_once_as_what_they_are(self, write_csv, paper_rows) -> None:
-        """Measured levels: no row is missing, and rows cannot be added."""
+    def test_measured_levels_are_reported_once(self, write_csv, paper_rows) -> None:
+        """If all levels differ, no row is missing; the message asks for the requested levels."""
         rows = [{**row, "velocity_mm_s": row["velocity_mm_s"] + number / 100} for number, row in enumerate(paper_rows)]
         (problem,) = fails(write_csv(rows))
         assert ":2:18: velocity_mm_s: given 240 different levels in 240 rows; allowed: the same levels for" in problem
         assert "give the requested levels" in problem and "add the missing rows" not in problem
 
-    def test_a_missing_column_is_named_with_what_was_found(self, write_csv, paper_rows) -> None:
-        """The likely other name is suggested."""
+    def test_a_missing_column_is_reported_with_those_found(self, write_csv, paper_rows) -> None:
+        """The most similar name is suggested."""
         rows = [{("velocity" if k == "velocity_mm_s" else k): v for k, v in row.items()} for row in paper_rows]
         (problem,) = fails(write_csv(rows))
         assert "velocity_mm_s: given columns participant" in problem
         assert "rename 'velocity'" in problem
 
     def test_a_table_without_a_header_shows_its_first_line(self, write_csv, paper_rows) -> None:
-        """The first line of data is no header."""
+        """The first line of data is not a header."""
         path = write_csv(paper_rows)
         path.write_text(path.read_text(encoding="utf-8").split("\n", 1)[1], encoding="utf-8")
         (problem,) = fails(path)
         assert "given a first line 'p01,one_hand" in problem
 
     def test_a_column_given_twice_is_refused(self, write_csv, paper_rows) -> None:
-        """Which one counts would be a guess."""
+        """It would be ambiguous which one counts."""
         path = write_csv([{**row, "note": 1} for row in paper_rows])
         path.write_text(path.read_text(encoding="utf-8").replace(",note", ",response", 1), encoding="utf-8")
         assert "2 columns named 'response'" in fails(path)[0]
@@ -214,27 +214,27 @@ class TestFaults:
             (HEADER.encode() + b'\np1,"one_hand\n', "a line that is not CSV"),
         ],
     )
-    def test_a_file_that_is_no_table_is_told_what_it_is(self, tmp_path, content, words) -> None:
-        """Exit status 2 material, never a traceback."""
+    def test_a_file_that_is_not_a_table_is_identified(self, tmp_path, content, words) -> None:
+        """It is an input error, never a traceback."""
         path = tmp_path / "answers.csv"
         path.write_bytes(content)
         (problem,) = fails(path)
         assert words in problem
 
-    def test_a_file_that_does_not_exist_is_told(self, tmp_path) -> None:
-        """House rule: what to do."""
+    def test_a_missing_file_is_reported(self, tmp_path) -> None:
+        """The message says that there is no such file."""
         (problem,) = fails(tmp_path / "no.csv")
         assert "no such file or folder" in problem
 
-    def test_a_mode_makes_no_sense_for_a_table_without_one(self, write_csv, paper_rows) -> None:
-        """A CSV need not say whether it is simulated."""
+    def test_a_mode_is_refused_for_a_table_without_one(self, write_csv, paper_rows) -> None:
+        """A CSV need not state whether it is simulated."""
         with pytest.raises(InputError, match="given mode 'real' with a CSV file; allowed: no column mode with a word"):
             read_responses(write_csv(paper_rows), mode="real")
 
 
 class TestBalance:
     def test_a_missing_answer_is_counted_with_participant_and_cell(self, write_csv, paper_rows) -> None:
-        """One row removed of 240: the others are analysed."""
+        """With one of 240 rows removed, the others are analysed."""
         rows = [
             row
             for row in paper_rows
@@ -246,8 +246,8 @@ class TestBalance:
         assert answers.counts.sum() == 239
 
     @pytest.mark.parametrize("word", ["", "n/a", "time_out", "NA"])
-    def test_a_missing_word_is_a_missing_answer(self, write_csv, paper_rows, word) -> None:
-        """An empty field, BIDS's n/a, the record's own time_out; any other word where it is named."""
+    def test_an_empty_response_is_a_missing_answer(self, write_csv, paper_rows, word) -> None:
+        """An empty field, BIDS's n/a, the record's time_out, and any other word given as missing."""
         rows = [dict(row) for row in paper_rows]
         rows[5]["response"] = word
         responses = read_responses(write_csv(rows), table_format=TableFormat(missing=("NA",)))
@@ -255,34 +255,34 @@ class TestBalance:
         assert len(responses.frame) == 239
 
     def test_a_row_without_its_rating_is_a_missing_answer(self, write_csv, paper_rows) -> None:
-        """The protocol asks for a number; the word beside it is no answer."""
+        """The protocol asks for a number; the word in the column response alone is not an answer."""
         design = {"answers": {"scale": {"kind": "likert"}}}
         rows = [{**row, "response": "rated", "value": 3} for row in paper_rows]
         rows[5]["value"] = ""
         asked = TableFormat(answers=AnswerList.of(design["answers"]), design=design)
         assert [n for *_, n in read_responses(write_csv(rows), table_format=asked).count().missing] == [1]
 
-    def test_a_cell_that_nobody_answered_is_missing_too(self, write_csv, paper_rows) -> None:
-        """The design is every finger condition with every pair at every level."""
+    def test_a_cell_without_any_answer_is_missing(self, write_csv, paper_rows) -> None:
+        """The design has every finger condition with every pair at every level."""
         rows = [row for row in paper_rows if (row["zone_left"], row["velocity_mm_s"]) != ("C", 200)]
         problems = fails(write_csv(rows))
         assert len(problems) == 10
         assert "one_hand C-E 200 mm/s, two_hands C-E 200 mm/s" in problems[0]
 
-    def test_a_doubled_row_is_told_with_both_lines(self, write_csv, paper_rows) -> None:
-        """The first row again at the end, line 242."""
+    def test_a_duplicate_row_is_reported_with_both_lines(self, write_csv, paper_rows) -> None:
+        """The first row is repeated at the end, in line 242."""
         (problem,) = fails(write_csv([*paper_rows, paper_rows[0]]))
         assert ":242:" in problem
         assert "2 answers from participant p01 in one_hand A-C 80 mm/s (lines 2, 242)" in problem
 
-    def test_a_doubled_repetition_is_told(self, write_csv, build) -> None:
-        """The same participant, cell and repetition twice."""
+    def test_a_duplicate_repetition_is_reported(self, write_csv, build) -> None:
+        """The same participant, cell and repetition occur twice."""
         rows = build["random"](2, 1, repetitions=2)
         problems = fails(write_csv([*rows, rows[0]]))
         assert any("again (first on line 2)" in problem for problem in problems)
 
-    def test_a_doubled_count_is_told(self, write_csv, paper_rows) -> None:
-        """The same participant, cell and response counted twice."""
+    def test_a_duplicate_count_is_reported(self, write_csv, paper_rows) -> None:
+        """The same participant, cell and response are counted twice."""
         rows = [{**row, "n": 1} for row in paper_rows]
         problems = fails(write_csv([*rows, rows[0]]))
         assert any("again (first on line 2)" in problem for problem in problems)
@@ -291,21 +291,21 @@ class TestBalance:
         ("n", "of"), [(1, "p01, with the same times, twice"), (0, "p99, .* identical to those of p01")]
     )
     def test_answers_copied_with_their_times_are_refused(self, write_csv, paper_rows, n, of) -> None:
-        """A table pasted under itself, and one participant's rows under another id."""
+        """A table pasted below itself, and one participant's rows under another id."""
         rows = [{**row, "response_time": 0.8 + place / 1000} for place, row in enumerate(paper_rows)]
         own = [{**row, "participant": "p99"} for row in rows if row["participant"] == "p01"]
         assert re.search(f"every answer of {of}", fails(write_csv([*rows, *(rows if n else own)]))[0])
 
     def test_trials_copied_with_their_numbers_are_refused(self, write_csv, paper_rows) -> None:
-        """A table pasted under itself would have twice the answers, and smaller p; two sessions have their numbers."""
+        """A table pasted below itself would double the answers and lower p; two sessions need session numbers."""
         rows = [{**row, "trial": place} for place, row in enumerate(paper_rows)]
         remedy = "remove the copies, or number sessions under session"
         assert f"every trial of p01 twice; allowed: each once; {remedy}" in fails(write_csv([*rows, *rows]))[0]
         sessions = [{**row, "session": number} for number in (1, 2) for row in rows]
         assert len(read_responses(write_csv(sessions)).frame) == 2 * len(rows)
 
-    def test_coarse_times_that_repeat_are_no_copies(self, write_csv, paper_rows) -> None:
-        """Five repetitions timed to half a second: every row comes again, but not equally often."""
+    def test_repeated_coarse_times_are_not_copies(self, write_csv, paper_rows) -> None:
+        """Five repetitions timed to half a second: every row recurs, but not equally often."""
         rows = [
             {**row, "repetition": n + 1, "response_time": 0.5 * (1 + place % 7) + (0.5 if n < 3 else 4.5)}
             for place, row in enumerate(paper_rows)
@@ -313,8 +313,8 @@ class TestBalance:
         ]
         assert len(read_responses(write_csv(rows)).frame) == len(rows)
 
-    def test_names_that_differ_in_capitals_are_refused(self, write_csv, paper_rows) -> None:
-        """One participant's condition in capitals: not a cell that everybody else lacks."""
+    def test_names_that_differ_in_case_are_refused(self, write_csv, paper_rows) -> None:
+        """A capitalised condition of one participant is not a cell that all others miss."""
         rows = [dict(row) for row in paper_rows]
         rows[-1]["finger_condition"] = "Two_hands"
         assert any("given 'Two_hands' beside 'two_hands'" in problem for problem in fails(write_csv(rows)))
@@ -323,18 +323,18 @@ class TestBalance:
         ("times", "said"), [(1100, "divide times in milliseconds by 1000"), (-0.5, "allowed: 0 to 86400 s")]
     )
     def test_reaction_times_are_seconds(self, write_csv, paper_rows, times, said) -> None:
-        """Milliseconds were taken for seconds, and times below zero for early answers."""
+        """Times in milliseconds and negative times are refused."""
         assert said in fails(write_csv([{**row, "response_time": times} for row in paper_rows]))[0]
 
     @pytest.mark.parametrize("n", ["1.5", "-1", "x", "", "999999999"])
-    def test_a_count_is_a_whole_number(self, write_csv, paper_rows, n) -> None:
-        """Counts from 0."""
+    def test_a_count_is_a_non_negative_integer(self, write_csv, paper_rows, n) -> None:
+        """Counts start at 0."""
         rows = [{**row, "n": 1} for row in paper_rows]
         rows[4]["n"] = n
         assert any("allowed: a whole number, 0 to 100000" in problem for problem in fails(write_csv(rows)))
 
-    def test_many_faulty_participants_do_not_flood_the_screen(self, write_csv, build) -> None:
-        """Forty participants without their last cell: twenty are listed, the rest counted."""
+    def test_a_long_list_of_faulty_participants_is_shortened(self, write_csv, build) -> None:
+        """Of forty participants without their last cell, twenty are listed and the rest counted."""
         rows = [
             row for row in build["paper"](80) if not (int(row["participant"][1:]) > 40 and row["velocity_mm_s"] == 80)
         ]
@@ -343,8 +343,8 @@ class TestBalance:
         assert any("20 more participants" in problem for problem in problems)
 
 
-def test_a_condition_that_one_row_alone_has_leaves_the_others_without_it(write_csv, build) -> None:
-    """A word misspelt in one of 72 rows: every participant lacks the cells that it makes."""
+def test_a_condition_in_a_single_row_is_missing_elsewhere(write_csv, build) -> None:
+    """A misspelling in one of 72 rows makes cells that every participant misses."""
     rows = build["paper"](3)
     rows[71]["finger_condition"] = "2hands"
     found = fails(write_csv(rows))
@@ -352,15 +352,15 @@ def test_a_condition_that_one_row_alone_has_leaves_the_others_without_it(write_c
     assert all("2hands" in problem and "no answer from participant" in problem for problem in found)
 
 
-def test_a_participant_who_gave_up_is_named(write_csv, build) -> None:
-    """Three of 24 answers: missing cells."""
+def test_a_participant_who_stopped_early_is_reported(write_csv, build) -> None:
+    """With three of 24 answers, cells are missing."""
     rows = [row for row in build["paper"](4) if row["participant"] != "p04"]
     rows += [row for row in build["paper"](4) if row["participant"] == "p04"][:3]
     (problem,) = fails(write_csv(rows))
     assert "no answer from participant p04 in" in problem
 
 
-def test_a_condition_that_half_of_the_participants_met_is_missed_by_the_others(write_csv, build) -> None:
+def test_a_condition_of_half_the_participants_is_missing_for_the_others(write_csv, build) -> None:
     """Five of ten never had two hands on the beam."""
     rows = [row for row in build["paper"](10) if row["participant"] < "p06" or row["finger_condition"] == "one_hand"]
     found = fails(write_csv(rows))
@@ -370,8 +370,8 @@ def test_a_condition_that_half_of_the_participants_met_is_missed_by_the_others(w
 
 @given(st.data())
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_a_spoiled_table_is_refused_or_read_but_never_breaks(tmp_path, paper_csv, data) -> None:
-    """Bytes cut out, put in or changed anywhere: the answers, or an InputError with its places, nothing else."""
+def test_a_corrupted_table_is_refused_or_read(tmp_path, paper_csv, data) -> None:
+    """With bytes removed, inserted or changed anywhere, the result is answers or an InputError with its places."""
     content = paper_csv.read_bytes()[:2000]
     pieces = [b"", b'"', b",", b"\n", b";", b"\x00", b"\xff", b"1e999", b"nan", b"\t", b"-"]
     for _ in range(data.draw(st.integers(1, 3))):
@@ -387,15 +387,15 @@ def test_a_spoiled_table_is_refused_or_read_but_never_breaks(tmp_path, paper_csv
 
 
 def in_multiples(rows):
-    """Return the levels as multiples of a threshold, beside velocities of everyone's own."""
+    """Return the levels as multiples of a threshold, beside individual velocities."""
     return [
         row | {"multiple_of_threshold": row["velocity_mm_s"] / 100, "velocity_mm_s": row["velocity_mm_s"] + i % 10}
         for i, row in enumerate(rows)
     ]
 
 
-def test_multiples_of_the_threshold_are_the_level_where_they_are_told(write_csv, paper_rows) -> None:
-    """As the record's own table has them, n/a in a catch trial; the velocities alone would fill no cells."""
+def test_multiples_of_the_threshold_are_the_level_if_given(write_csv, paper_rows) -> None:
+    """As in a record's table, with n/a in a catch trial; individual velocities would not form cells."""
     rows = [row | {"catch": 0} for row in in_multiples(paper_rows)]
     rows.append(rows[0] | {"catch": 1, "velocity_mm_s": 0, "multiple_of_threshold": "n/a"})
     responses = read_responses(write_csv(rows))
@@ -416,16 +416,16 @@ def test_multiples_of_the_threshold_are_the_level_where_they_are_told(write_csv,
         ("7", "no answer from participant p01 in one_hand A-C 0.8 x threshold"),
     ],
 )
-def test_a_faulty_multiple_is_told_in_its_place(write_csv, paper_rows, word, words) -> None:
-    """One row spoilt: nothing, below zero, no number, the level of another cell, one that nobody else has."""
+def test_a_faulty_multiple_is_reported_with_its_place(write_csv, paper_rows, word, words) -> None:
+    """One faulty row: empty, negative, not a number, of another cell, or without a counterpart."""
     rows = in_multiples(paper_rows)
     rows[0] = rows[0] | {"multiple_of_threshold": word}
     told = fails(write_csv(rows))
     assert any(words in line for line in told), told
 
 
-def test_words_are_mapped_as_they_are_told(write_csv, paper_rows) -> None:
-    """L, B and R; an unknown word names the option that maps it."""
+def test_answers_are_mapped_as_requested(write_csv, paper_rows) -> None:
+    """L, B and R are mapped; the message on an unknown answer gives the option."""
     short = {"left": "L", "both": "B", "right": "R"}
     path = write_csv([row | {"response": short[row["response"]]} for row in paper_rows], "short.csv")
     read = read_responses(path, table_format=TableFormat(words={word: name for name, word in short.items()}))
@@ -435,19 +435,19 @@ def test_words_are_mapped_as_they_are_told(write_csv, paper_rows) -> None:
 
 class TestSessionsAndModes:
     def test_several_modes_are_never_mixed(self, write_csv, paper_rows) -> None:
-        """Real and simulated rows of the same cells: refused, or one of them chosen."""
+        """Real and simulated rows of the same cells are refused, unless one mode is chosen."""
         rows = [row | {"mode": mode} for mode in ("real", "simulated") for row in paper_rows]
         path = write_csv(rows)
         assert "rows of several words under mode (real, simulated)" in fails(path)[0]
         chosen = read_responses(path, mode="simulated")
         assert (chosen.source.mode, chosen.count().n_repetitions) == ("simulated", 1)
 
-    def test_a_mode_of_another_meaning_is_refused(self, write_csv, paper_rows) -> None:
-        """Neither real, nor pilot, nor simulated."""
+    def test_an_unknown_mode_in_a_table_is_refused(self, write_csv, paper_rows) -> None:
+        """The mode is neither real nor pilot nor simulated."""
         assert "a column mode with fast" in fails(write_csv([row | {"mode": "fast"} for row in paper_rows]))[0]
 
     def test_several_stimuli_are_analysed_together_or_one_is_chosen(self, write_csv, paper_rows) -> None:
-        """As with recorded sessions: parts of their own, whose counts are those of either alone; one answer lacks."""
+        """As with recorded sessions, each stimulus is a part with its own counts; one answer is missing."""
         rows = [row | {"stimulus": name} for name in ("near", "far") for row in paper_rows]
         path = write_csv(rows[:-1])
         assert read_responses(path, stimulus="near").count().n_repetitions == 1
@@ -457,7 +457,7 @@ class TestSessionsAndModes:
         assert [missing["n"] for missing in found.as_dict()["missing"]] == [1]
 
     def test_stimuli_and_groups_are_in_the_order_of_the_protocol(self, write_csv, paper_rows) -> None:
-        """Differences are of the first named less the second: without a protocol by the alphabet."""
+        """Differences are the first minus the second: in the protocol's order, or alphabetical without a protocol."""
         rows = [row | {"stimulus": name, "group": "old" if row["participant"] < "p05" else "new"}
                 for name in ("near", "far") for row in paper_rows]  # fmt: skip
         path = write_csv(rows)
@@ -468,8 +468,8 @@ class TestSessionsAndModes:
         alone = read_responses(path, stimulus="far", table_format=TableFormat(design=design))
         assert [*dict.fromkeys(alone.groups.values())] == ["old", "new"]
 
-    def test_kinds_of_session_are_told_apart_as_in_a_results_folder(self, write_csv, paper_rows) -> None:
-        """As many answers in each kind as the paper's table alone; a training stays out; the order is as planned."""
+    def test_kinds_of_session_are_separate_as_in_a_results_folder(self, write_csv, paper_rows) -> None:
+        """Each kind has the counts of the paper's table; training is excluded, and the order is the protocol's."""
         sessions = [{"name": "pre"}, {"name": "training", "analysed": False}, {"name": "post"}]
         rows = [
             row | {"session_kind": kind["name"], "session": number}
@@ -484,8 +484,8 @@ class TestSessionsAndModes:
             assert (part.counts.counts == counted(write_csv(paper_rows, "alone.csv"))).all()
         assert read_responses(path).kinds == ("post", "pre", "training")
 
-    def test_a_row_without_a_stimulus_is_refused_where_others_have_one(self, write_csv, paper_rows) -> None:
-        """At its line; catch and practice trials need none, nor does a table whose column is empty."""
+    def test_a_row_without_a_stimulus_is_refused_if_others_have_one(self, write_csv, paper_rows) -> None:
+        """The fault has its line; catch and practice trials need no stimulus, nor does a table with an empty column."""
         rows = [row | {"stimulus": name, "catch": 0} for name in ("near", "far") for row in paper_rows]
         silent = rows[0] | {"stimulus": "", "catch": 1}
         (problem,) = fails(write_csv([silent, *rows[:7], rows[7] | {"stimulus": ""}, *rows[8:]]))
@@ -494,14 +494,14 @@ class TestSessionsAndModes:
         assert len(read_responses(write_csv([silent, *rows])).stimuli) == 2
         assert read_responses(write_csv([row | {"stimulus": ""} for row in paper_rows])).stimuli == ()
 
-    def test_sessions_are_repetitions_and_said_to_be(self, write_csv, paper_rows) -> None:
-        """Two sessions of everybody."""
+    def test_sessions_are_noted_as_repetitions(self, write_csv, paper_rows) -> None:
+        """Every participant has two sessions."""
         read = read_responses(write_csv([row | {"session": number} for number in (1, 2) for row in paper_rows]))
         assert read.count().n_repetitions == 2
         assert read.notes == ("2 sessions of each participant taken together, as repetitions",)
 
-    def test_a_session_that_others_lack_stays_out(self, write_csv, paper_rows) -> None:
-        """One participant came twice: the second time is named and left out."""
+    def test_a_session_that_others_do_not_have_is_excluded(self, write_csv, paper_rows) -> None:
+        """One participant has two sessions: the second is listed and left out."""
         again = [row | {"session": 2} for row in paper_rows if row["participant"] == "p01"]
         read = read_responses(write_csv([*(row | {"session": 1} for row in paper_rows), *again]))
         assert read.count().n_repetitions == 1
@@ -510,8 +510,8 @@ class TestSessionsAndModes:
         ]
 
 
-def test_a_table_of_adaptive_levels_is_refused_as_such(write_csv, paper_rows) -> None:
-    """Its levels are no cells, and its rows do not tell the runs."""
+def test_a_table_of_adaptive_levels_is_refused(write_csv, paper_rows) -> None:
+    """Its levels are not cells, and its rows do not identify the runs."""
     design = {"adaptive": {"method": "staircase"}}
     with pytest.raises(InputError, match="a table with an adaptive protocol.*give the folder of the sessions"):
         read_responses(write_csv(paper_rows), table_format=TableFormat(design=design))
@@ -536,8 +536,8 @@ PROTOCOL = {
         ("group", "new", "given 'new' of participant p01, who was in another group before; allowed: one group of each"),
     ],
 )
-def test_a_table_holds_what_its_protocol_can_give(write_csv, paper_rows, column, word, fault) -> None:
-    """A rating beyond its scale, names that the protocol lacks, a participant of two groups: each at its line."""
+def test_a_table_is_checked_against_its_protocol(write_csv, paper_rows, column, word, fault) -> None:
+    """A rating outside its scale, an unknown name, a participant in two groups: each is reported with its line."""
     usual = {"value": 50, "sure": 2, "stimulus": "near", "group": "old", "session_kind": "pre", "response": "rated"}
     rows = [row | usual for row in paper_rows]
     rows[5][column] = word
@@ -547,8 +547,8 @@ def test_a_table_holds_what_its_protocol_can_give(write_csv, paper_rows, column,
     assert f": {column}: {fault}" in str(caught.value) and ":7:" in str(caught.value)
 
 
-def test_a_time_out_is_no_rating(write_csv, paper_rows) -> None:
-    """In words, as in the record's own table, or empty; neither is refused."""
+def test_a_time_out_is_not_a_rating(write_csv, paper_rows) -> None:
+    """It may be written as in a record's table, or left empty; neither is refused."""
     design = {"answers": PROTOCOL["answers"]}
     rows = [row | {"value": 50, "sure": sure, "response": "rated"} for row, sure in zip(
         paper_rows, ["time_out", "", *[3] * len(paper_rows)], strict=False)]  # fmt: skip
@@ -556,8 +556,8 @@ def test_a_time_out_is_no_rating(write_csv, paper_rows) -> None:
     assert read.frame["sure"].isna().sum() == 2 and read.frame["sure"].max() == 3
 
 
-def test_a_further_answer_that_was_not_offered_is_no_missing_one(write_csv, paper_rows) -> None:
-    """A misspelt word is refused at its line; a word for no answer, a time-out and an empty field are missing."""
+def test_an_unknown_further_answer_is_not_taken_as_missing(write_csv, paper_rows) -> None:
+    """A misspelling is refused with its line; a missing mark, a time-out and an empty field are missing."""
     design = {"answers": {**PROTOCOL["answers"], "then": {"feel": {"keys": {"smooth": ["f1"], "rough": ["f2"]}}}}}
     form = TableFormat(AnswerList.of(design["answers"]), missing=("NA",), design=design)
     rows = [row | {"value": 50, "response": "rated", "feel": "rough"} for row in paper_rows]
@@ -572,8 +572,8 @@ def test_a_further_answer_that_was_not_offered_is_no_missing_one(write_csv, pape
         read_responses(write_csv(rows), table_format=form)
 
 
-def test_the_protocol_tells_the_focus_of_a_table(write_csv, paper_rows) -> None:
-    """Of several stimuli each has its own; without a protocol nobody knows it."""
+def test_the_focus_of_a_table_comes_from_the_protocol(write_csv, paper_rows) -> None:
+    """Each of several stimuli has its own focus; without a protocol it is unknown."""
     design = {"stimulus": {"focus": "C"}, "stimuli": {"near": {"focus": "B"}, "far": {}}}
     path = write_csv([row | {"stimulus": name} for name in ("near", "far") for row in paper_rows])
     foci = [
@@ -582,8 +582,8 @@ def test_the_protocol_tells_the_focus_of_a_table(write_csv, paper_rows) -> None:
     assert (foci, read_responses(path, stimulus="far").focus) == (["B", "C"], "")
 
 
-def test_a_table_of_a_design_that_is_not_crossed_has_its_parts(write_csv, build) -> None:
-    """Each pair at a level of its own: two parts; who lacks a trial without a row is told to write one."""
+def test_a_table_of_an_uncrossed_design_is_analysed_in_parts(write_csv, build) -> None:
+    """Each pair has its own level: two parts; a trial without a row is refused with the remedy."""
     levels = {"A": 80, "B": 150}
     rows = [row for row in build["random"](6, 1) if levels.get(row["zone_left"]) == row["velocity_mm_s"]]
     design = {"conditions": {"exclude": [{"pair": ["A", "C"]}]}, "stimulus": {"focus": "C"}}
@@ -611,7 +611,7 @@ def test_cells_that_list_a_crossed_design_are_analysed_as_crossed(write_csv, pap
 
 @pytest.mark.parametrize("column", ["value", "sure", "stimulus", "group", "session_kind"])
 def test_a_table_has_the_columns_of_its_protocol(write_csv, paper_rows, column) -> None:
-    """Without them stimuli, groups and kinds of session would be pooled, and ratings left out, without a word."""
+    """Otherwise stimuli, groups and kinds of session would be pooled, and ratings left out, silently."""
     usual = {"value": 50, "sure": 2, "stimulus": "near", "group": "old", "session_kind": "pre", "response": "rated"}
     del usual[column]
     answers = AnswerList.of(PROTOCOL["answers"])
@@ -621,8 +621,8 @@ def test_a_table_has_the_columns_of_its_protocol(write_csv, paper_rows, column) 
         )
 
 
-def test_a_word_for_no_answer_stands_for_no_rating_either(write_csv, paper_rows) -> None:
-    """One rating was given as -99, which is beyond the scale where it is not named."""
+def test_a_mark_for_missing_answers_applies_to_ratings(write_csv, paper_rows) -> None:
+    """A rating of -99 is outside the scale unless it is given as a mark for missing."""
     design = {"answers": {"scale": {"kind": "likert"}}}
     answers = AnswerList.of(design["answers"])
     rows = [row | {"response": "rated", "value": 4} for row in paper_rows]
@@ -634,8 +634,8 @@ def test_a_word_for_no_answer_stands_for_no_rating_either(write_csv, paper_rows)
 
 
 @pytest.mark.parametrize("left_out", [{"response": ""}, {"response": "n/a"}, {}])
-def test_ratings_need_no_word_for_the_response(write_csv, paper_rows, left_out) -> None:
-    """Reference: the same numbers beside the record's own word; a row without a number has no answer."""
+def test_ratings_need_no_response_column(write_csv, paper_rows, left_out) -> None:
+    """Reference: the same numbers with the record's response; a row without a number has no answer."""
     design = {"answers": {"scale": {"kind": "likert"}}}
     form = TableFormat(AnswerList.of(design["answers"]), design=design)
     rows = [row | {"value": 1 + place % 7 if place else ""} for place, row in enumerate(paper_rows)]
@@ -646,14 +646,14 @@ def test_ratings_need_no_word_for_the_response(write_csv, paper_rows, left_out) 
     assert set(found["response"]) == {"rated"}
 
 
-def test_a_level_of_zero_is_said_to_be_that_of_a_catch_trial(write_csv, paper_rows) -> None:
-    """As the record's own table writes it, where the column `catch` was lost."""
+def test_a_level_of_zero_is_identified_as_a_catch_trial(write_csv, paper_rows) -> None:
+    """A record's table has such levels; here its column `catch` was lost."""
     with pytest.raises(InputError, match=r"given '0'; allowed: .*; mark catch trials by a 1 in a column `catch`"):
         read_responses(write_csv([*paper_rows, paper_rows[0] | {"velocity_mm_s": 0}]))
 
 
-def test_who_has_no_answer_at_all_is_named_and_a_table_without_any_refused(write_csv, paper_rows) -> None:
-    """Neither p03 nor, in the other table, 80 mm/s is in any result: it must not go unsaid."""
+def test_participants_and_levels_without_any_answer_are_listed(write_csv, paper_rows) -> None:
+    """Neither p03 nor 80 mm/s is in any result, so a note is needed; a table without any answer is refused."""
     gone = [row | {"response": "time_out"} if row["participant"] == "p03" else row for row in paper_rows]
     (note,) = read_responses(write_csv(gone)).notes
     assert note == "Left out, since there is no answer at all: participant p03"
@@ -665,15 +665,15 @@ def test_who_has_no_answer_at_all_is_named_and_a_table_without_any_refused(write
 
 
 @pytest.mark.parametrize("times", [1, 2])
-def test_a_table_whose_every_row_is_left_out_has_no_answers(write_csv, paper_rows, times) -> None:
-    """As where the column marks the rows to keep instead."""
+def test_a_table_with_all_rows_excluded_has_no_answers(write_csv, paper_rows, times) -> None:
+    """The column may have been meant to mark the rows to keep."""
     with pytest.raises(InputError, match="given no answers; allowed: at least one answer that is not practice"):
         read_responses(write_csv([row | {"excluded": 1} for row in paper_rows * times]))
 
 
 @pytest.mark.parametrize("times", [2, 3])
-def test_a_table_that_stands_there_several_times_is_told(write_csv, paper_rows, times) -> None:
-    """Repetitions of clear cells may be all alike, so they are read; one row that differs is enough to say nothing."""
+def test_a_table_pasted_several_times_is_noted(write_csv, paper_rows, times) -> None:
+    """Repetitions may all be equal, so they are read with a note; one row that differs removes the note."""
     clear = [paper_rows[0], *({**row, "response": "both"} for row in paper_rows[1:])]
     note = f"every row occurs {times} times, taken as repetitions: if the table was pasted together, remove the copies"
     assert note in read_responses(write_csv(clear * times)).notes
@@ -682,9 +682,7 @@ def test_a_table_that_stands_there_several_times_is_told(write_csv, paper_rows, 
     )
 
 
-def test_repetitions_whose_answers_vary_between_participants_but_never_within_are_refused(
-    write_csv, paper_rows
-) -> None:
+def test_repetitions_that_never_vary_within_participants_are_refused(write_csv, paper_rows) -> None:
     """In (B,D), where half the participants answer otherwise, 80 pairs of repetitions would not all agree.
 
     Sorting does not hide copies. Numbered, they are read: somebody says that they are repetitions.
@@ -715,10 +713,10 @@ def test_repetitions_in_another_order_are_no_copies(write_csv, paper_rows) -> No
         ("repetitions: 1\n  sessions: [{name: training, analysed: false}, {name: test, times: 2}]", 2),
     ],
 )
-def test_a_table_that_stands_there_more_often_than_the_protocol_repeats_is_refused(
+def test_more_copies_of_a_table_than_planned_repetitions_are_refused(
     write_csv, paper_rows, edit, schedule: str, most: int
 ) -> None:
-    """Copies beyond the answers in all analysed sessions are refused; as many as these are read."""
+    """Up to the number of answers in all analysed sessions, copies are read."""
     form = TableFormat.of(Findings.read(edit(PAPER, ("repetitions: 1", schedule))))
     assert form.most == most
     rows = [row | {"session_kind": "test"} for row in paper_rows]
@@ -728,8 +726,8 @@ def test_a_table_that_stands_there_more_often_than_the_protocol_repeats_is_refus
     assert len(read_responses(write_csv(rows * most), table_format=form).frame) == most * len(rows)
 
 
-def test_copies_are_refused_beyond_the_weights_of_the_cells_of_a_protocol(write_csv, edit) -> None:
-    """A pair of weight 2 beside one of weight 1, each twice: four answers where two are planned."""
+def test_more_copies_than_the_weights_of_the_cells_are_refused(write_csv, edit) -> None:
+    """Pairs of weight 2 and 1, each given twice: four answers where two are planned."""
     cells = ("  zone_pairs: [[A, C], [B, D], [C, E]]\n  peak_velocities_mm_s: [80, 100, 150, 200]\n",
              "  cells: [{pair: [A, C], peak_velocities_mm_s: [80, 200], weight: 2}, "
              "{pair: [B, D], peak_velocities_mm_s: [100]}]\n")  # fmt: skip
@@ -746,7 +744,7 @@ def test_copies_are_refused_beyond_the_weights_of_the_cells_of_a_protocol(write_
 
 
 def test_levels_in_metres_per_second_are_refused(write_csv, paper_rows) -> None:
-    """All below 1 mm/s: refused, unless the protocol has such levels."""
+    """Levels all below 1 mm/s are refused, unless the protocol has such levels."""
     path = write_csv([{**row, "velocity_mm_s": float(row["velocity_mm_s"]) / 1000} for row in paper_rows])
     said = "velocity_mm_s: given levels of at most 0.2; allowed: peak velocities in mm/s; multiply them by 1000"
     with pytest.raises(InputError, match=said):
@@ -757,8 +755,8 @@ def test_levels_in_metres_per_second_are_refused(write_csv, paper_rows) -> None:
         read_responses(path, table_format=TableFormat(design={"conditions": {"peak_velocities_mm_s": [80, 200]}}))
 
 
-def test_a_number_of_a_session_is_not_proposed_for_its_kind(write_csv, paper_rows) -> None:
-    """`session` has a meaning of its own, so it is not to be renamed."""
+def test_the_session_number_is_not_suggested_as_its_kind(write_csv, paper_rows) -> None:
+    """`session` has its own meaning, so the message does not suggest renaming it."""
     rows = [{**row, "session": "1"} for row in paper_rows]
     design = {"schedule": {"sessions": [{"name": "pre"}, {"name": "post"}]}}
     with pytest.raises(InputError, match="add the column session_kind"):

@@ -14,7 +14,7 @@ class TestTrend:
     @given(st.lists(st.tuples(*[st.integers(0, 1)] * 4), min_size=1, max_size=3))
     @settings(max_examples=40, deadline=None)
     def test_p_equals_all_shuffles_of_the_levels(self, rows) -> None:
-        """Expected value: every rearrangement of every participant's answers, one answer a level."""
+        """Reference: every rearrangement of every participant's answers, one answer per level."""
         scores = [0, 2, 7, 12]
         test = trend_test(rows, [80, 100, 150, 200])
         centre = sum(sum(row) * sum(scores) / 4 for row in rows)
@@ -26,8 +26,8 @@ class TestTrend:
         reached = abs(total(rows)) - 1e-9
         assert test.p == pytest.approx(np.mean([abs(total(a)) >= reached for a in space]), rel=1e-12)
 
-    def test_repetitions_are_shuffled_one_by_one(self) -> None:
-        """Expected value: every choice of k of the presentations, for two participants."""
+    def test_repetitions_are_shuffled_individually(self) -> None:
+        """Reference: every choice of k of the presentations, for two participants."""
         scores, repetitions = [0, 1, 3], 2
         counts = [[0, 1, 2], [1, 0, 2]]
         slots = [s for s in scores for _ in range(repetitions)]
@@ -37,8 +37,8 @@ class TestTrend:
         expected = np.mean([abs(a + b - centre) >= reached for a in sums[0] for b in sums[1]])
         assert trend_test(counts, [10, 20, 40], repetitions).p == pytest.approx(expected, rel=1e-12)
 
-    def test_missing_answers_leave_the_others_to_be_shuffled(self) -> None:
-        """Reference: every order of the answers there are, over the levels that they were given to."""
+    def test_with_missing_answers_the_others_are_shuffled(self) -> None:
+        """Reference: every order of the existing answers over the levels at which they were given."""
         answered = np.array([[1, 1, 0, 1], [1, 1, 1, 1], [2, 1, 1, 0]])
         chosen = np.array([[0, 1, 0, 1], [0, 0, 1, 1], [1, 1, 1, 0]])
         scores, sums = np.array([0, 2, 7, 12]), [np.zeros(1)]
@@ -55,31 +55,31 @@ class TestTrend:
         assert test.p == pytest.approx(np.mean(np.abs(every) >= abs(expected) - 1e-9))
         assert test.quick_p == pytest.approx(test.p, abs=1e-12)
 
-    def test_participants_without_variation_drop_out(self) -> None:
-        """They give the same total under every shuffle."""
+    def test_participants_without_variation_do_not_matter(self) -> None:
+        """They have the same total under every shuffle."""
         moving = [[0, 0, 1, 1], [0, 1, 1, 1]]
         assert trend_test(moving, [1, 2, 3, 4]).p == trend_test([*moving, [1] * 4, [0] * 4], [1, 2, 3, 4]).p
 
     @pytest.mark.parametrize("rows", [[[1, 1, 1, 1]] * 10, [[0, 0, 0, 0]] * 3])
-    def test_constant_answers_hold_no_information(self, rows) -> None:
-        """P and the smallest p are 1, not an error."""
+    def test_constant_answers_have_no_information(self, rows) -> None:
+        """Both p and the smallest p are 1, without an error."""
         test = trend_test(rows, [80, 100, 150, 200])
         assert (test.p, test.p_min, test.n_informative) == (1, 1, 0)
 
-    def test_one_level_holds_no_information(self) -> None:
+    def test_one_level_has_no_information(self) -> None:
         """A trend needs two levels."""
         assert trend_test([[1], [0]], [80]).p_min == 1
 
     def test_p_min_is_the_least_p_over_all_shuffles(self) -> None:
-        """Expected value: the test run on every rearrangement."""
+        """Reference: the test run on every rearrangement."""
         rows = [(1, 0, 0, 1), (1, 1, 1, 0)]
         arranged = product(*[set(permutations(row)) for row in rows])
         least = min(trend_test(list(a), [80, 100, 150, 200]).p for a in arranged)
         assert trend_test(rows, [80, 100, 150, 200]).p_min == pytest.approx(least, rel=1e-12)
 
     @pytest.mark.parametrize("rates", [[0.5, 0.5, 0.5, 0.5], [0.2, 0.4, 0.6, 0.9], [0.05, 0.2, 0.8, 0.95]])
-    def test_transforms_agree_with_shifted_copies_down_to_the_smallest_p(self, rates, monkeypatch) -> None:
-        """Two independent ways to the same number; the last p lies far below 1e-16."""
+    def test_the_transform_agrees_with_convolution_down_to_the_smallest_p(self, rates, monkeypatch) -> None:
+        """Two independent algorithms agree; the last p is far below 1e-16."""
         rows = np.random.default_rng(5).binomial(1, rates, (60, 4))
         direct, transformed = (trend_test(rows, [80, 100, 150, 200]) for _ in range(2))
         p, p_min = direct.p, direct.p_min  # computed here, at first use
@@ -87,16 +87,16 @@ class TestTrend:
         assert transformed.p == pytest.approx(p, rel=1e-8, abs=0)
         assert transformed.p_min == pytest.approx(p_min, rel=1e-8, abs=0)
 
-    def test_the_level_is_kept_under_the_null(self) -> None:
-        """Type I error on guesses of 10 participants within its Monte Carlo interval (2000 experiments, 3 sd)."""
+    def test_the_trend_test_keeps_its_level_under_the_null(self) -> None:
+        """Type I error on guesses of 10 participants is within its Monte Carlo interval (2000 experiments, 3 sd)."""
         rng = np.random.default_rng(8)
         p = [trend_test(rng.integers(0, 2, (10, 4)), [80, 100, 150, 200]).p for _ in range(2000)]
         assert np.mean(np.array(p) <= 0.05) <= 0.05 + 3 * np.sqrt(0.05 * 0.95 / 2000)
 
     @pytest.mark.parametrize("n_participants", [1, 3, 10])
     @pytest.mark.parametrize("slope", [0.0, 0.01, 0.03])
-    def test_many_answers_are_judged_by_the_normal_law(self, n_participants, slope, monkeypatch) -> None:
-        """240 answers each, exactly and by the normal law: the same statistic, p to 4 %; the smallest p is as tiny."""
+    def test_many_answers_use_the_normal_approximation(self, n_participants, slope, monkeypatch) -> None:
+        """240 answers each, exactly and by approximation: the same statistic, p within 4 %, and a tiny p_min."""
         rates = 0.5 + slope * np.arange(-1.5, 2)
         rows = np.random.default_rng(3).binomial(60, rates, (n_participants, 4))
         exact = trend_test(rows, [80, 100, 150, 200], 60)
@@ -107,36 +107,36 @@ class TestTrend:
         assert normal.p_min < 1e-6 > exact.p_min
         assert normal.n_informative == exact.n_informative == n_participants
 
-    def test_who_did_not_answer_counts_for_nothing_among_many_answers(self) -> None:
-        """And the smallest p is that of the farther end, which with uneven levels may be the lower one."""
+    def test_a_participant_without_answers_does_not_count_in_the_approximation(self) -> None:
+        """The smallest p is that of the farther end, which with uneven levels may be the lower one."""
         alone = trend_test([[120, 140]], [80, 200], [[210, 210]])
         both = trend_test([[120, 140], [0, 0]], [80, 200], [[210, 210], [0, 0]])
         assert (both.p, both.n_informative) == (pytest.approx(alone.p), 1)
         extreme = trend_test([[170, 170, 0]], [0, 1, 10], 170)
         assert extreme.p == extreme.p_min
 
-    def test_a_thousand_answers_a_level_are_judged(self) -> None:
-        """The numbers of ways overflow a float there; participants without any preference give no small p."""
+    def test_a_thousand_answers_per_level_do_not_overflow(self) -> None:
+        """The numbers of arrangements would overflow a float; participants without a preference give no small p."""
         rows = np.random.default_rng(3).binomial(1000, 0.5, (42, 4))
         assert trend_test(rows, [80, 100, 150, 200], 1000).p > 0.01
         assert trend_test(rows + [[0, 0, 0, 90]], [80, 100, 150, 200], 1000).p < 1e-6
         assert smallest_trend_p([80, 100, 150, 200], 42, 1000) < 1e-300
         assert smallest_trend_p([80], 42, 1000) == 1.0
 
-    def test_the_smallest_p_is_exact_up_to_the_most_answers_that_are_counted(self, monkeypatch) -> None:
-        """Closed form: of eight answers four are chosen in 70 ways, by each of two, and either end is as extreme."""
+    def test_the_smallest_p_is_exact_up_to_the_limit_of_enumeration(self, monkeypatch) -> None:
+        """Closed form: four of eight answers are chosen in 70 ways, by each of two, and both ends are as extreme."""
         monkeypatch.setattr("modaltouch.analysis.exact.MOST_EXACT", 8)
         levels = [80, 100, 150, 200]
         assert smallest_trend_p(levels, 2, 2) == pytest.approx(2 / 70**2, rel=1e-12)
         assert smallest_trend_p(levels, 2, 3) < 1e-300
 
     def test_counts_beyond_the_repetitions_are_refused(self) -> None:
-        """House rule: what was given, what is allowed."""
+        """The message gives the range and what is allowed."""
         with pytest.raises(ValueError, match="runs from 0 to 3, allowed: 0 to 2"):
             trend_test([[0, 3]], [1, 2], 2)
 
     def test_counts_that_do_not_fit_the_levels_are_refused(self) -> None:
-        """House rule: shapes of both."""
+        """The message gives both shapes."""
         with pytest.raises(ValueError, match=r"shape \(1, 2\), but there are 3 levels"):
             trend_test([[0, 1]], [1, 2, 3])
 
@@ -151,6 +151,6 @@ class TestTrend:
         ([0, 999, 1000], [0, 999, 1000]),
     ],
 )
-def test_levels_become_the_smallest_whole_scores(levels, scores) -> None:
-    """Closed form: distances over their greatest common divisor, at most a thousand steps."""
+def test_levels_become_the_smallest_integer_scores(levels, scores) -> None:
+    """Closed form: distances over their greatest common divisor, with at most a thousand steps."""
     assert level_scores(levels).tolist() == scores

@@ -34,12 +34,12 @@ def paragraphs(frame) -> dict[str, str]:
 
 
 def test_each_question_has_its_paragraph(paper_frame) -> None:
-    """Questions a to f of the plan, and the side bias the design allows."""
+    """Questions a to f of the plan, and the side bias that the design allows."""
     assert list(paragraphs(paper_frame)) == ["a1", "a2", "b", "c", "d", "e", "f", "side"]
 
 
-def test_numbers_are_filled_in(paper_frame) -> None:
-    """Each question is answered first, with its number, on average and for somebody; p of leaning alike is 2/2^10."""
+def test_each_answer_begins_with_its_number(paper_frame) -> None:
+    """Each question is answered on average and for some participant; if all lean alike, p is 2/2^10."""
     told = paragraphs(paper_frame)
     assert told["a2"].startswith(
         "Yes, in 4 of 6 tests: one zone is chosen more than the other on average. Clearest: P(C) - P("
@@ -68,21 +68,21 @@ def test_numbers_are_filled_in(paper_frame) -> None:
         ("all", "all"),
     ],
 )
-def test_conditions_and_zones_are_said_in_words(paper_frame, scope, words) -> None:
-    """No name of a file or key in a sentence."""
+def test_conditions_and_zones_are_written_out(paper_frame, scope, words) -> None:
+    """Sentences contain no file or key names."""
     answers = count_answers(paper_frame)
     assert scope_in_words(scope, answers.finger_conditions, answers.pairs) == words
 
 
 def test_families_and_their_error_rates_are_stated_once(paper_frame) -> None:
-    """Nine families at 5 % each; by Bonferroni's inequality 45 % over all of them."""
+    """Nine families at 5 % each give 45 % over all of them by Bonferroni's inequality."""
     stated = state_families(find(count_answers(paper_frame), paper_frame))
     assert "a1 (24), a2 (6), a2 mean (6), b (6), b mean (6), c (6), c mean (6), d (6), d mean (6)" in stated
     assert "over all 9, that probability is 45 % at most" in stated
 
 
 def test_every_p_is_corrected_or_exploratory(paper_frame) -> None:
-    """A row says what it may support."""
+    """The role of a row follows from its p values."""
     rows = find(count_answers(paper_frame), paper_frame)
     roles = {row.role: [each for each in rows if each.role == row.role] for row in rows}
     assert all(row.p_holm >= row.p for row in roles["confirmatory"])
@@ -90,20 +90,20 @@ def test_every_p_is_corrected_or_exploratory(paper_frame) -> None:
     assert all(row.p != row.p for row in roles["estimate"])
 
 
-def test_absence_of_evidence_is_not_called_evidence(paper_frame) -> None:
-    """Levels and finger conditions: no information is said, equivalence only within its margin."""
+def test_absence_of_evidence_is_not_evidence_of_absence(paper_frame) -> None:
+    """Levels and finger conditions: no information is stated as such, equivalence only within its margin."""
     told = paragraphs(paper_frame)
     assert "not evidence that the level does not matter" in told["b"]
     assert "does not show that the conditions are alike" in told["c"]
 
 
-def test_too_few_participants_for_the_cells_are_told(build) -> None:
-    """Three participants: even unanimous cells have p = 3^-2, Holm over 24 is out of reach."""
+def test_too_few_participants_for_the_cells_are_noted(build) -> None:
+    """With three participants even unanimous cells have p = 3^-2, which cannot pass Holm over 24."""
     rows = find(count_answers(build["tidy"](build["paper"](3))), build["tidy"](build["paper"](3)))
     assert all("cannot pass Holm's correction" in row.note or row.p_min > 0.05 for row in rows if row.family == "a1")
 
 
-def test_tests_that_correction_puts_out_of_reach_are_not_called_not_shown(build) -> None:
+def test_tests_that_cannot_pass_the_correction_are_not_called_not_shown(build) -> None:
     """Six participants who all lean alike: 2/2^6 = 0.031 is below 0.05, but not below a sixth of it."""
     told = paragraphs(build["tidy"](build["paper"](6)))
     said = (
@@ -113,8 +113,8 @@ def test_tests_that_correction_puts_out_of_reach_are_not_called_not_shown(build)
     assert "Not shown" not in told["a2"]
 
 
-def test_one_level_and_one_participant_are_said_plainly(build) -> None:
-    """With one level no test of a trend, which would count in the correction; no agreement with one participant."""
+def test_one_level_and_one_participant_are_stated(build) -> None:
+    """One level has no trend test, which would count in the correction; one participant has no agreement."""
     frame = build["tidy"](build["paper"](1))
     told = paragraphs(frame[frame["velocity_mm_s"] == 80])
     assert "b" not in told
@@ -125,19 +125,19 @@ def test_one_level_and_one_participant_are_said_plainly(build) -> None:
     ("value", "text"),
     [(0.1234, "0.123"), (-0.5, "−0.5"), (0.0, "0"), (float("inf"), "∞"), (float("nan"), "–"), (3e-308, "< 1e-300")],
 )
-def test_numbers_are_said_in_three_digits(value, text) -> None:
+def test_numbers_have_three_digits(value, text) -> None:
     """Rule of the tables in the report."""
     assert format_number(value) == text
 
 
 @pytest.mark.parametrize(("p", "text"), [(0.0499, "= 0.05"), (0.0000001, "< 0.001"), (1.0, "= 1")])
-def test_p_values_are_said_as_in_a_paper(p, text) -> None:
+def test_p_values_are_formatted_as_in_a_paper(p, text) -> None:
     """Two digits; below 0.001 a bound."""
     assert format_p(p) == text
 
 
-def test_speeds_under_the_fingers_stand_beside_the_level_asked() -> None:
-    """One number where all sessions agree, the lowest and the highest where not; nothing without predicted speeds."""
+def test_speeds_under_the_fingers_are_listed_by_level() -> None:
+    """One number if all sessions agree, otherwise the range; no row without predicted speeds."""
     rows = [("two_hands", "A", "C", 80.0, 49.2, 80.4), ("two_hands", "A", "C", 80.0, 51.0, 80.1),
             ("two_hands", "C", "E", 200.0, 200.0, 123.0)]  # fmt: skip
     columns = ["finger_condition", "zone_left", "zone_right", "velocity_mm_s", "speed_left_mm_s", "speed_right_mm_s"]
@@ -149,8 +149,8 @@ def test_speeds_under_the_fingers_stand_beside_the_level_asked() -> None:
     assert speed_rows(frame.drop(columns="speed_left_mm_s")) == []
 
 
-def test_a_level_without_a_delivered_speed_leaves_the_others_in_their_places() -> None:
-    """Of two levels the lower one's speed is not known: its cell is empty; where none is known, there is no table."""
+def test_a_level_without_a_delivered_speed_has_an_empty_cell() -> None:
+    """Of two levels the lower one's speed is unknown; if none is known, there is no table."""
     frame = pd.DataFrame({
         "finger_condition": "two_hands", "zone_left": "A", "zone_right": "C", "velocity_mm_s": [80.0, 200.0],
         "delivered_mm_s": [math.nan, 190.0],
@@ -160,7 +160,7 @@ def test_a_level_without_a_delivered_speed_leaves_the_others_in_their_places() -
 
 
 def test_every_test_and_interval_has_its_certificate(paper_frame) -> None:
-    """Each row that prints a p or bounds names certificates of 200 populations; one that fails has a reason."""
+    """Each row with a p or bounds has certificates of 200 populations; a failing one has a reason."""
     table = json.loads((Path(__file__).parents[2] / "results/benchmarks/certify.json").read_text(encoding="utf-8"))
     rows = find(count_answers(paper_frame, margin=0.2), paper_frame)
     named = {name for row in rows if row.p == row.p or row.low == row.low for name in certificates_of(row) or [row]}
@@ -182,7 +182,7 @@ def test_every_test_and_interval_has_its_certificate(paper_frame) -> None:
 
 
 def estimated(name: str) -> tuple[str, str]:
-    """Return the certificates of a mean, against that of such estimates and against the true one."""
+    """Return the certificates of a mean: as estimated, and of the true mean."""
     return f"{name}, as estimated", name
 
 
@@ -227,14 +227,14 @@ def estimated(name: str) -> tuple[str, str]:
         ("time", "exact sign-flip test of median reaction times", "", ("time",)),
     ],
 )  # fmt: skip
-def test_each_test_has_the_certificate_of_its_own_kind(question, name, note, certified) -> None:
-    """By the name of the test or interval; a measure's name, or that of a question, may hold another one's word."""
+def test_each_test_has_the_certificate_of_its_kind(question, name, note, certified) -> None:
+    """The name of the test or interval decides, even if a measure or question contains the name of another."""
     assert certificates_of(Finding(question, name, "", "", 0.0, 0.0, 0.0, 8, note=note)) == certified
     assert set(certified) <= set(certificates())
 
 
-def test_a_table_names_the_certificates_of_what_it_prints(paper_frame) -> None:
-    """A row without a number has none, so the first row with one decides; of two models, both are named."""
+def test_a_table_lists_the_certificates_of_its_numbers(paper_frame) -> None:
+    """A row without a number has none, so the first row with one decides."""
     answers = count_answers(paper_frame)
     name = "d' over participants, sign flips, p by those of the rates"
     rows = [
