@@ -169,7 +169,7 @@ def test_the_levels_of_training_are_not_those_of_the_tests(edit: Edit) -> None:
     assert not any("only one level" in each for each in design_warnings(protocol))
 
 
-def test_groups_alone_do_not_make_a_design_not_crossed(edit: Edit) -> None:
+def test_groups_alone_do_not_make_a_design_uncrossed(edit: Edit) -> None:
     """Groups may have the same cells; each is tested separately."""
     said = list(design_warnings(read(edit, ("schedule:\n", "groups: {low: {}, high: {}}\nschedule:\n"))))
     assert any(each.startswith("each group is tested separately") for each in said)

@@ -133,7 +133,7 @@ def test_the_highest_allowed_velocity_passes(edit: Edit) -> None:
     assert faults(edit(FILE, (LEVELS, "[80, 271]"))) == []
 
 
-def test_the_next_velocity_above_it_is_refused(edit: Edit) -> None:
+def test_a_velocity_above_the_highest_allowed_is_refused(edit: Edit) -> None:
     """272 mm/s needs 250.9 V."""
     assert len(faults(edit(FILE, (LEVELS, "[80, 272]")))) == 1
 

@@ -133,7 +133,7 @@ def test_cells_of_one_and_two_fingers_can_be_listed_together(tmp_path: Path) -> 
     assert found.untouched_warning() is not None
 
 
-def test_a_session_changes_between_them_without_an_upload(preflight: Preflight, tmp_path: Path) -> None:
+def test_a_session_switches_stimuli_without_an_upload(preflight: Preflight, tmp_path: Path) -> None:
     """Four records are uploaded before the first trial and none after it; verify redraws and recomputes everything."""
     session = begin(wire_run(preflight, "p01", answers="simulated", results=tmp_path))
     exchanges = [
@@ -159,7 +159,7 @@ def test_a_session_changes_between_them_without_an_upload(preflight: Preflight, 
 
 
 def test_the_speeds_under_the_fingers_depend_on_the_stimulus(preflight: Preflight) -> None:
-    """A blunt field moves zone A nearly as fast as C, a sharp one does not; the twin plays what is predicted."""
+    """The faster finger moves over 1.5 times as fast as the slower in a sharp field, under 1.2 times in a blunt one."""
     drawn = Schedule.draw(preflight.experiment.protocol, "p01", 1)
     ratio = {}
     for trial in drawn.trials:

@@ -360,7 +360,7 @@ def test_a_design_for_fingers_reaches_its_level(designed: Preflight) -> None:
             assert at_focus == pytest.approx(row["velocity_mm_s"], rel=1e-6), pair
 
 
-def test_the_independent_model_confirms_that_level(
+def test_the_independent_model_confirms_a_design_for_fingers(
     under_fingers: Callable[[str], Path], tmp_path: Path, designed: Preflight
 ) -> None:
     """It is driven with the voltages of each placement, under the fingers of the shipped file."""
@@ -387,7 +387,7 @@ def test_mirror_images_share_their_codes(designed: Preflight) -> None:
     assert hashes["A-C"] == hashes["C-E"] != hashes["B-D"]
 
 
-def test_speeds_of_a_design_for_fingers_are_under_the_touched_pair(designed: Preflight) -> None:
+def test_contrasts_of_a_design_for_fingers_are_under_its_fingers(designed: Preflight) -> None:
     """The contrast of each pair holds under the fingers of that pair."""
     values = designed.as_dict()
     touched = values["stimuli"][-1]["touched"]
@@ -506,7 +506,7 @@ def test_the_limit_holds_for_all_gains_within_their_intervals(edit: Edit) -> Non
 
 
 def test_a_set_that_hardly_moves_a_mode_does_not_limit_the_level(edit: Edit) -> None:
-    """A gain of 3 known to 300, beside one of 41448, once counted as a beam a hundred times as fast."""
+    """A gain of 3 known to 300, beside one of 41448, must not count as a beam a hundred times as fast."""
     interval = "intervals_95: {gain_mm_s2_per_V: {centre: [-41448, -41448], side: [-297, 303]}}"
     known = MODE_13.replace("-41448}", "-41448, side: 3}")
     assert examine(limited(edit, 145, (MODE_13, f"{known}, {interval}"))).problems == ()
