@@ -46,7 +46,7 @@ def rng() -> np.random.Generator:
 
 
 @pytest.mark.parametrize("missing", [False, True])
-def test_p_is_that_of_all_arrangements(rng, missing) -> None:
+def test_p_agrees_with_all_arrangements(rng, missing) -> None:
     """Four participants, three conditions and answers, with and without gaps: within the error of 9,999 shuffles."""
     counts = rng.multinomial(4, [0.5, 0.3, 0.2], size=(6, 4, 3))
     counts -= missing * (rng.random(counts.shape) < 0.2) * (counts > 0)

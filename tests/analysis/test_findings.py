@@ -46,7 +46,7 @@ def test_a_test_that_cannot_pass_holm_has_a_note() -> None:
     assert rows[1].note == ""
 
 
-def test_a_significant_test_has_no_such_note() -> None:
+def test_a_significant_test_has_no_note_on_holm() -> None:
     """Holm steps down: beside a p of 0.001, one of 0.02 is corrected for two of three tests."""
     rows = correct([finding(0.001, 0.001), finding(0.02, 0.02), finding(0.9)])
     assert (rows[1].p_holm, rows[1].note) == (pytest.approx(0.04), "")

@@ -104,7 +104,7 @@ def test_a_superseded_answer_does_not_count(record) -> None:
 
 
 def test_excluded_sessions_are_listed_with_their_reason(record, tmp_path) -> None:
-    """Incomplete, damaged, pilot and simulated sessions are excluded beside a sound one."""
+    """Incomplete, damaged, pilot and simulated sessions are excluded; the complete real one is read."""
     record("p01")
     record("p02", n_answered=20)
     damaged = record("p03")
@@ -122,7 +122,7 @@ def test_excluded_sessions_are_listed_with_their_reason(record, tmp_path) -> Non
 
 
 def test_a_chosen_mode_leaves_the_others_out(record, tmp_path) -> None:
-    """The mode is simulated, with a real session beside."""
+    """With mode simulated, a real session in the same folder is left out."""
     record("p01"), record("p02", mode="simulated")
     responses = read_responses(tmp_path / "results", mode="simulated")
     assert set(responses.frame["participant"]) == {"p02"}

@@ -181,7 +181,7 @@ def test_the_faster_finger_is_chosen_in_a_share_of_each_participant(build) -> No
     assert [row.estimate for row in speed_findings(count_answers(mixed), mixed)] == pytest.approx([1 / 3] * 2)
 
 
-def test_answers_without_a_finger_have_no_such_share(build) -> None:
+def test_answers_without_a_finger_give_no_share_of_the_faster_finger(build) -> None:
     """The answer none is unrelated to speed, and a speed of zero is left out."""
     frame = build["tidy"](build["constant"](3, "none")).assign(speed_left_mm_s=50.0, speed_right_mm_s=100.0)
     assert list(speed_findings(count_answers(frame), frame)) == []

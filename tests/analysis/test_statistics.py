@@ -207,7 +207,7 @@ def test_repetitions_count_as_one_participant(build) -> None:
 
 
 def test_the_estimate_of_a_test_against_guessing_is_of_the_deviating_answer(build) -> None:
-    """If all answer "both", P(both) = 1 is beside that p, not P(C) = 0."""
+    """If all answer "both", the estimate of that test is P(both) = 1, not P(C) = 0."""
     found = rows(run_tests(build["tidy"](build["constant"](10, "both"))), "a1", "multinomial")
     assert set(zip(found["quantity"], found["estimate"], strict=True)) == {
         ("P(C & A)", 1.0), ("P(B & D)", 1.0), ("P(C & E)", 1.0),
