@@ -33,7 +33,7 @@ def test_selection_does_not_depend_on_the_base(model, base):
 
 
 @pytest.mark.parametrize("base", [0.049, 0.063])
-def test_selection_changes_outside_that_range(model, base):
+def test_selection_changes_for_smaller_or_larger_bases(model, base):
     """Outside 50.5 to 61 mm another six modes are strongest."""
     assert Projection(model, TargetField(base=base)).selected != (1, 3, 5, 7, 11, 13)
 
