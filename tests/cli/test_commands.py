@@ -62,7 +62,7 @@ def checked():
     return json.loads(done.stdout)
 
 
-def test_help_names_every_command_and_loads_nothing_heavy():
+def test_help_lists_every_command_and_loads_nothing_heavy():
     """``--help`` imports neither psychopy nor numpy nor pandas."""
     done = run_in_a_process("--help")
     assert done.returncode == 0

@@ -59,7 +59,7 @@ _BLACK = "import matplotlib.image, numpy; matplotlib.image.imread = lambda pictu
 @pytest.mark.window
 @pytest.mark.parametrize(("seen", "state"), [("", "ok"), (_BLACK, "fault")])
 def test_a_letter_is_drawn(seen: str, state: str) -> None:
-    """White pixels of an A are found, or it is a fault. A separate process, since a process has one display."""
+    """Without white pixels of an A it is a fault; in a separate process, since a window has one display."""
     program = f"from modaltouch.window import machine; {seen}print(machine._window().state)"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert done.stdout.split()[-1] == state

@@ -38,7 +38,7 @@ def responses_file(folder: Path) -> Path:
     return path
 
 
-def test_file_becomes_table_and_figures(tmp_path: Path) -> None:
+def test_a_file_of_responses_gives_a_table_and_figures(tmp_path: Path) -> None:
     """Standard output has one JSON object; there is no apparatus file, since a hammer has no voltage."""
     out = tmp_path / "out"
     done = RUN.invoke(app, ["identify", str(responses_file(tmp_path)), "--out", str(out), "--json"])
@@ -60,7 +60,7 @@ def test_file_becomes_table_and_figures(tmp_path: Path) -> None:
         (["nothing.csv"], "nothing.csv: there is no such file"),
     ],
 )
-def test_bad_input_ends_with_2_and_writes_nothing(tmp_path: Path, arguments: list[str], words: str) -> None:
+def test_bad_input_exits_with_2_and_writes_nothing(tmp_path: Path, arguments: list[str], words: str) -> None:
     """The message is on standard error, or in one JSON object with --json; the folder is not created."""
     command = ["identify", *arguments, "--apparatus", APPARATUS, "--out", str(tmp_path / "out")]
     said = RUN.invoke(app, command)
@@ -72,14 +72,14 @@ def test_bad_input_ends_with_2_and_writes_nothing(tmp_path: Path, arguments: lis
     assert not (tmp_path / "out").exists()
 
 
-def test_folder_without_a_set_is_refused(tmp_path: Path) -> None:
+def test_a_folder_without_a_scan_of_a_set_is_refused(tmp_path: Path) -> None:
     """The message gives the actuator set without a scan."""
     said = RUN.invoke(app, ["identify", str(tmp_path), "--apparatus", APPARATUS, "--out", str(tmp_path / "out")])
     assert said.exit_code == 2
     assert "there is no scan of the actuator set centre (scan_centre is missing)" in " ".join(said.stderr.split())
 
 
-def test_folder_of_another_command_is_left_alone(tmp_path: Path) -> None:
+def test_a_folder_of_another_command_is_not_overwritten(tmp_path: Path) -> None:
     """The folder holds a plan: exit status 4 before anything is measured."""
     manifest = tmp_path / "manifest.json"
     manifest.write_text(json.dumps({"generated_by": "modaltouch power", "files": {}}))

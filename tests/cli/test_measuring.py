@@ -26,7 +26,7 @@ def test_each_position_is_prompted_for(monkeypatch, capsys):
     assert "2/2" in err
 
 
-def test_interrupting_while_aiming_ends_it(monkeypatch):
+def test_interrupting_while_aiming_ends_the_prompt(monkeypatch):
     """A handler that only notes the signal would leave the prompt waiting; it is restored afterwards."""
     monkeypatch.setattr("builtins.input", lambda: signal.raise_signal(signal.SIGINT))
     noting = signal.signal(signal.SIGINT, lambda *_: None)
