@@ -37,8 +37,8 @@ def test_a_sound_log_is_read_back_without_a_problem():
     assert chain.checks[0] == hashlib.sha256(GENESIS.encode() + body).hexdigest()
 
 
-def test_every_single_byte_change_is_found():
-    """Every single-byte change of a session log is found."""
+def test_every_single_byte_change_is_detected():
+    """Three bit patterns are flipped in each byte of a session log."""
     data = chain_of(*EVENTS)
     for place in range(len(data)):
         for change in (1, 0x20, 0x80):
@@ -50,7 +50,7 @@ def test_every_single_byte_change_is_found():
     ("name", "order"),
     [("removed", (0, 2)), ("doubled", (0, 1, 1, 2)), ("reordered", (0, 2, 1)), ("first removed", (1, 2))],
 )
-def test_removed_doubled_and_reordered_lines_are_found(name, order):
+def test_removed_duplicated_and_reordered_lines_are_detected(name, order):
     """A line continues only the line that preceded it when it was written."""
     lines = chain_of(*EVENTS).splitlines(keepends=True)
     assert parse_chain(b"".join(lines[i] for i in order), "log").problems, name

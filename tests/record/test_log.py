@@ -135,7 +135,7 @@ def test_a_log_without_its_declared_remains_is_not_continued(tmp_path):
         SessionLog.reopen(path)
 
 
-def test_a_full_disk_is_reported_and_closes_the_log_to_events(tmp_path, monkeypatch):
+def test_a_full_disk_is_reported_and_stops_the_log(tmp_path, monkeypatch):
     """ENOSPC raises a clear error, again at every later append; earlier lines stay valid."""
     log = begin(tmp_path / "session.jsonl")
     real_write = os.write
