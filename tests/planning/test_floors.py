@@ -23,7 +23,7 @@ def test_the_floor_is_the_size_whose_smallest_p_passes_holm(design: Design, fami
 
 
 @pytest.mark.parametrize("n_participants", [1, 2, 3])
-def test_no_answers_at_all_give_a_smaller_trend_p(design: Design, n_participants: int) -> None:
+def test_the_smallest_trend_p_is_the_minimum_over_all_answers(design: Design, n_participants: int) -> None:
     """Reference: the minimum over all answers of up to three participants at four levels, enumerated here."""
     ways = np.array([[(code >> k) & 1 for k in range(4)] for code in range(16)])
     every = combinations_with_replacement(range(16), n_participants)
@@ -31,7 +31,7 @@ def test_no_answers_at_all_give_a_smaller_trend_p(design: Design, n_participants
     assert smallest_trend_p(design.levels, n_participants, 1) == pytest.approx(smallest, rel=1e-9)
 
 
-def test_repetitions_do_not_hide_a_smaller_trend_p() -> None:
+def test_the_smallest_trend_p_with_repetitions_is_the_minimum_over_all_answers() -> None:
     """Reference: the minimum over all answers of two participants at three levels, twice each, enumerated here."""
     design = Design("x", ("one_hand",), (Pair.of("A", "C", "C"),), (80.0, 100.0, 200.0), np.ones((1, 1, 3, 2)))
     ways = np.array(list(product(range(3), repeat=3)))
