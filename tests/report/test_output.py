@@ -16,7 +16,7 @@ def test_files_are_written_with_a_manifest_of_their_hashes(tmp_path) -> None:
     assert manifest["files"]["a.txt"] == ["ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"]
 
 
-def test_rows_and_values_are_written_by_the_ending_of_the_name(tmp_path) -> None:
+def test_rows_and_values_are_written_in_the_format_of_the_extension(tmp_path) -> None:
     """CSV leaves non-numbers empty and quotes where needed (RFC 4180); JSON keeps the values."""
     rows = [{"a": 1, "b": float("nan"), "c": 'x, "y"'}, {"a": 80.0, "b": float("inf"), "c": None}]
     files = write_files(tmp_path / "out", {"t.csv": rows, "v.json": {"p": 0.5}, "page.html": "µ"}, {})
