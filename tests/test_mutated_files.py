@@ -119,7 +119,7 @@ def kinds(tmp_path_factory):
     ]
 
 
-def meet(kind, spoilt):
+def read_with_all(kind, spoilt):
     """Read a corrupted file with every reader of its kind."""
     kind.place.write_bytes(spoilt)
     for reader in kind.readers:
@@ -146,7 +146,7 @@ def test_corrupted_files_are_refused_with_a_message_or_read(kinds):
         kind = kinds[number % len(kinds)]
         spoilt = mutate(kind.sound, random.Random(number))
         try:
-            meet(kind, spoilt)
+            read_with_all(kind, spoilt)
         except (InputError, RecordError, AssertionError):
             raise
         except BaseException as error:

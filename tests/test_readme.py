@@ -35,7 +35,7 @@ def console_lines():
 
 
 @contextmanager
-def hurried_hands(name):
+def typing_on(name):
     """Type Space and the left arrow alternately on a display."""
     connection, stop = display.Display(name), threading.Event()
     codes = [connection.keysym_to_keycode(XK.string_to_keysym(key)) for key in ("space", "Left")]
@@ -110,7 +110,7 @@ def test_every_command_of_the_readme_works_in_order(lab):
     folder, address = lab
     commands = [line for line in console_lines() if line.startswith("modaltouch ")]
     assert len(commands) >= 7
-    with virtual_display((1280, 800)) as name, hurried_hands(name):
+    with virtual_display((1280, 800)) as name, typing_on(name):
         environment = {**os.environ, "DISPLAY": name, "MPLBACKEND": "agg"}
         for line in commands:
             begin = time.monotonic()

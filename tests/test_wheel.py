@@ -32,7 +32,7 @@ def wheel(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def told(wheel):
+def recorded(wheel):
     """Version and commit recorded by the build; the commit is empty outside a repository."""
     with zipfile.ZipFile(wheel) as archive:
         version, _, commit = archive.read("modaltouch/build.txt").decode().strip().partition(" ")
@@ -81,18 +81,18 @@ def test_the_wheel_contains_the_package_and_the_protocols(environment):
         assert [str(file) for file in files if not (installed / file).is_file()] == []
 
 
-def test_a_build_records_the_commit_of_its_tree(wheel, told):
+def test_a_build_records_the_commit_of_its_tree(wheel, recorded):
     """The commit itself is not compared, since someone may commit while the tests run."""
-    version, commit = told
+    version, commit = recorded
     assert wheel.name == f"modaltouch-{version}-py3-none-any.whl"
     assert bool(commit) == bool(provenance.commit())
     assert version == provenance.RELEASE or version.startswith(f"{provenance.RELEASE}+g{commit[:12]}")
     assert version.endswith(".dirty") == commit.endswith("+")
 
 
-def test_a_study_in_any_folder_from_the_first_command_to_the_report(run, told, tmp_path):
+def test_a_study_in_any_folder_from_the_first_command_to_the_report(run, recorded, tmp_path):
     """The README's steps for an installed program work; record and report give the commit of the build."""
-    version, commit = told
+    version, commit = recorded
     assert run("--version") == f"{version}\n"
     assert run("check", "demo").startswith("Demonstration: 12 trials")
     run("new", "study", "--from", "demo")
@@ -100,7 +100,7 @@ def test_a_study_in_any_folder_from_the_first_command_to_the_report(run, told, t
     run("simulate", "study/protocols/demo.yaml", "-n", "2", "--results", "study/results")
     dataset = tmp_path / "study" / "results" / "simulated" / "demo"
     start = json.loads((dataset / "sub-sim01/ses-1/beh/session.jsonl").read_text(encoding="utf-8").splitlines()[0])
-    assert (start["versions"]["modaltouch"], start["commit"]) == told
+    assert (start["versions"]["modaltouch"], start["commit"]) == recorded
     run("verify", dataset / "sub-sim01" / "ses-1")
     report = json.loads(run("analyse", dataset, "--json"))["files"]["report.html"]
     by = f"modaltouch {version}, commit <code>{commit}</code>" if commit else f"modaltouch {version}"
