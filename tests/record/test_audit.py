@@ -157,7 +157,7 @@ def leave_out(*kinds: str) -> Lie:
     return lie
 
 
-def start_says(**facts: Any) -> Lie:
+def change_start(**facts: Any) -> Lie:
     """Return the forgery that changes values of the start record."""
 
     def lie(events: Events) -> None:
@@ -283,12 +283,12 @@ IN_BOTH: dict[str, tuple[Lie, str]] = {
         "its speeds at the zones at 80 mm/s are not those recomputed",
     ),
     "the design": (
-        start_says(design__stimulus={"focus": "A"}),
+        change_start(design__stimulus={"focus": "A"}),
         "its design differs from its protocol file in stimulus",
     ),
-    "the protocol's name": (start_says(protocol="other"), "is a session of 'other'"),
-    "the mode": (start_says(mode="real"), "is called a real session, but its rig or its answers were simulated"),
-    "a text": (start_says(sources__texts={"path": "t", "text": "", "sha256": "0" * 64}), "its files are not valid"),
+    "the protocol's name": (change_start(protocol="other"), "is a session of 'other'"),
+    "the mode": (change_start(mode="real"), "is called a real session, but its rig or its answers were simulated"),
+    "a text": (change_start(sources__texts={"path": "t", "text": "", "sha256": "0" * 64}), "its files are not valid"),
 }
 """Lies that are found in a log of either format, and the words that find them."""
 
