@@ -14,7 +14,7 @@ from modaltouch.window import environment, machine
 from modaltouch.window.interface import WindowError
 
 
-def lack(monkeypatch: pytest.MonkeyPatch, *missing: str) -> None:
+def hide_libraries(monkeypatch: pytest.MonkeyPatch, *missing: str) -> None:
     """Make the loader miss some libraries, as on a bare Debian."""
     for module in (environment, machine):
         monkeypatch.setattr(module, "is_loadable", lambda name: name not in missing)
@@ -22,7 +22,7 @@ def lack(monkeypatch: pytest.MonkeyPatch, *missing: str) -> None:
 
 def test_each_missing_library_is_reported_with_its_package(monkeypatch: pytest.MonkeyPatch) -> None:
     """On a bare Debian without them pyglet ended in `Library "fontconfig" not found`."""
-    lack(monkeypatch, "libfontconfig.so.1", "libGLU.so.1", "libportaudio.so.2")
+    hide_libraries(monkeypatch, "libfontconfig.so.1", "libGLU.so.1", "libportaudio.so.2")
     found = machine._libraries()
     assert found.state == "fault"
     assert found.found == "missing: libGLU.so.1 (libglu1-mesa), libfontconfig.so.1 (libfontconfig1)"
@@ -40,13 +40,13 @@ def test_a_missing_python_package_is_a_fault(monkeypatch: pytest.MonkeyPatch) ->
 
 def test_a_graphics_card_with_its_own_drivers_does_not_need_mesa(monkeypatch: pytest.MonkeyPatch) -> None:
     """There Mesa's libraries are not reported missing; those that every machine needs are."""
-    lack(monkeypatch, "libGLX_mesa.so.0", "libGLU.so.1")
+    hide_libraries(monkeypatch, "libGLX_mesa.so.0", "libGLU.so.1")
     assert environment.missing_libraries() == {"libGLU.so.1": "libglu1-mesa"}
 
 
 def test_a_window_error_identifies_the_missing_library(monkeypatch: pytest.MonkeyPatch) -> None:
     """The message gives the missing library and the package to install."""
-    lack(monkeypatch, "libfontconfig.so.1")
+    hide_libraries(monkeypatch, "libfontconfig.so.1")
     assert environment.explain(ImportError('Library "fontconfig" not found.')) == (
         "the answer window cannot be drawn: this machine lacks libfontconfig.so.1; install the Debian packages "
         "libfontconfig1, or their equivalents on this system"
