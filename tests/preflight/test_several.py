@@ -39,7 +39,7 @@ def write(folder: Path, *changes: tuple[str, str], name: str = "two_fields.yaml"
     for old, new in changes:
         assert old in text
         text = text.replace(old, new)
-    text = _at_home(text)
+    text = _with_absolute_paths(text)
     file = folder / "protocol.yaml"
     file.write_text(text, encoding="utf-8")
     return file
@@ -60,11 +60,11 @@ def _sharp_alone(folder: Path) -> Path:
     kept = [line for line in lines if not line.startswith(("stimuli:", "  sharp:", "  blunt:"))]
     text = "\n".join(kept).replace("  focus: C\n", "  focus: C\n  field: {shape: triangle, base_mm: 56}\n")
     file = folder / "alone.yaml"
-    file.write_text(_at_home(text), encoding="utf-8")
+    file.write_text(_with_absolute_paths(text), encoding="utf-8")
     return file
 
 
-def _at_home(text: str) -> str:
+def _with_absolute_paths(text: str) -> str:
     """Replace the paths of apparatus and texts by absolute ones."""
     home = SHIPPED.parent
     return text.replace(": apparatus/", f": {home}/apparatus/").replace(": texts/", f": {home}/texts/")
