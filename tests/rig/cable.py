@@ -4,11 +4,11 @@
 
     with Cable(port_of_the_twin) as cable:
         rig = Generator(cable.address, apparatus)
-        cable.cut()           # as a pulled cable: both ways, also for links that are still to come
-        cable.cut("to")       # nothing reaches the instrument any more
-        cable.cut("from")     # a mute link: requests are carried out, no reply comes back
-        cable.cut(new=False)  # a half-open link: those that are there are dead, new ones work
-        cable.heal()          # what had been sent meanwhile arrives, as TCP repeats it
+        cable.cut()           # like a pulled cable: both directions, later links included
+        cable.cut("to")       # nothing reaches the instrument
+        cable.cut("from")     # a mute link: requests are carried out, but no reply returns
+        cable.cut(new=False)  # a half-open link: existing links are dead, new ones work
+        cable.heal()          # data sent meanwhile arrives, as TCP retransmits it
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from dataclasses import dataclass, field
 from typing import Literal, Self
 
 Direction = Literal["both", "to", "from"]
-"""To the instrument, from it, or both."""
+"""Towards the instrument, from it, or both."""
 
 HELD = 1 << 16
-"""Bytes taken at a time; what a sender has sent beyond that waits in the kernel [bytes]."""
+"""Bytes read at a time; more from a sender waits in the kernel [bytes]."""
 
 
 @dataclass(eq=False)
@@ -49,11 +49,11 @@ class _Way:
 
 
 class Cable:
-    """Passes on what goes to and from a port of this machine.
+    """Relay connections to a port of this machine.
 
-    A connection that is opened while the cable is cut is accepted, as TCP on one machine is, and silent.
+    A connection opened while the cable is cut is accepted, as by TCP on one machine, but silent.
 
-    A reset that a cut hides is lost, as the packet is: what its sender had not got through never arrives, and the other
+    A reset during a cut is lost, as the packet would be: data still waiting never arrives, and the other
     side stays half open until it sends something.
 
     Parameters
@@ -80,14 +80,14 @@ class Cable:
         return f"TCPIP::127.0.0.1,{self.port}::inst0::INSTR"
 
     def cut(self, direction: Direction = "both", *, new: bool = True) -> None:
-        """Let nothing pass from now on; once this returns, nothing does.
+        """Stop all traffic; nothing passes after this returns.
 
         Parameters
         ----------
         direction : str
             ``to`` the instrument, ``from`` it, or ``both``.
         new : bool
-            Whether connections that are opened from now on are cut, too.
+            Whether connections opened later are cut as well.
         """
         with self._lock:
             self._cut = direction if new else None
@@ -95,7 +95,7 @@ class Cable:
                 way.cut = way.cut or direction in ("both", way.direction)
 
     def heal(self) -> None:
-        """Let everything pass again, what had been sent meanwhile first."""
+        """Let everything pass again, beginning with what was sent during the cut."""
         with self._lock:
             self._cut = None
             for way in [way for way in self._ways if way.cut]:
@@ -106,7 +106,7 @@ class Cable:
         self._ring()
 
     def close(self) -> None:
-        """Reset every connection, and end."""
+        """Reset every connection and end the thread."""
         self._closing = True
         self._ring()
         self._thread.join()
@@ -122,7 +122,7 @@ class Cable:
         self.close()
 
     def _ring(self) -> None:
-        """Have the thread look again at what it may pass."""
+        """Wake the thread so that it checks again what it may pass."""
         self._rope.send(b"!")
 
     def _keep_passing(self) -> None:
@@ -133,7 +133,7 @@ class Cable:
             readable, writable, _ = select.select([self._listener, self._bell, *sources], targets, [])
             if self._bell in readable:
                 self._bell.recv(HELD)
-            # What was cut while this waited is left alone.
+            # Connections that were cut during the wait are skipped.
             with self._lock:
                 for way in list(self._ways):
                     if way not in self._ways:
@@ -184,7 +184,7 @@ class Cable:
             self._end(next(each for each in self._ways if each.source is way.target))
 
     def _end(self, way: _Way) -> None:
-        """Reset both sides, whose source has reset its own; a cut hides that from the other."""
+        """Reset both sides after the source has reset its own; a cut hides the reset from the other side."""
         way.ended = True
         way.waiting.clear()
         if not way.cut:

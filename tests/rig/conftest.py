@@ -1,4 +1,4 @@
-"""A rig on the loopback interface for each test, and a burst short enough to be sent often."""
+"""Fixtures: a simulator on the loopback interface for each test, and a burst that is short enough to be sent often."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ APPARATUS = Path(__file__).parents[2] / "protocols" / "apparatus" / "beam_100x6x
 
 
 class Heard:
-    """Keeps what a driver logs, in order, and refuses what a session log could not write down."""
+    """Keep the events that a driver logs, in order, and refuse those that a session log could not store."""
 
     def __init__(self) -> None:
         self.events: list[tuple[str, dict[str, Any]]] = []
@@ -40,18 +40,18 @@ class Heard:
 
     @property
     def sent(self) -> list[str]:
-        """Every message sent."""
+        """Every message that was sent."""
         return [facts["sent"] for facts in self.of("scpi")]
 
     def clear(self) -> None:
-        """Forget everything."""
+        """Discard all events."""
         self.events.clear()
 
 
 class QuietGuard(LocalClient):
-    """Stands at the process boundary in tests that are not about it: VISA session and pacer, in this process.
+    """A stand-in for the watchdog process in tests of other things: VISA session and pacer in this process.
 
-    It is what starts a watchdog, too: given an address, it is the one for it.
+    It replaces the function that starts a watchdog as well: called with an address, it is the watchdog for it.
     """
 
     def __init__(self, clock: VirtualClock) -> None:
@@ -87,7 +87,7 @@ def apparatus() -> Apparatus:
 
 @pytest.fixture
 def clock() -> VirtualClock:
-    """Return the clock of driver and twin, in which nobody waits."""
+    """Return the virtual clock of driver and twin."""
     return VirtualClock(100.0)
 
 
@@ -100,7 +100,7 @@ def simulator(apparatus: Apparatus, clock: VirtualClock) -> Iterator[Simulator]:
 
 @pytest.fixture
 def single_link(apparatus: Apparatus) -> Iterator[Simulator]:
-    """Return an instrument that admits one session."""
+    """Return a simulator that admits one session."""
     with Simulator(apparatus, behaviour=Behaviour(max_sessions=1)) as simulator:
         yield simulator
 
@@ -119,7 +119,7 @@ def guard(clock: VirtualClock) -> QuietGuard:
 
 @pytest.fixture
 def patience() -> Patience:
-    """Return waits short enough for faults to be met often."""
+    """Return timeouts short enough for many faults in a test."""
     return Patience(reply=0.2, copy=0.4, tries=2, pause=0.02)
 
 
@@ -127,7 +127,7 @@ def patience() -> Patience:
 def open_generator(
     apparatus: Apparatus, simulator: Simulator, heard: Heard, guard: QuietGuard, patience: Patience, clock: VirtualClock
 ) -> Iterator[Callable[..., Generator]]:
-    """Return what opens the driver at the simulator; whatever it opens is closed."""
+    """Return a function that opens the driver on the simulator; every driver is closed afterwards."""
     opened: list[Generator] = []
 
     def open_one(**options: Any) -> Generator:
@@ -147,7 +147,7 @@ def open_generator(
 
 @pytest.fixture
 def generator(open_generator: Callable[..., Generator]) -> Generator:
-    """Return the driver, open at the simulator."""
+    """Return the driver, open on the simulator."""
     return open_generator()
 
 
@@ -179,5 +179,5 @@ def burst() -> Burst:
 
 @pytest.fixture
 def make() -> Callable[..., Burst]:
-    """Return what makes bursts of other lengths, contents and amplitudes."""
+    """Return a function that makes bursts of other lengths, contents and amplitudes."""
     return make_burst

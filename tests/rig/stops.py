@@ -1,4 +1,4 @@
-"""Seeded deaths and cuts while bursts play, judged by what the twin says that it played.
+"""Seeded kills and cuts while bursts play, judged by the twin's report of what it played.
 
 ``python tests/rig/stops.py --cases 1000 --out results/benchmarks/stops.json``
 """
@@ -27,16 +27,16 @@ from cable import Cable
 APPARATUS = Path(__file__).parents[2] / "protocols" / "apparatus" / "beam_100x6x2.yaml"
 
 HARDWARE_ENDS = 0.25
-"""Within this time of a fault the last burst is over [s]: a period to the trigger under way, and its burst."""
+"""The last burst ends within this time after a fault [s]: a period until the pending trigger, and its burst."""
 
 HEALED_AFTER = 10.0
-"""How long a link is dead before it lives again [s]."""
+"""How long a link is dead before it works again [s]."""
 
 THAW = 0.02
-"""Within this time of its thaw a frozen instrument plays a trigger that it had taken: nobody can take it back [s]."""
+"""Within this time after thawing, an instrument plays a trigger that it had accepted: it cannot be revoked [s]."""
 
 WATCHED = 2.0
-"""How long the beam is watched after a death, or after a link has healed [s]."""
+"""How long the beam is monitored after a kill, or after a link works again [s]."""
 
 KINDS = (
     "both killed",
@@ -92,25 +92,25 @@ for line in sys.stdin:
         os._exit(0)
     print(pid, flush=True)
 """
-"""Sits through sessions, each in a process of its own, forked where all is imported."""
+"""Runs sessions, each in a process forked after all imports."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of one fault.
+    """The outcome of one fault.
 
     Attributes
     ----------
     kind : str
-        Which fault.
+        The kind of fault.
     seed : int
-        Of its instant.
+        The seed for its instant.
     last_end_s : float
-        When the last burst was over, from the fault on [s]; negative if it was over by then.
+        End of the last burst relative to the fault [s]; negative if it ended before.
     n_after_healing : int
-        Bursts that began after the dead link had healed, or later than `THAW` after an instrument had thawed.
+        Bursts that began after the dead link had healed, or more than `THAW` after an instrument had thawed.
     n_confirmed : int
-        Stimuli that were confirmed all the same.
+        Stimuli that were confirmed in spite of the fault.
     """
 
     kind: str
@@ -126,12 +126,12 @@ class Outcome:
 
 
 class Bench:
-    """A twin in a process of its own, and a process that sessions come from.
+    """A twin in a separate process, and a process from which sessions are forked.
 
     Parameters
     ----------
     folder : Path
-        For what both write.
+        Folder for the output of both.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -147,13 +147,13 @@ class Bench:
         self._host = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
 
     def close(self) -> None:
-        """End both."""
+        """End both processes."""
         for process in (self.twin, self._host):
             process.kill()
             process.wait()
 
     def run(self, kind: str, seed: int) -> Outcome:
-        """Have a fault met by a stimulus, at an instant of its seed's, and return what came of it."""
+        """Inject a fault during a stimulus, at an instant drawn from the seed, and return the outcome."""
         rng = random.Random(f"{kind} {seed}")
         with Cable(self.port) as cable:
             said = self._folder / f"said_{next(self._numbers)}.txt"
@@ -178,7 +178,7 @@ class Bench:
         return int(self._host.stdout.readline())
 
     def _meet(self, kind: str, cable: Cable, session: int, watchdog: int, rng: random.Random) -> float:
-        """Do it, and return when what was dead lives again."""
+        """Inject the fault, and return the time at which the dead link or process works again."""
         victims = {
             "both killed": (signal.SIGKILL, session, watchdog),
             "both stopped": (signal.SIGSTOP, session, watchdog),
@@ -192,7 +192,7 @@ class Bench:
             rng.shuffle(pids)
             for pid in pids:
                 kill = os.killpg if kind == "group killed" else os.kill
-                # A watchdog whose session was killed first may have ended by itself.
+                # The watchdog of a session that was killed first may already have ended.
                 with contextlib.suppress(ProcessLookupError):
                     kill(pid, number)
                 time.sleep(rng.uniform(0.0, 5e-3))
@@ -231,7 +231,7 @@ def _wait_for_line(path: Path, patience: float = 60.0) -> str:
 
 
 def run_cases(n_cases: int, folder: Path, n_benches: int) -> list[Outcome]:
-    """Return the outcomes of seeded faults, all kinds in turn, on several benches at once."""
+    """Return the outcomes of seeded faults, with the kinds in rotation, on several benches at the same time."""
     benches: list[Bench] = []
     own = threading.local()
     lock = threading.Lock()
@@ -272,7 +272,7 @@ def summarise(outcomes: list[Outcome]) -> dict[str, Any]:
 
 
 def main() -> int:
-    """Run the faults and write what came of them."""
+    """Run the faults and write the outcomes."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("--cases", type=int, default=1000)
     parser.add_argument("--benches", type=int, default=6)

@@ -1,4 +1,4 @@
-"""What a measurement may ask, and which input ranges it takes."""
+"""Settings that a measurement may request, and the input ranges chosen for it."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ INPUTS = Inputs(sensitivity=0.05, highest_velocity=0.5, attenuation=100.0)
         ({"drives": (3,)}, r"drives are \(3,\)"),
     ],
 )
-def test_what_no_scope_can_do_is_refused(asked: dict[str, Any], words: str) -> None:
-    """Each fault is said with the value given and what is allowed."""
+def test_impossible_acquisitions_are_refused(asked: dict[str, Any], words: str) -> None:
+    """The error states the given value and the allowed ones."""
     with pytest.raises(ValueError, match=words):
         Acquisition(**asked)
 
@@ -37,14 +37,14 @@ def test_what_no_scope_can_do_is_refused(asked: dict[str, Any], words: str) -> N
     [
         (None, None, (10.0, 20.0)),  # 500 mm/s at 50 mm/s per V are 10 V
         (0.2, 180.0, (5.0, 2.0)),  # 4 V and 1.8 V
-        (0.05, 100.0, (1.0, 1.0)),  # exactly a range each
-        (1e-4, 0.1, (0.05, 0.05)),  # the least there is
+        (0.05, 100.0, (1.0, 1.0)),  # each exactly a range
+        (1e-4, 0.1, (0.05, 0.05)),  # the smallest ranges
     ],
 )
-def test_smallest_range_that_holds_the_expected_is_taken(
+def test_the_smallest_sufficient_range_is_chosen(
     velocity: float | None, drive: float | None, ranges: tuple[float, float]
 ) -> None:
-    """By hand, with ranges 50 mV to 20 V in steps of 1, 2, 5 (data sheet of the PicoScope 3404)."""
+    """By hand, with ranges of 50 mV to 20 V in steps of 1, 2, 5 (data sheet of the PicoScope 3404)."""
     assert INPUTS.ranges(Acquisition(velocity_range=velocity, drive_range=drive)) == ranges
 
 
@@ -55,7 +55,7 @@ def test_smallest_range_that_holds_the_expected_is_taken(
         (Acquisition(drive_range=2500.0), "2500 V is 25 V at the scope's input: at most 20 V"),
     ],
 )
-def test_what_no_range_holds_is_refused(asked: Acquisition, words: str) -> None:
-    """The message names what was asked, the bound, and the knob to turn."""
+def test_signals_beyond_every_range_are_refused(asked: Acquisition, words: str) -> None:
+    """The message states the requested value and the limit."""
     with pytest.raises(RigError, match=words):
         INPUTS.ranges(asked)

@@ -1,4 +1,4 @@
-"""The cable that tests pull: what passes, what waits, what is lost."""
+"""The cable that tests pull: which data passes, waits or is lost."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ Link = tuple[socket.socket, socket.socket]
 """The two ends of a connection through the cable: the driver's and the instrument's."""
 
 NOTHING_FOR = 0.05
-"""How long nothing must arrive to count as nothing [s]."""
+"""How long nothing must arrive for an end to count as silent [s]."""
 
 
 @pytest.fixture
 def instrument() -> Iterator[socket.socket]:
-    """Return a listening socket that stands for the twin."""
+    """Return a listening socket in place of the twin."""
     with socket.create_server(("127.0.0.1", 0)) as listener:
         listener.settimeout(5)
         yield listener
@@ -27,14 +27,14 @@ def instrument() -> Iterator[socket.socket]:
 
 @pytest.fixture
 def cable(instrument: socket.socket) -> Iterator[Cable]:
-    """Return a cable to it."""
+    """Return a cable to the socket."""
     with Cable(instrument.getsockname()[1]) as cable:
         yield cable
 
 
 @pytest.fixture
 def plug(cable: Cable, instrument: socket.socket) -> Iterator[Callable[[], Link]]:
-    """Return what connects through the cable."""
+    """Return a function that connects through the cable."""
     opened: list[socket.socket] = []
 
     def connect() -> Link:
@@ -50,18 +50,18 @@ def plug(cable: Cable, instrument: socket.socket) -> Iterator[Callable[[], Link]
 
 
 def is_silent(end: socket.socket) -> bool:
-    """Return whether nothing arrives, no end and no reset either."""
+    """Return whether nothing arrives, not even an end or a reset."""
     return not select.select([end], [], [], NOTHING_FOR)[0]
 
 
 def reset(end: socket.socket) -> None:
-    """Close as a driver does that is to leave nothing behind."""
+    """Close a connection with a reset, as a driver does that must not leave anything behind."""
     end.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
     end.close()
 
 
-def test_whole_cable_passes_both_ways(plug: Callable[[], Link]) -> None:
-    """Bytes, more than a kernel buffers, and the end of a connection."""
+def test_an_intact_cable_passes_both_directions(plug: Callable[[], Link]) -> None:
+    """Data beyond the kernel's buffer size, and the end of a connection."""
     driver, there = plug()
     there.sendall(b"reply")
     assert driver.recv(10) == b"reply"
@@ -79,10 +79,8 @@ def test_whole_cable_passes_both_ways(plug: Callable[[], Link]) -> None:
 
 
 @pytest.mark.parametrize("direction", ["to", "from", "both"])
-def test_cut_holds_one_way_or_both_and_healed_it_passes_in_order(
-    cable: Cable, plug: Callable[[], Link], direction: str
-) -> None:
-    """Nothing is lost and nothing is ended: TCP repeats what got no answer."""
+def test_data_waits_during_a_cut_and_arrives_in_order(cable: Cable, plug: Callable[[], Link], direction: str) -> None:
+    """Nothing is lost and no connection ends: TCP retransmits what was not acknowledged."""
     driver, there = plug()
     cable.cut(direction)  # type: ignore[arg-type]
     for word in (b"one ", b"two"):
@@ -98,7 +96,7 @@ def test_cut_holds_one_way_or_both_and_healed_it_passes_in_order(
         assert words == b"one two"
 
 
-def test_half_open_link_leaves_new_ones_alone(cable: Cable, plug: Callable[[], Link]) -> None:
+def test_a_half_open_link_does_not_affect_new_links(cable: Cable, plug: Callable[[], Link]) -> None:
     """One link is dead; another one, opened after it, is not."""
     dead, dead_there = plug()
     cable.cut(new=False)
@@ -109,8 +107,8 @@ def test_half_open_link_leaves_new_ones_alone(cable: Cable, plug: Callable[[], L
     assert is_silent(dead_there)
 
 
-def test_pulled_cable_holds_new_links_too(cable: Cable, plug: Callable[[], Link]) -> None:
-    """A link that is opened meanwhile is silent until the cable is back."""
+def test_a_pulled_cable_blocks_new_links(cable: Cable, plug: Callable[[], Link]) -> None:
+    """A link opened during the cut is silent until the cable is back."""
     cable.cut()
     driver, there = plug()
     driver.sendall(b"question")
@@ -119,7 +117,7 @@ def test_pulled_cable_holds_new_links_too(cable: Cable, plug: Callable[[], Link]
     assert there.recv(10) == b"question"
 
 
-def test_reset_behind_a_cut_takes_along_what_waited(cable: Cable, plug: Callable[[], Link]) -> None:
+def test_a_reset_during_a_cut_discards_waiting_data(cable: Cable, plug: Callable[[], Link]) -> None:
     """The reset itself is lost, as a packet is: the instrument's end stays half open until it sends something."""
     driver, there = plug()
     cable.cut()
@@ -132,8 +130,8 @@ def test_reset_behind_a_cut_takes_along_what_waited(cable: Cable, plug: Callable
         there.recv(10)
 
 
-def test_close_behind_a_cut_leaves_what_waited(cable: Cable, plug: Callable[[], Link]) -> None:
-    """A link that is closed and not reset still delivers, then ends."""
+def test_a_close_during_a_cut_keeps_waiting_data(cable: Cable, plug: Callable[[], Link]) -> None:
+    """A link that is closed without a reset still delivers its data, then ends."""
     driver, there = plug()
     cable.cut()
     driver.sendall(b"trigger")
@@ -143,8 +141,8 @@ def test_close_behind_a_cut_leaves_what_waited(cable: Cable, plug: Callable[[], 
     assert there.recv(10) == b""
 
 
-def test_reset_passes_a_whole_cable(plug: Callable[[], Link]) -> None:
-    """The instrument hears of it."""
+def test_a_reset_passes_an_intact_cable(plug: Callable[[], Link]) -> None:
+    """The instrument's end gets a connection reset."""
     driver, there = plug()
     reset(driver)
     with pytest.raises(ConnectionResetError):

@@ -1,4 +1,4 @@
-"""The checklist against instruments that differ in what no manual says."""
+"""The checklist with instruments that differ in behaviour that no manual specifies."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ PATIENCE = Patience(reply=0.3, copy=1.0, tries=2, pause=0.02)
 
 @pytest.fixture(scope="module")
 def usual(apparatus: Apparatus) -> list[dict[str, Any]]:
-    """Return the rows for an instrument as it is assumed to be."""
+    """Return the rows for an instrument that behaves as assumed."""
     with Simulator(apparatus) as simulator:
         rows = check_rig(simulator.address, apparatus, patience=PATIENCE)
         assert simulator.outputs == (False, False)
@@ -42,8 +42,8 @@ def odd(apparatus: Apparatus) -> list[dict[str, Any]]:
         return rows
 
 
-def test_every_question_is_met(usual: list[dict[str, Any]]) -> None:
-    """Those that the value of the instrument names, each with something a person can do."""
+def test_every_question_is_asked(usual: list[dict[str, Any]]) -> None:
+    """All questions for this model, each with an answer and advice."""
     assert [row["number"] for row in usual] == [0, 1, 2, 3, 6, 7, 8, 10, 12, 13]
     assert all(row["question"] and row["answer"] and row["advice"] for row in usual)
     assert [row["number"] for row in usual if row["state"] == "person"] == [1, 6, 10, 13]
@@ -61,26 +61,26 @@ def test_every_question_is_met(usual: list[dict[str, Any]]) -> None:
         (12, "still on", "still on"),
     ],
 )
-def test_answer_follows_the_instrument(
+def test_answers_depend_on_the_instrument(
     usual: list[dict[str, Any]], odd: list[dict[str, Any]], number: int, usually: str, oddly: str
 ) -> None:
-    """Each question that software can answer tells two instruments apart."""
+    """Each question that software can answer distinguishes the two instruments."""
     for rows, said in ((usual, usually), (odd, oddly)):
         (row,) = (row for row in rows if row["number"] == number)
         assert re.search(said, row["answer"])
 
 
 @pytest.mark.parametrize("fault", ["lost_reply", "wrong_reply"])
-def test_fault_in_a_question_leaves_the_others(apparatus: Apparatus, fault: Any) -> None:
-    """Without a reply, or a number in it, a question is unanswered; the next ones are asked over a new link."""
+def test_a_fault_in_one_question_does_not_affect_the_others(apparatus: Apparatus, fault: Any) -> None:
+    """Without a numeric reply a question is unanswered; the following ones are asked over a new link."""
     with Simulator(apparatus) as simulator:
         simulator.faults.inject(fault, when=r"^TRIG:TIM\?", value="about 140 ms")
         rows = check_rig(simulator.address, apparatus, patience=PATIENCE)
     assert [row["number"] for row in rows if row["state"] == "unanswered"] == [2]
 
 
-def test_scope_measures_the_latency_of_a_trigger(apparatus: Apparatus, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The bounds to be written hold every latency of the twin, and are no more than a scope's question wider."""
+def test_a_scope_measures_the_trigger_latency(apparatus: Apparatus, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The proposed bounds include every latency of the twin, and are wider by no more than one query to the scope."""
     low, high = 4.0, 9.0
     monkeypatch.setattr(checklist, "QUESTIONS", [entry for entry in checklist.QUESTIONS if entry[0] == 13])
     facts = apparatus.model_dump(mode="json")
@@ -91,8 +91,8 @@ def test_scope_measures_the_latency_of_a_trigger(apparatus: Apparatus, monkeypat
     found = re.search(r"trigger_latency_ms: \{low: ([\d.]+), high: ([\d.]+)\}", row["answer"])
     assert found
     least, most = float(found[1]), float(found[2])
-    # The instrument takes a trigger after the driver sent it and before the driver hears so: the low bound holds as it
-    # is, the high one may be lower than the twin's by that journey.
+    # The instrument accepts a trigger after it was sent and before the acknowledgement: the low bound holds exactly,
+    # and the high one may be below the twin's by the transit time.
     assert low - 0.6 <= least <= low + 1.0
     assert most <= high + 0.6
 
@@ -125,12 +125,12 @@ def test_amplitudes_are_stepped_within_any_limit(apparatus: Apparatus, monkeypat
 
 
 def test_absent_instrument_is_an_error(apparatus: Apparatus) -> None:
-    """Nobody there: said as everywhere else."""
+    """The error is the one that every command gives."""
     with pytest.raises(RigError, match="no generator answers"):
         check_rig("TCPIP::127.0.0.1,1::inst0::INSTR", apparatus, patience=PATIENCE)
 
 
-def test_another_instrument_is_left_as_it_is(apparatus: Apparatus) -> None:
+def test_an_instrument_of_another_model_is_not_switched_off(apparatus: Apparatus) -> None:
     """Its outputs may drive another experiment: neither the check nor its watchdog switches them off."""
     facts = apparatus.model_dump(mode="json")
     facts["generator"]["model"] = "AFG3022C"

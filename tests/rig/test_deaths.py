@@ -1,6 +1,6 @@
-"""An instrument that dies at any instant of a stimulus: nothing of it is ever confirmed.
+"""An instrument that fails at any instant of a stimulus: nothing of it is ever confirmed.
 
-``MODALTOUCH_DEATHS=1000`` tries as many instead of 60.
+``MODALTOUCH_DEATHS=1000`` tries 1000 failures instead of 60.
 """
 
 from __future__ import annotations
@@ -29,18 +29,18 @@ N_TOGETHER = 20
 REPETITIONS: tuple[Repetition, ...] = ("single", "single", "single", "single", "timer", "continuous")
 
 N_MESSAGES = 12
-"""About as many exchanges a stimulus has, its triggers left out."""
+"""Approximate number of exchanges of a stimulus, without its triggers."""
 
 
 class Ward(VisaSession):
-    """A way to an instrument that may die, at an instant or just before a message.
+    """A link to an instrument that may fail at an instant or just before a message.
 
     Parameters
     ----------
     simulator : Simulator
         The instrument.
     clock : VirtualClock
-        Of both.
+        The clock of both.
     """
 
     def __init__(self, simulator: Simulator, clock: VirtualClock) -> None:
@@ -53,13 +53,13 @@ class Ward(VisaSession):
         self.died = False
 
     def condemn(self, kind: str, *, after: float | None = None, messages: int = -1) -> None:
-        """Have it die of something, after a time [s] or a number of messages."""
+        """Let the instrument fail in a given way, after a time [s] or a number of messages."""
         self.kind, self._left = kind, messages
         if after is not None:
             self._clock.call_at(self._clock.now() + after, self._die)
 
     def discharge(self) -> None:
-        """Let it live from now on."""
+        """Cancel the failure."""
         if self.died and self.kind in ("power cut", "cable out"):
             self._simulator.server.listen()
         self.kind, self._left, self._frozen = "", -1, False
@@ -84,7 +84,7 @@ class Ward(VisaSession):
         return super().open()
 
     def exchange(self, message: bytes, *, timeout: float, reply: bool) -> bytes:
-        # The timer is stopped once the end was confirmed with the outputs off: a death at that message is none.
+        # The timer is stopped after the end was confirmed with the outputs off: a failure then has no effect.
         if self._left == 0 and not message.startswith(b":TRIG:SOUR EXT"):
             self._die()
         self._left -= 1
@@ -99,7 +99,7 @@ KINDS = ("power cut", "power cycle", "cable out", "freeze")
 
 @dataclass(frozen=True)
 class End:
-    """What came of a stimulus: whether the instrument had died before its end was confirmed, and what was said."""
+    """The outcome of a stimulus: whether the instrument failed before the end was confirmed, and the messages."""
 
     seed: int
     kind: str
@@ -108,7 +108,7 @@ class End:
 
 
 def play(seed: int, simulator: Simulator, apparatus: Apparatus, clock: VirtualClock, burst: Burst) -> End:
-    """Play bursts of which the instrument dies, in half of the seeds at any instant, in half before any message."""
+    """Play bursts; the instrument fails at a random instant (half of the seeds) or before a random message."""
     rng = random.Random(seed)
     ward, n_bursts = Ward(simulator, clock), rng.randint(1, 14)
     length = RELAYS_SETTLE + n_bursts / burst.repetition_rate
@@ -144,7 +144,7 @@ def play(seed: int, simulator: Simulator, apparatus: Apparatus, clock: VirtualCl
 
 
 def stop_lost(rig: Generator) -> None:
-    """Stop a stimulus of which it is known that it was lost."""
+    """Stop a stimulus that is known to be lost."""
     try:
         rig.stop()
     except RigError:
@@ -152,10 +152,10 @@ def stop_lost(rig: Generator) -> None:
 
 
 @pytest.mark.parametrize("first", range(0, N_DEATHS, N_TOGETHER))
-def test_instrument_that_dies_confirms_nothing(
+def test_a_failing_instrument_confirms_nothing(
     first: int, simulator: Simulator, apparatus: Apparatus, clock: VirtualClock, make: Callable[..., Burst]
 ) -> None:
-    """Power cut, power cycle, cable out for good, freeze: unconfirmed with a reason; later than its end, it is none."""
+    """Power cut, power cycle, cable out, freeze: unconfirmed with a reason; after the end they do not matter."""
     burst = make(n_samples=200)
     ends = [play(seed, simulator, apparatus, clock, burst) for seed in range(first, first + N_TOGETHER)]
     for end in ends:

@@ -1,7 +1,7 @@
-"""Fault x phase: what the session sees, and that the outputs are off and no wrong stimulus counts as right.
+"""Fault x phase: how the session is affected; outputs are off, and no wrong stimulus is confirmed.
 
-``recovers``: nothing is seen but a line in the log. ``unconfirmed``: the firing is not confirmed, so that the
-trial is offered again. ``refused``: `RigError`. The words after it are what its message must say.
+``recovers``: only the log shows the fault. ``unconfirmed``: the firing is not confirmed, so that the trial is offered
+again. ``refused``: `RigError`. The pattern after it must match the message.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ UPLOAD, BLOCK_BACK, COPY, ARM, SWITCH_ON, TRIGGER, STOP = (
 )
 
 MATRIX: list[tuple[str, str, Any, str, str, str]] = [
-    # fault, message that meets it, value, phase, what is seen, words
+    # fault, message affected, value, phase, outcome, pattern of the error
     ("lost_reply", "IDN", 0, "connect", "refused", "no generator answers at .* no output was switched on"),
     ("delayed_reply", "IDN", 9, "connect", "refused", "no generator answers"),
     ("garbled_reply", "IDN", 0, "connect", "refused", "no generator answers"),
@@ -102,7 +102,7 @@ MATRIX: list[tuple[str, str, Any, str, str, str]] = [
 
 
 DISTURBANCES: list[tuple[str, str, bool, str]] = [
-    # fault, what happens while a stimulus plays, whether the firing stays confirmed, words of its reason
+    # fault, disturbance during a stimulus, whether the firing stays confirmed, pattern of the reason
     ("front panel", "SOUR1:VOLT 3VPP", False, r"SOUR1:VOLT reads 3.0000E\+00, 6.0VPP was set when the stimulus ended"),
     ("front panel", "OUTP2 OFF", False, "output 2 was off when the stimulus ended"),
     ("front panel", "TRIG:SOUR TIM", False, "TRIG:SOUR reads TIM, EXT was set"),
@@ -116,7 +116,7 @@ DISTURBANCES: list[tuple[str, str, bool, str]] = [
 ]
 
 LINKS: list[tuple[str, str, str]] = [
-    # fault, phase, what is seen
+    # fault, phase, outcome
     ("half-open link", "upload", "recovers"),
     ("half-open link", "arm", "unconfirmed"),
     ("half-open link", "trial", "unconfirmed"),
@@ -126,22 +126,22 @@ LINKS: list[tuple[str, str, str]] = [
     ("mute link", "trial", "unconfirmed"),
     ("mute link", "stop", "unconfirmed"),
 ]
-"""The link there is dies without a word, both ways or on the way back; new ones work."""
+"""The existing link dies silently, in both directions or in that of replies; new links work."""
 
 ELSEWHERE: list[tuple[str, str, str, str]] = [
-    # fault, phase, what is seen, the test of this file that proves it
-    ("refused connection", "connect", "refused", "test_refused_connection_is_reported"),
-    ("refused connection", "upload", "refused", "test_lost_instrument_is_an_error_that_says_what_to_do"),
-    ("refused connection", "arm", "refused", "test_lost_instrument_is_an_error_that_says_what_to_do"),
-    ("refused connection", "stop", "refused", "test_lost_instrument_is_an_error_that_says_what_to_do"),
-    ("stuck *OPC?", "upload", "refused", "test_completion_that_never_comes_is_bounded"),
-    ("clipped amplitude", "arm", "unconfirmed", "test_clipped_amplitude_is_never_confirmed"),
-    ("amplifier trip", "trial", "unseen", "test_tripped_amplifier_is_felt_but_not_seen"),
+    # fault, phase, outcome, the test in this file that checks it
+    ("refused connection", "connect", "refused", "test_a_refused_connection_is_reported"),
+    ("refused connection", "upload", "refused", "test_a_lost_instrument_is_an_error_with_a_remedy"),
+    ("refused connection", "arm", "refused", "test_a_lost_instrument_is_an_error_with_a_remedy"),
+    ("refused connection", "stop", "refused", "test_a_lost_instrument_is_an_error_with_a_remedy"),
+    ("stuck *OPC?", "upload", "refused", "test_waiting_for_completion_is_bounded"),
+    ("clipped amplitude", "arm", "unconfirmed", "test_a_clipped_amplitude_is_never_confirmed"),
+    ("amplifier trip", "trial", "unseen", "test_a_tripped_amplifier_is_undetected"),
 ]
 
 
-def test_readme_says_what_the_matrix_proves() -> None:
-    """The table of the package's README has a cell for each fault and phase that is proved here, and no other."""
+def test_the_readmes_table_of_faults_matches_these_tests() -> None:
+    """The table has a cell for each fault and phase that is tested here, and no other."""
     words = {"refused": "error", "recovers": "continues", "unconfirmed": "trial repeated", "unseen": "undetected"}
     proved: dict[tuple[str, str], set[str]] = {}
     for fault, _, _, phase, seen, _ in MATRIX:
@@ -165,18 +165,18 @@ def test_readme_says_what_the_matrix_proves() -> None:
 
 
 def cell(row: tuple[str, str, Any, str, str, str]) -> str:
-    """Return a readable name of a cell."""
+    """Return a readable id of a cell."""
     return f"{row[3]}-{row[0]}-{row[1]}-{row[2]}"
 
 
 @pytest.mark.parametrize("row", MATRIX, ids=cell)
-def test_fault_is_met(
+def test_a_fault_never_leaves_outputs_on_or_confirms_a_wrong_stimulus(
     row: tuple[str, str, Any, str, str, str],
     simulator: Simulator,
     open_generator: Callable[..., Generator],
     burst: Burst,
 ) -> None:
-    """Each cell of the matrix, as the module's docstring reads it."""
+    """Each cell of the matrix, with the outcomes that the module's docstring defines."""
     fault, when, value, phase, seen, words = row
     if phase == "connect":
         simulator.faults.inject(fault, when=when, value=value)
@@ -223,7 +223,7 @@ def assert_holds(simulator: Simulator, burst: Burst) -> None:
 
 
 def assert_plays(simulator: Simulator, burst: Burst, amplitudes: tuple[float, ...]) -> None:
-    """Check that the instrument sends what was commanded: records, levels, length."""
+    """Check that the instrument plays what was commanded: records, levels, length."""
     assert simulator.outputs == (True, True)
     for number, codes, amplitude in zip((1, 2), burst.codes, amplitudes, strict=True):
         playback = simulator.afg.playback(number)
@@ -235,10 +235,10 @@ def assert_plays(simulator: Simulator, burst: Burst, amplitudes: tuple[float, ..
 
 
 @pytest.mark.parametrize(("fault", "disturb", "confirmed", "words"), DISTURBANCES)
-def test_disturbance_during_a_trial_takes_the_confirmation_back(
+def test_a_disturbance_during_a_trial_prevents_its_confirmation(
     loaded: Generator, simulator: Simulator, fault: str, disturb: str, confirmed: bool, words: str
 ) -> None:
-    """What is found at the end of the stimulus decides; a link that broke says nothing of the stimulus."""
+    """The state at the end of the stimulus decides; a broken link alone says nothing about the stimulus."""
     assert loaded.fire(0.1).started
     others = {"power cycle": simulator.power_cycle, "cable out and in": simulator.server.drop_connections}
     others.get(disturb, lambda: simulator.front_panel(disturb))()
@@ -251,7 +251,7 @@ def test_disturbance_during_a_trial_takes_the_confirmation_back(
 
 
 @pytest.mark.parametrize(("fault", "phase", "seen"), LINKS)
-def test_a_dead_link_is_given_up_for_a_new_one(
+def test_a_dead_link_is_replaced_by_a_new_one(
     fault: str,
     phase: str,
     seen: str,
@@ -262,7 +262,7 @@ def test_a_dead_link_is_given_up_for_a_new_one(
     clock: VirtualClock,
     burst: Burst,
 ) -> None:
-    """Nothing waits longer than it was given; no lock keeps the new link out; what is unsure is offered again."""
+    """No wait exceeds its timeout, no lock blocks the new link, and an uncertain trial is offered again."""
     port = int(simulator.address.split(",")[1].split(":")[0])
     with (
         Cable(port) as cable,
@@ -286,10 +286,10 @@ def test_a_dead_link_is_given_up_for_a_new_one(
         assert rig.firing.confirmed
 
 
-def test_completion_that_never_comes_is_bounded(
+def test_waiting_for_completion_is_bounded(
     simulator: Simulator, open_generator: Callable[..., Generator], burst: Burst
 ) -> None:
-    """``*OPC?`` stuck for longer than a test may take: an error after the waits and tries stated, outputs off."""
+    """``*OPC?`` without a reply: an error after the configured timeouts and attempts, outputs off."""
     rig = open_generator(patience=Patience(reply=0.1, copy=0.1, tries=2, pause=0.01, trigger=0.05))
     simulator.faults.inject("lost_reply", when=r"\*OPC\?", times=10_000)
     with pytest.raises(RigError, match="loading the stimulus"):
@@ -297,8 +297,8 @@ def test_completion_that_never_comes_is_bounded(
     assert simulator.outputs == (False, False)
 
 
-def test_clipped_amplitude_is_never_confirmed(loaded: Generator, simulator: Simulator) -> None:
-    """An output stage that stays behind 5 Vpp reads back 5 Vpp: not what was commanded, outputs off."""
+def test_a_clipped_amplitude_is_never_confirmed(loaded: Generator, simulator: Simulator) -> None:
+    """An output stage limited to 5 Vpp reads back 5 Vpp: not the commanded amplitude, outputs off."""
     simulator.afg.clip_amplitude = 5.0
     firing = loaded.fire(0.2)
     assert not firing.started
@@ -307,8 +307,8 @@ def test_clipped_amplitude_is_never_confirmed(loaded: Generator, simulator: Simu
     assert simulator.outputs == (False, False)
 
 
-def test_tripped_amplifier_is_felt_but_not_seen(loaded: Generator, simulator: Simulator) -> None:
-    """The generator cannot know of its amplifier: confirmed, and nothing moves until it is reset."""
+def test_a_tripped_amplifier_is_undetected(loaded: Generator, simulator: Simulator) -> None:
+    """The generator has no feedback from its amplifier: confirmed, and no motion until it is reset."""
     simulator.twin.tripped = True
     assert loaded.fire(0.1).started
     assert simulator.felt_velocity(["C"]) == 0
@@ -316,22 +316,22 @@ def test_tripped_amplifier_is_felt_but_not_seen(loaded: Generator, simulator: Si
     assert simulator.felt_velocity(["C"]) > 0
 
 
-def test_refused_connection_is_reported(simulator: Simulator, open_generator: Callable[..., Generator]) -> None:
-    """Nobody listens: said at once, with the remedy."""
+def test_a_refused_connection_is_reported(simulator: Simulator, open_generator: Callable[..., Generator]) -> None:
+    """Nothing listens at the address: reported immediately, with the remedy."""
     simulator.server.refuse()
     with pytest.raises(RigError, match=r"no generator answers at .*ConnectionRefusedError.*`modaltouch rig list`"):
         open_generator()
 
 
 @pytest.mark.parametrize("phase", ["upload", "arm", "trial"])
-def test_lost_instrument_is_an_error_that_says_what_to_do(
+def test_a_lost_instrument_is_an_error_with_a_remedy(
     phase: str,
     simulator: Simulator,
     open_generator: Callable[..., Generator],
     burst: Burst,
     guard: Any,
 ) -> None:
-    """Gone for good: RigError after the tries stated, the amplifier named, the watchdog left watching."""
+    """RigError after the configured attempts, with the amplifier as remedy; the watchdog keeps watching."""
     rig = open_generator(patience=Patience(reply=0.1, copy=0.1, tries=2, pause=0.01, trigger=0.05))
     steps: list[Callable[[], object]] = [lambda: rig.load(burst), lambda: rig.fire(0.1), rig.stop]
     n_before = ("upload", "arm", "trial").index(phase)
@@ -345,10 +345,10 @@ def test_lost_instrument_is_an_error_that_says_what_to_do(
     assert guard.told[-1] == "left watching"
 
 
-def test_instrument_that_comes_back_is_found(
+def test_an_instrument_that_returns_is_reconnected(
     simulator: Simulator, open_generator: Callable[..., Generator], burst: Burst, clock: VirtualClock
 ) -> None:
-    """A cable pulled and plugged in again costs one trial at most, and no upload."""
+    """A cable pulled and plugged in again costs at most one trial, and no upload."""
     rig = open_generator(patience=Patience(reply=0.2, copy=0.4, tries=5, pause=0.02))
     rig.load(burst)
     rig.fire(0.1)
@@ -361,7 +361,7 @@ def test_instrument_that_comes_back_is_found(
 
 
 def test_another_instrument_at_the_address_is_refused(loaded: Generator, simulator: Simulator) -> None:
-    """After a lost link another serial number answers: its records and state are not ours."""
+    """Another serial number answers after a lost link: its records and state are unknown."""
     loaded.fire(0.1)
     simulator.faults.inject("wrong_reply", when="IDN", value="TEKTRONIX,AFG3022B,C999999,SCPI:99.0 FV:3.2.2", times=9)
     simulator.server.drop_connections()
@@ -369,8 +369,8 @@ def test_another_instrument_at_the_address_is_refused(loaded: Generator, simulat
         loaded.stop()
 
 
-def test_one_garbled_identity_is_asked_again(loaded: Generator, simulator: Simulator, burst: Burst) -> None:
-    """Half a reply to ``*IDN?`` after a lost link: the session goes on with the same instrument."""
+def test_a_garbled_identity_is_queried_again(loaded: Generator, simulator: Simulator, burst: Burst) -> None:
+    """Half a reply to ``*IDN?`` after a lost link: the session continues with the same instrument."""
     loaded.fire(0.1)
     simulator.faults.inject("truncated_reply", when="IDN")
     simulator.server.drop_connections()
@@ -380,10 +380,10 @@ def test_one_garbled_identity_is_asked_again(loaded: Generator, simulator: Simul
     assert_plays(simulator, burst, (12.0, 8.0))
 
 
-def test_unreadable_blocks_fall_back_to_spots(
+def test_unreadable_blocks_are_replaced_by_spot_checks(
     simulator: Simulator, open_generator: Callable[..., Generator], burst: Burst, heard: Any
 ) -> None:
-    """A device whose block replies never come through is verified by its count and 64 single points."""
+    """If block replies never arrive, a record is verified by its length and 64 single points."""
     simulator.faults.inject("garbled_reply", when=BLOCK_BACK, times=99)
     rig = open_generator()
     rig.load(burst)
@@ -392,10 +392,10 @@ def test_unreadable_blocks_fall_back_to_spots(
     assert_plays(simulator, burst, (6.0, 4.0))
 
 
-def test_spots_are_those_of_the_memory_that_is_played(
+def test_spot_checks_read_the_memory_that_is_played(
     simulator: Simulator, open_generator: Callable[..., Generator], burst: Burst
 ) -> None:
-    """Where both copies back are lost, the edit memory still holds what was sent, whatever USER1 holds."""
+    """If both copies back are lost, the edit memory still contains what was sent, whatever USER1 contains."""
     at = int(burst.codes[0].argmax())
     spoil = f"DATA:DATA:VAL EMEM,{at + 1},8191;:DATA:COPY USER1;:DATA:DATA:VAL EMEM,{at + 1},{burst.codes[0, at]}"
     simulator.faults.inject("front_panel", when="COPY USER1,EMEM", value=spoil, times=2)
@@ -405,10 +405,10 @@ def test_spots_are_those_of_the_memory_that_is_played(
         rig.load(burst)
 
 
-def test_record_that_stays_wrong_is_refused(
+def test_a_record_that_reads_back_wrong_twice_is_refused(
     simulator: Simulator, open_generator: Callable[..., Generator], burst: Burst
 ) -> None:
-    """Two uploads that read back wrong: no third, and nothing is ever fired."""
+    """After two uploads that read back wrong there is no third, and the outputs are off."""
     simulator.faults.inject("garbled_upload", when=UPLOAD, times=99)
     rig = open_generator()
     with pytest.raises(RigError, match="USER1 does not hold the record that was sent, after two uploads"):
@@ -432,7 +432,7 @@ KINDS = (
 )
 
 WRONG = ("", "nonsense", "1", "0", "-1", "9.9E37", "1;1", "0;0;0;0;0", '0,"No error"', "1;1;1;1;0", "nan", "USER1;TRIG")
-"""Replies that belong to other questions, or to none."""
+"""Replies to other queries, or to none."""
 
 
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture], derandomize=True)
@@ -445,7 +445,7 @@ def test_no_fault_at_any_message_leaves_outputs_on_or_confirms_a_wrong_stimulus(
     open_generator: Callable[..., Generator],
     make: Callable[..., Burst],
 ) -> None:
-    """Whatever fails at whatever message: outputs off at the end; a confirmed firing plays what was asked."""
+    """For any fault at any message: outputs off at the end, and a confirmed firing played what was requested."""
     burst = make(n_samples=200)
     simulator.power_cycle()
     simulator.faults.clear()
@@ -471,7 +471,7 @@ def test_no_fault_at_any_message_leaves_outputs_on_or_confirms_a_wrong_stimulus(
 
 
 class counted:  # noqa: N801
-    """Does something just before the n-th message that comes over a link."""
+    """Perform an action just before the n-th message over a link."""
 
     def __init__(self, simulator: Simulator, nth: int, action: Callable[[], None]) -> None:
         self._instrument = simulator._instrument
@@ -494,6 +494,6 @@ class counted:  # noqa: N801
 
 @pytest.fixture(autouse=True)
 def _faults_end(simulator: Simulator) -> Iterator[None]:
-    """Leave no fault to the closing of the driver."""
+    """Clear the faults before the driver closes."""
     yield
     simulator.faults.clear()

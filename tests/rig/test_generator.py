@@ -1,4 +1,4 @@
-"""The driver against the simulator: what it sends, what it confirms, and that its outputs are off."""
+"""The driver with the simulator: what it sends, what it confirms, and when its outputs are off."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ LEVELS = (0.08, 0.1, 0.15, 0.2)
 
 
 def test_outputs_are_off_after_opening(simulator: Simulator, open_generator: Callable[..., Generator]) -> None:
-    """An output left on by somebody else is off once the driver has the instrument."""
+    """Outputs that were left on are switched off when the driver opens the instrument."""
     simulator.front_panel("OUTP1 ON;:OUTP2 ON")
     open_generator()
     assert simulator.outputs == (False, False)
 
 
-def test_firing_is_confirmed_and_felt(loaded: Generator, simulator: Simulator) -> None:
-    """Between fire and stop both outputs are on and fingers feel something; before and after they do not."""
+def test_a_firing_is_confirmed_and_moves_the_beam(loaded: Generator, simulator: Simulator) -> None:
+    """Outputs are on and the beam moves between fire and stop, and not before or after."""
     assert simulator.felt_velocity(["A", "C"]).tolist() == [0, 0]
     firing = loaded.fire(0.2)
     assert firing.started
@@ -54,8 +54,8 @@ def test_firing_is_confirmed_and_felt(loaded: Generator, simulator: Simulator) -
     assert loaded.firing.confirmed
 
 
-def test_a_catch_trial_does_everything_but_play(loaded: Generator, simulator: Simulator) -> None:
-    """Amplitudes set, relays on, all confirmed, and fingers feel nothing, though a burst had just been playing."""
+def test_a_catch_trial_sets_and_confirms_everything_but_plays_nothing(loaded: Generator, simulator: Simulator) -> None:
+    """Amplitudes set, relays on, all confirmed, and no motion, even directly after a trial with a stimulus."""
     loaded.fire(0.1)
     loaded.stop()
     firing = loaded.fire(0.08, silent=True)
@@ -72,10 +72,8 @@ def test_a_catch_trial_does_everything_but_play(loaded: Generator, simulator: Si
     assert (simulator.felt_velocity(["A", "C"]) > 0).all()
 
 
-def test_a_catch_trial_takes_the_commands_and_the_time_of_any_other(
-    loaded: Generator, heard: Any, clock: VirtualClock
-) -> None:
-    """The same messages in the same time, so that neither relays nor delays tell; only the triggers are left out."""
+def test_a_catch_trial_has_the_same_commands_and_duration(loaded: Generator, heard: Any, clock: VirtualClock) -> None:
+    """Neither relays nor delays reveal a catch trial: only the triggers are omitted."""
     sent, took = [], []
     for silent in (False, True):
         heard.clear()
@@ -90,18 +88,18 @@ def test_a_catch_trial_takes_the_commands_and_the_time_of_any_other(
 
 @pytest.mark.parametrize("silent", [False, True])
 @pytest.mark.parametrize("ahead", [0.0, 0.03, 0.2, 0.7])
-def test_the_first_burst_goes_when_it_is_due(
+def test_the_first_burst_is_triggered_when_it_is_due(
     loaded: Generator, clock: VirtualClock, ahead: float, silent: bool
 ) -> None:
-    """Set and read back before, it goes at the instant asked for, the relays at rest; never before it."""
+    """Settings are made and read back beforehand; never before the relays have settled."""
     called = clock.now()
     firing = loaded.fire(0.1, due=called + ahead, silent=silent)
     assert firing.started
     assert firing.onset == pytest.approx(called + max(ahead, RELAYS_SETTLE), abs=2e-3)
 
 
-def test_the_lead_follows_a_slow_instrument_and_forgets_it(loaded: Generator, clock: VirtualClock, heard: Any) -> None:
-    """Twice as long as the preparation took beside the relays, bounded, and less when it gets faster."""
+def test_the_lead_adapts_to_the_speed_of_the_instrument(loaded: Generator, clock: VirtualClock, heard: Any) -> None:
+    """Twice the preparation time in addition to the relays, bounded; shorter when the instrument is faster again."""
     assert loaded.lead == pytest.approx(0.05)
     prepare = loaded._player.prepare
 
@@ -126,10 +124,10 @@ def test_the_lead_follows_a_slow_instrument_and_forgets_it(loaded: Generator, cl
 
 
 @pytest.mark.parametrize("repetition", ["continuous", "wired"])
-def test_a_record_that_plays_by_itself_cannot_be_silent(
+def test_catch_trials_need_triggered_bursts(
     simulator: Simulator, open_generator: Callable[..., Generator], burst: Burst, repetition: str
 ) -> None:
-    """It plays as soon as the outputs are on, so a catch trial is refused and they stay off."""
+    """An untriggered record plays as soon as the outputs are on: a catch trial is refused, and the outputs stay off."""
     generator = open_generator(repetition=repetition)
     generator.load(burst)
     with pytest.raises(RigError, match="needs the repetition `single`"):
@@ -139,7 +137,7 @@ def test_a_record_that_plays_by_itself_cannot_be_silent(
 
 @pytest.mark.parametrize("n_bursts", [1, 2, 14])
 def test_whole_bursts_are_played_and_counted(loaded: Generator, clock: VirtualClock, heard: Any, n_bursts: int) -> None:
-    """As many triggers as asked, a period apart, none after the last; all of them whole."""
+    """The requested number of triggers, one period apart, none after the last; all bursts complete."""
     loaded.fire(0.1, n_bursts=n_bursts)
     for _ in range(30):
         clock.sleep(0.1)
@@ -152,10 +150,10 @@ def test_whole_bursts_are_played_and_counted(loaded: Generator, clock: VirtualCl
 
 
 @pytest.mark.parametrize(("n_dropped", "exactly", "confirmed"), [(1, False, True), (1, True, False), (3, False, False)])
-def test_bursts_that_were_left_out_may_spoil_a_stimulus(
+def test_dropped_bursts_may_prevent_confirmation(
     loaded: Generator, guard: Any, clock: VirtualClock, n_dropped: int, exactly: bool, confirmed: bool
 ) -> None:
-    """Of a fixed number none may be missing; else one may, and is recorded; what is spoilt is a stall, no fault."""
+    """None of a fixed number may be missing, otherwise one may, and is recorded; more count as a stall, not a fault."""
     loaded.fire(0.1, n_bursts=14, exactly=exactly)
     clock.sleep(0.01)
     clock._due, due = [], clock._due
@@ -173,7 +171,7 @@ def test_bursts_that_were_left_out_may_spoil_a_stimulus(
 
 @pytest.mark.parametrize(("held_up", "stalled"), [(0.0, False), (HELD_UP, False), (HELD_UP + 0.01, True)])
 @pytest.mark.parametrize("place", ["start", "stop"])
-def test_a_fault_while_this_computer_is_held_up_is_not_the_instruments(
+def test_a_fault_during_a_delay_of_this_computer_counts_as_a_stall(
     loaded: Generator,
     simulator: Simulator,
     guard: Any,
@@ -182,7 +180,7 @@ def test_a_fault_while_this_computer_is_held_up_is_not_the_instruments(
     held_up: float,
     stalled: bool,
 ) -> None:
-    """For more than 50 ms: never confirmed, and offered again as after a stall; the next stimulus is confirmed."""
+    """Beyond 50 ms: not confirmed and marked as stalled; the next stimulus is confirmed."""
     monkeypatch.setattr(guard, "held_up", lambda: held_up)
     simulator.faults.inject("lost_reply", when="OUTP1 ON" if place == "start" else r"OUTP1\?;:OUTP2\?")
     loaded.fire(0.1)
@@ -319,8 +317,8 @@ def test_stimulus_ends_between_bursts(loaded: Generator, clock: VirtualClock, si
     assert (loaded.firing.bursts.played, loaded.firing.bursts.whole) == (3, 3)
 
 
-def test_emergency_stop_cuts_the_burst_that_plays(loaded: Generator, clock: VirtualClock) -> None:
-    """Outputs off at once, 10 ms into the first burst, which is counted as played and as not whole."""
+def test_an_emergency_stop_interrupts_the_current_burst(loaded: Generator, clock: VirtualClock) -> None:
+    """Outputs off immediately, 10 ms into the first burst, which is counted as played but not as complete."""
     loaded.fire(0.1)
     clock.sleep(0.01)
     stopped = clock.now()
@@ -330,8 +328,8 @@ def test_emergency_stop_cuts_the_burst_that_plays(loaded: Generator, clock: Virt
     assert (loaded.firing.bursts.played, loaded.firing.bursts.whole) == (1, 0)
 
 
-def test_level_scales_what_is_felt(loaded: Generator, simulator: Simulator) -> None:
-    """The beam is linear: speeds are in the ratio of the levels, 0.4 to 0.5 to 0.75 to 1."""
+def test_velocity_is_proportional_to_the_level(loaded: Generator, simulator: Simulator) -> None:
+    """The beam is linear: velocities are in the ratio of the levels, 0.4 to 0.5 to 0.75 to 1."""
     felt = []
     for level in LEVELS:
         loaded.fire(level)
@@ -340,8 +338,8 @@ def test_level_scales_what_is_felt(loaded: Generator, simulator: Simulator) -> N
     assert np.allclose(np.array(felt) / felt[-1], np.array(LEVELS)[:, None] / 0.2, rtol=1e-9)
 
 
-def test_instrument_is_set_as_the_burst_asks(loaded: Generator, simulator: Simulator) -> None:
-    """State of the instrument while it fires: 20 Hz, one cycle a trigger, 12 and 8 Vpp, no offset."""
+def test_the_instrument_has_the_settings_of_the_burst(loaded: Generator, simulator: Simulator) -> None:
+    """While it fires: 20 Hz, one cycle per trigger, 12 and 8 Vpp, no offset."""
     loaded.fire(0.2)
     for channel, memory, amplitude in zip(simulator.afg.channels.values(), ("USER1", "USER2"), (12, 8), strict=True):
         assert channel.function == memory
@@ -352,10 +350,10 @@ def test_instrument_is_set_as_the_burst_asks(loaded: Generator, simulator: Simul
     assert simulator.afg.trigger_source == "EXT"
 
 
-def test_timer_runs_at_the_rate_of_the_burst(
+def test_the_timer_runs_at_the_repetition_rate(
     simulator: Simulator, open_generator: Callable[..., Generator], burst: Burst
 ) -> None:
-    """`timer`, as in the paper: source TIM at 1/7 s while it fires, the first burst known to a period, none counted."""
+    """`timer`, as in the paper: source TIM at 1/7 s; the onset is uncertain by one period, bursts are not counted."""
     rig = open_generator(repetition="timer")
     rig.load(burst)
     firing = rig.fire(0.2)
@@ -372,7 +370,7 @@ def test_timer_runs_at_the_rate_of_the_burst(
 def test_wired_bursts_are_counted_by_their_source(
     apparatus: Apparatus, guard: Any, burst: Burst, heard: Any, clock: VirtualClock, tmp_path: Path, pulses: float
 ) -> None:
-    """`wired`: pulses at the trigger input play bursts while the outputs are on; nothing is sent, counted or dated."""
+    """`wired`: pulses at the trigger input play bursts while outputs are on; the driver sends and counts none."""
     twin = apparatus.twin.generator.model_copy(update={"external_pulses_Hz": pulses})
     update = {
         "twin": apparatus.twin.model_copy(update={"generator": twin}),
@@ -401,10 +399,10 @@ def test_wired_bursts_are_counted_by_their_source(
     assert rig.firing.bursts == Bursts()
 
 
-def test_fingers_lie_where_the_followed_session_places_them(
+def test_fingers_follow_the_placements_of_a_session_log(
     apparatus: Apparatus, guard: Any, burst: Burst, heard: Any, clock: VirtualClock, tmp_path: Path
 ) -> None:
-    """A log of another process, half written at first: each burst is felt by the fingers of its own placement."""
+    """The log of another process, first half written: each burst meets the fingers of its own placement."""
     heavy = FingerSection(mass_g=0.2, damping_N_s_per_m=1.0)
     touched = apparatus.model_copy(update={"twin": apparatus.twin.model_copy(update={"fingers": heavy})})
     log, played = tmp_path / "session.jsonl", tmp_path / "played.jsonl"
@@ -429,12 +427,12 @@ def test_fingers_lie_where_the_followed_session_places_them(
     told = [json.loads(line)["finger_peak_mm_s"] for line in played.read_text(encoding="utf-8").splitlines()]
     assert [list(each) for each in told] == [[], [], ["A", "C"], ["B", "D"]]
     for fingers, speeds in zip(told, expected, strict=True):
-        # The twin speaks of one burst from rest, the log of one after many.
+        # The twin reports one burst from rest, the log one after many.
         assert list(fingers.values()) == pytest.approx(speeds, rel=1e-3)
 
 
-def test_a_followed_log_is_read_by_several_threads_at_once(apparatus: Apparatus, tmp_path: Path) -> None:
-    """Every placement is noticed while others read, too, and switch between any two instructions."""
+def test_a_followed_log_can_be_read_by_several_threads(apparatus: Apparatus, tmp_path: Path) -> None:
+    """Every placement is noticed while other threads read, with switches between any two instructions."""
     log, over, interval = tmp_path / "session.jsonl", threading.Event(), sys.getswitchinterval()
     log.touch()
     followed = FollowedSession(log, apparatus)
@@ -459,22 +457,22 @@ def test_a_followed_log_is_read_by_several_threads_at_once(apparatus: Apparatus,
             reader.join()
 
 
-def test_line_cut_by_a_crash_is_passed_over_in_a_followed_session(apparatus: Apparatus, tmp_path: Path) -> None:
-    """It stays in the log of a session that was resumed (`modaltouch.record.chain`); its trial is presented again."""
+def test_a_truncated_line_in_a_followed_log_is_skipped(apparatus: Apparatus, tmp_path: Path) -> None:
+    """It remains in the log of a resumed session (`modaltouch.record.chain`); its trial is presented again."""
     log = tmp_path / "session.jsonl"
     placed = '{"event":"placement","zone_left":"A","zone_right":"C"}\n'
     log.write_text(f'{placed}{{"event":"trial","answ\n{placed.replace("A", "B")}', encoding="utf-8")
     assert list(FollowedSession(log, apparatus).fingers()) == ["B", "C"]
 
 
-def test_folder_is_no_log_to_follow(apparatus: Apparatus, tmp_path: Path) -> None:
-    """It would be noticed in the midst of a burst, and break the driver's connection."""
+def test_following_a_folder_is_refused(apparatus: Apparatus, tmp_path: Path) -> None:
+    """Otherwise the error would occur during a burst and break the driver's connection."""
     with pytest.raises(InputError, match="given a folder; allowed: the log of a session.*give its session.jsonl"):
         Simulator(apparatus, follow=tmp_path)
 
 
 def test_fingers_differ_between_the_placements_of_a_followed_session(apparatus: Apparatus, tmp_path: Path) -> None:
-    """As the twin says they do, drawn from the session: none while hands are off, the same where it is read again."""
+    """With the twin's spread, drawn from the session's seed: none with hands off, the same when read again."""
     spread = {"mass": 0.2, "damping": 0.2, "stiffness": 0.2, "offset_mm": 2.0}
     own = {
         "fingers": FingerSection(mass_g=0.1, damping_N_s_per_m=0.5, stiffness_N_per_mm=0.5),
@@ -504,7 +502,7 @@ def test_fingers_differ_between_the_placements_of_a_followed_session(apparatus: 
 
 
 def test_fingers_differ_between_the_trials_of_a_placement(apparatus: Apparatus, tmp_path: Path) -> None:
-    """Anew with each trial that is over, around those of the placement."""
+    """Drawn again after each trial, around the values of the placement."""
     own = {
         "fingers": FingerSection(mass_g=0.1, damping_N_s_per_m=0.5),
         "finger_trial_spread": FingerSpread.model_validate({"mass": 0.02, "offset_mm": 0.1}),
@@ -519,16 +517,16 @@ def test_fingers_differ_between_the_trials_of_a_placement(apparatus: Apparatus, 
         given.append(followed.fingers())
         masses += [finger.mass for finger in given[-1].values()]
     assert len(set(masses)) == 62
-    # What was given for a burst is still that of its trial when the burst is listed.
+    # The fingers returned for a burst are unchanged when the burst is listed.
     assert [finger.mass for fingers in given for finger in fingers.values()] == masses
     assert np.std(np.log(masses)) == pytest.approx(0.02, rel=0.3)
     assert np.mean(masses) == pytest.approx(1e-4, rel=0.01)
 
 
-def test_a_burst_may_repeat_otherwise_than_usual(
+def test_a_burst_may_override_the_repetition(
     simulator: Simulator, open_generator: Callable[..., Generator], burst: Burst
 ) -> None:
-    """One that is measured plays on and on, without a trigger; the next one loaded is triggered as ever."""
+    """A burst for a measurement plays continuously, without triggers; the next one loaded is triggered as usual."""
     rig = open_generator()
     rig.load(burst, repetition="continuous")
     rig.fire(0.1)
@@ -542,10 +540,10 @@ def test_a_burst_may_repeat_otherwise_than_usual(
     assert rig.firing.bursts.asked == 1
 
 
-def test_wired_firing_is_confirmed_as_far_as_its_settings_go(
+def test_a_wired_firing_is_confirmed_by_its_settings(
     simulator: Simulator, open_generator: Callable[..., Generator], burst: Burst
 ) -> None:
-    """Without a pulse nothing plays, which nobody can tell; a source that was changed meanwhile is seen."""
+    """Without a pulse nothing plays, which cannot be detected; a changed trigger source or output is."""
     rig = open_generator(repetition="wired")
     rig.load(burst)
     for command, confirmed in (("*WAI", True), ("TRIG:SOUR TIM", False), ("OUTP2 OFF", False)):
@@ -557,10 +555,10 @@ def test_wired_firing_is_confirmed_as_far_as_its_settings_go(
 
 
 @pytest.mark.parametrize("knows", [True, False])
-def test_trigger_is_that_of_the_instrument(
+def test_the_trigger_command_suits_the_instrument(
     simulator: Simulator, open_generator: Callable[..., Generator], burst: Burst, heard: Any, knows: bool
 ) -> None:
-    """TRIG:SEQ:IMM where the instrument has it; where it is an undefined header (-113), *TRG."""
+    """TRIG:SEQ:IMM where the instrument supports it; *TRG where that is an undefined header (-113)."""
     if not knows:
         simulator.faults.inject("wrong_reply", when="SEQ:IMM", value='-113,"Undefined header"')
     rig = open_generator()
@@ -569,8 +567,8 @@ def test_trigger_is_that_of_the_instrument(
     assert rig.fire(0.1).started
 
 
-def test_every_set_reads_the_error_queue(loaded: Generator, heard: Any) -> None:
-    """Each message that sets something ends by asking for errors."""
+def test_every_setting_is_followed_by_an_error_query(loaded: Generator, heard: Any) -> None:
+    """Each message that sets something ends with SYST:ERR?."""
     loaded.fire(0.1)
     loaded.stop()
     sets = [m for m in heard.sent if any(" " in unit.strip() and "?" not in unit for unit in m.split(";"))]
@@ -578,8 +576,8 @@ def test_every_set_reads_the_error_queue(loaded: Generator, heard: Any) -> None:
     assert all(message.endswith("SYST:ERR?") for message in sets)
 
 
-def test_level_change_sends_no_record(loaded: Generator, heard: Any) -> None:
-    """A trial sets two amplitudes and the outputs; nothing else."""
+def test_a_level_change_sends_no_record(loaded: Generator, heard: Any) -> None:
+    """Over all levels, no message except lock and length queries concerns the memories."""
     for level in LEVELS:
         loaded.fire(level)
         loaded.stop()
@@ -587,7 +585,7 @@ def test_level_change_sends_no_record(loaded: Generator, heard: Any) -> None:
 
 
 def test_levels_are_set_while_the_trigger_is_stopped(loaded: Generator, simulator: Simulator) -> None:
-    """No burst plays between the two channels' settings: the trigger waits and both outputs are off."""
+    """No burst plays between the settings of the two channels: the source is external and both outputs are off."""
     seen = []
     change = simulator.afg.change
 
@@ -601,8 +599,8 @@ def test_levels_are_set_while_the_trigger_is_stopped(loaded: Generator, simulato
     assert seen == [("EXT", (False, False))] * 4
 
 
-def test_silent_channel_plays_nothing(generator: Generator, simulator: Simulator, burst: Burst) -> None:
-    """A channel without drive keeps a low amplitude and a record of zero volts."""
+def test_a_channel_without_drive_plays_zero_volts(generator: Generator, simulator: Simulator, burst: Burst) -> None:
+    """It has a low amplitude and a record of zero volts."""
     codes = burst.codes.copy()
     codes[1] = 8191
     generator.load(replace(burst, codes=codes, amplitude=(12.0, 0.0)))
@@ -612,7 +610,7 @@ def test_silent_channel_plays_nothing(generator: Generator, simulator: Simulator
 
 
 def test_another_model_is_refused(simulator: Simulator, apparatus: Apparatus, guard: Any) -> None:
-    """An instrument other than the apparatus file's is left alone, and the remedy named."""
+    """An instrument that differs from the apparatus file is not touched, and the message gives both models."""
     other = apparatus.model_copy(update={"generator": apparatus.generator.model_copy(update={"model": "AFG31022"})})
     simulator.front_panel("OUTP1 ON")
     with pytest.raises(RigError, match=r"says it is 'TEKTRONIX,AFG3022B.*names AFG31022; no output was switched on"):
@@ -621,15 +619,15 @@ def test_another_model_is_refused(simulator: Simulator, apparatus: Apparatus, gu
     assert simulator.outputs == (True, False)
 
 
-def test_fire_while_firing_stops_first(loaded: Generator, simulator: Simulator) -> None:
+def test_firing_again_stops_the_current_stimulus_first(loaded: Generator, simulator: Simulator) -> None:
     """A second fire changes the level with the outputs off in between, and is confirmed."""
     loaded.fire(0.1)
     assert loaded.fire(0.2).started
     assert simulator.outputs == (True, True)
 
 
-def test_onset_comes_after_the_relays_have_settled(loaded: Generator, clock: VirtualClock) -> None:
-    """50 ms from the outputs' being on to the first trigger; no millisecond is claimed of an unmeasured latency."""
+def test_the_onset_is_after_the_relays_have_settled(loaded: Generator, clock: VirtualClock) -> None:
+    """The first trigger is 50 ms after the outputs are on; if the latency is unmeasured, 1 ms is uncertain."""
     before = clock.now()
     firing = loaded.fire(0.1)
     assert firing.onset - firing.onset_uncertainty == pytest.approx(before + 0.05, abs=1e-6)
@@ -637,16 +635,16 @@ def test_onset_comes_after_the_relays_have_settled(loaded: Generator, clock: Vir
     assert firing.trigger_latency == "unknown"
 
 
-def test_a_late_acknowledgement_bounds_no_first_sample(loaded: Generator) -> None:
-    """A trigger acknowledged after 2.1 ms: the sample may leave up to a millisecond later than that."""
+def test_a_late_acknowledgement_does_not_bound_the_first_sample(loaded: Generator) -> None:
+    """With a trigger acknowledged after 2.1 ms, the first sample may be up to a millisecond later than that."""
     assert loaded._sample_left((5.0, 5.0021)) == pytest.approx((5.0, 5.0031))
     assert loaded._sample_left((5.0, 5.0)) == pytest.approx((5.0, 5.002)), "an immediate one says nothing"
 
 
-def test_measured_latency_dates_the_first_sample(
+def test_a_measured_latency_gives_the_time_of_the_first_sample(
     simulator: Simulator, apparatus: Apparatus, guard: Any, burst: Burst, clock: VirtualClock
 ) -> None:
-    """`generator.trigger_latency_ms`: the interval is that of the trigger, later by the bounds."""
+    """`generator.trigger_latency_ms`: the interval of the trigger is shifted by the bounds."""
     own = apparatus.generator.model_copy(update={"trigger_latency_ms": Latency(low=3.0, high=3.4)})
     measured = apparatus.model_copy(update={"generator": own})
     with Generator(simulator.address, measured, start_guard=guard, clock=clock) as rig:
@@ -659,8 +657,10 @@ def test_measured_latency_dates_the_first_sample(
     assert firing.trigger_latency == "measured"
 
 
-def test_repetition_is_the_apparatus_s(simulator: Simulator, apparatus: Apparatus, guard: Any, burst: Burst) -> None:
-    """`generator.repetition: continuous` makes the driver play one record of 1/7 s, without trigger."""
+def test_the_repetition_follows_the_apparatus_file(
+    simulator: Simulator, apparatus: Apparatus, guard: Any, burst: Burst
+) -> None:
+    """With `generator.repetition: continuous` the driver plays one record of 1/7 s, without a trigger."""
     lasting = apparatus.generator.model_copy(update={"repetition": "continuous"})
     with Generator(simulator.address, apparatus.model_copy(update={"generator": lasting}), start_guard=guard) as rig:
         rig.load(burst)
@@ -669,7 +669,7 @@ def test_repetition_is_the_apparatus_s(simulator: Simulator, apparatus: Apparatu
         assert simulator.afg.channels[1].frequency == pytest.approx(7)
 
 
-def test_continuous_record_repeats_without_trigger(
+def test_a_continuous_record_repeats_without_a_trigger(
     open_generator: Callable[..., Generator], simulator: Simulator, make: Callable[..., Burst]
 ) -> None:
     """Without burst mode one record of 1/7 s holds burst and silence; what is felt differs by under 2 %.

@@ -1,4 +1,4 @@
-"""The driver behind a real watchdog process: what it costs, and what becomes of one that is gone or stuck."""
+"""The driver with a real watchdog process: its cost, and what happens if it is gone or does not respond."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ def small_burst() -> Burst:
 
 @pytest.fixture
 def dogs() -> list[WatchdogClient]:
-    """Return the list that watchdogs are entered in."""
+    """Return the list in which watchdogs are registered."""
     return []
 
 
 @pytest.fixture
 def rig(apparatus: Apparatus, single_link: Simulator, dogs: list[WatchdogClient]) -> Iterator[Generator]:
-    """Return a driver behind a real watchdog, loaded."""
+    """Return a driver with a real watchdog, loaded."""
 
     def begin(address: str, off: str) -> WatchdogClient:
         dogs.append(WatchdogClient(address, off))
@@ -55,8 +55,8 @@ def rig(apparatus: Apparatus, single_link: Simulator, dogs: list[WatchdogClient]
     assert single_link.outputs == (False, False)
 
 
-def test_slow_instrument_is_no_stalled_session(apparatus: Apparatus, single_link: Simulator) -> None:
-    """Every exchange is a sign of life: 0.3 s a reply makes starting take more than the limit, and nothing trips."""
+def test_a_slow_instrument_is_not_a_stalled_session(apparatus: Apparatus, single_link: Simulator) -> None:
+    """Every exchange counts as a heartbeat: with 0.3 s per reply, starting takes over the limit and is not stopped."""
     with Generator(single_link.address, apparatus) as rig:
         rig.load(small_burst())
         rig.fire(0.1)
@@ -72,18 +72,18 @@ def test_slow_instrument_is_no_stalled_session(apparatus: Apparatus, single_link
         assert rig.firing.confirmed
 
 
-def test_exchange_longer_than_the_limit_is_no_stall(rig: Generator, single_link: Simulator) -> None:
-    """While the instrument is slow over one message, it is the instrument that is waited for."""
+def test_an_exchange_longer_than_the_limit_is_not_a_stall(rig: Generator, single_link: Simulator) -> None:
+    """While one message takes long, the session is waiting for the instrument."""
     rig.fire(0.1)
     single_link.faults.inject("slow_command", when="IDN", value=LIMIT + 0.4)
     rig._connection.controls.ask("*IDN?", timeout=3)
     assert single_link.outputs == (True, True)
 
 
-def test_watchdog_that_is_gone_stops_the_stimulus_and_is_replaced(
+def test_a_lost_watchdog_stops_the_stimulus_and_is_replaced(
     rig: Generator, single_link: Simulator, dogs: list[WatchdogClient]
 ) -> None:
-    """Nothing plays without one: the heartbeat raises, a new one has switched off, and the next trial can come."""
+    """The heartbeat raises, a new watchdog has switched the outputs off, and the next trial can start."""
     rig.fire(0.1)
     dogs[0]._process.kill()
     dogs[0]._process.wait()
@@ -95,10 +95,10 @@ def test_watchdog_that_is_gone_stops_the_stimulus_and_is_replaced(
     assert single_link.outputs == (True, True)
 
 
-def test_watchdog_that_is_stuck_is_ended_and_replaced(
+def test_an_unresponsive_watchdog_is_killed_and_replaced(
     rig: Generator, single_link: Simulator, dogs: list[WatchdogClient], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """One that is stopped does not answer: ended after the times that it was given, and the outputs go off."""
+    """A stopped process is killed after its timeouts, and the outputs go off."""
     monkeypatch.setattr("modaltouch.rig.watchdog_client.OVERHEAD", 0.5)
     rig.fire(0.1)
     stuck = dogs[0]._process
@@ -110,11 +110,11 @@ def test_watchdog_that_is_stuck_is_ended_and_replaced(
 
 
 @pytest.mark.parametrize("stopped", ["session", "watchdog"])
-def test_whoever_is_held_up_it_is_known(rig: Generator, dogs: list[WatchdogClient], stopped: str) -> None:
-    """None of its threads runs for 0.6 s, as on a machine that swaps: at least 0.5 s is told; then it counts anew."""
+def test_a_delay_of_session_or_watchdog_is_detected(rig: Generator, dogs: list[WatchdogClient], stopped: str) -> None:
+    """No thread runs for 0.6 s, as on a machine that swaps: over 0.5 s is reported; then the count restarts."""
     rig.fire(0.1)
     if stopped == "session":
-        # A foreign function that keeps Python's lock: pytest itself cannot be stopped without its terminal.
+        # A C function that holds Python's lock: pytest itself cannot be stopped without its terminal.
         ctypes.PyDLL(None).usleep(600_000)
     else:
         os.kill(dogs[0]._process.pid, signal.SIGSTOP)
@@ -129,8 +129,8 @@ def test_whoever_is_held_up_it_is_known(rig: Generator, dogs: list[WatchdogClien
     rig.stop()
 
 
-def test_signal_in_the_midst_of_an_exchange_mixes_up_no_answers(rig: Generator, single_link: Simulator) -> None:
-    """A handler that raises while an answer is awaited: the late answer is not the next question's."""
+def test_a_signal_during_an_exchange_does_not_shift_replies(rig: Generator, single_link: Simulator) -> None:
+    """If a handler raises while a reply is pending, the late reply is not taken for that to the next query."""
 
     def raise_it(*_: object) -> None:
         raise KeyboardInterrupt
@@ -149,10 +149,10 @@ def test_signal_in_the_midst_of_an_exchange_mixes_up_no_answers(rig: Generator, 
     assert link.ask("*IDN?").startswith("TEKTRONIX")
 
 
-def test_heartbeat_writes_four_times_a_lease_however_often_it_is_called(
+def test_the_rate_of_heartbeats_does_not_depend_on_the_calls(
     rig: Generator, dogs: list[WatchdogClient], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A letter every 45 ms at most, which a thread writes; the call itself, made every millisecond, writes nothing."""
+    """A thread writes one byte every 45 ms at most; the call itself writes nothing."""
     rig.fire(0.1)
     sent: list[str] = []
     send = dogs[0]._send
@@ -165,8 +165,8 @@ def test_heartbeat_writes_four_times_a_lease_however_often_it_is_called(
 
 
 @pytest.mark.parametrize("clean", [True, False])
-def test_watchdog_that_is_let_go_ends_and_takes_nothing_more(single_link: Simulator, clean: bool) -> None:
-    """No process and no thread stays behind; what is asked of it afterwards is told, not swallowed."""
+def test_a_released_watchdog_ends_and_refuses_requests(single_link: Simulator, clean: bool) -> None:
+    """No process or thread remains; a later request raises an error."""
     before = set(threading.enumerate())
     dog = WatchdogClient(single_link.address, AFG3022B.off)
     own = {each for each in set(threading.enumerate()) - before if each.name.startswith("watchdog_")}
@@ -181,8 +181,8 @@ def test_watchdog_that_is_let_go_ends_and_takes_nothing_more(single_link: Simula
         dog.arm(free_running=False)
 
 
-def test_lost_bursts_are_told_while_outputs_may_be_on(single_link: Simulator) -> None:
-    """Once they are off, nothing is left to be told."""
+def test_lost_bursts_are_reported_only_while_outputs_may_be_on(single_link: Simulator) -> None:
+    """After the outputs have been switched off, nothing is reported."""
     dog = WatchdogClient(single_link.address, AFG3022B.off)
     try:
         dog.open()
@@ -197,8 +197,8 @@ def test_lost_bursts_are_told_while_outputs_may_be_on(single_link: Simulator) ->
 
 
 @pytest.mark.parametrize(("is_armed", "silence", "n_sent"), [(True, 0.0, 3), (True, LIMIT, 0), (False, 0.0, 0)])
-def test_heartbeats_are_those_of_the_session(is_armed: bool, silence: float, n_sent: int) -> None:
-    """A session that stands still sends none, so that the watchdog switches off; nor is one needed with outputs off."""
+def test_heartbeats_are_sent_only_for_a_running_session(is_armed: bool, silence: float, n_sent: int) -> None:
+    """A stalled session sends none, so that the watchdog switches off; with the outputs off none is needed."""
     dog: Any = object.__new__(WatchdogClient)
     rounds, sent = [True, False, False, False], []
     dog._released = SimpleNamespace(wait=lambda period: rounds.pop())
@@ -210,7 +210,7 @@ def test_heartbeats_are_those_of_the_session(is_armed: bool, silence: float, n_s
     assert (rounds, dog.beat(), dog._broken) == ([], "", None)
 
 
-def test_watchdog_imports_from_where_this_process_does(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_watchdog_uses_the_import_path_of_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
     """It runs the same version of the program, installed or not."""
     asked: list[dict[str, Any]] = []
 
@@ -225,8 +225,8 @@ def test_watchdog_imports_from_where_this_process_does(monkeypatch: pytest.Monke
     assert asked[0]["PYTHONPATH"].split(os.pathsep)[0] == "/lab/modaltouch/src"
 
 
-def test_how_a_watchdog_ended_is_said(single_link: Simulator) -> None:
-    """Killed in the midst of an exchange, as by a machine that runs out of memory: signal 9."""
+def test_the_exit_status_of_a_lost_watchdog_is_reported(single_link: Simulator) -> None:
+    """Killed during an exchange, as when memory runs out: signal 9."""
     dog = WatchdogClient(single_link.address, AFG3022B.off)
     try:
         dog.open()
@@ -238,10 +238,10 @@ def test_how_a_watchdog_ended_is_said(single_link: Simulator) -> None:
         dog.release(clean=False)
 
 
-def test_machine_that_starts_no_process_touches_no_generator(
+def test_no_generator_is_opened_if_the_watchdog_cannot_start(
     single_link: Simulator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Without a watchdog nothing is opened: a rig fault with what to look at."""
+    """A rig error that advises what to check."""
 
     def refuse(*parts: object, **options: object) -> None:
         raise OSError("Resource temporarily unavailable")
@@ -251,8 +251,8 @@ def test_machine_that_starts_no_process_touches_no_generator(
         WatchdogClient(single_link.address, AFG3022B.off)
 
 
-def test_watchdog_has_a_session_of_its_own(single_link: Simulator) -> None:
-    """A terminal that hangs up, or Ctrl-C in it, reaches the processes of its own session."""
+def test_the_watchdog_has_its_own_process_session(single_link: Simulator) -> None:
+    """A hangup or Ctrl-C in a terminal reaches only the processes of that terminal's session."""
     dog = WatchdogClient(single_link.address, AFG3022B.off)
     try:
         assert os.getsid(dog._process.pid) == os.getpgid(dog._process.pid) == dog._process.pid
@@ -260,8 +260,8 @@ def test_watchdog_has_a_session_of_its_own(single_link: Simulator) -> None:
         dog.release(clean=False)
 
 
-def test_watchdog_has_a_console_of_its_own_on_windows(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whatever is attached to a console ends with it (CTRL_CLOSE_EVENT); one without any would open a window.
+def test_the_watchdog_has_its_own_console_on_windows(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Processes attached to a console end with it (CTRL_CLOSE_EVENT); without a console a window would open.
 
     Flags: Microsoft, "Process Creation Flags"; Popen takes no session there.
     """

@@ -1,4 +1,4 @@
-"""Settings as commands and queries, and what confirms them."""
+"""Settings as commands and queries, and the replies that confirm them."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ BURST = [entry.filled(channel=1, memory=1) for entry in (*TABLE.burst, *TABLE.tr
         (Setting("OUTP1", "ON"), "OUTP1 ON"),
     ],
 )
-def test_command_carries_value_and_unit(setting: Setting, command: str) -> None:
-    """Twelve digits, the most that the instrument takes; the unit always, since the front panel has its own."""
+def test_a_command_has_value_and_unit(setting: Setting, command: str) -> None:
+    """Twelve digits, the most that the instrument accepts; always with a unit, since the front panel has its own."""
     assert setting.command == command
     assert setting.query == command.split(" ")[0] + "?"
 
@@ -77,13 +77,13 @@ def test_command_carries_value_and_unit(setting: Setting, command: str) -> None:
         (Setting("SOUR1:FREQ", 20.0, "HZ", tolerance=1e-6), "20.0001", False),
     ],
 )
-def test_reply_confirms_or_does_not(setting: Setting, reply: str, confirmed: bool) -> None:
+def test_a_reply_confirms_a_setting_within_its_tolerance(setting: Setting, reply: str, confirmed: bool) -> None:
     """Tolerances: 1e-4 for levels on a grid of four digits, 5e-4 for a timer of four digits, 1e-6 for the rate."""
     assert setting.confirmed_by(reply) is confirmed
 
 
 def limits_of(apparatus: Apparatus) -> Limits:
-    """Return what an apparatus lets leave its generator."""
+    """Return the limits that an apparatus sets to its generator."""
     return instrument_of(apparatus).limits(apparatus)
 
 
@@ -91,27 +91,25 @@ def limits_of(apparatus: Apparatus) -> Limits:
     ("limit", "gain", "level"),
     [(250.0, 25.0, 10.0), (100.0, 25.0, 4.0), (100.0, 30.0, 3.33), (1000.0, 25.0, 10.0), (145.0, 500.0, 0.29)],
 )
-def test_level_limit_is_what_the_amplifier_allows(
-    apparatus: Apparatus, limit: float, gain: float, level: float
-) -> None:
+def test_the_level_limit_follows_the_amplifier(apparatus: Apparatus, limit: float, gain: float, level: float) -> None:
     """Volts at the beam over the gain, rounded down to 10 mV, at most the instrument's own 10 V."""
     amplifier = apparatus.amplifier.model_copy(update={"limit_V": limit, "gain_V_per_V": gain})
     assert limits_of(apparatus.model_copy(update={"amplifier": amplifier})).level == pytest.approx(level)
 
 
-def test_amplifier_and_file_set_the_limits(apparatus: Apparatus) -> None:
-    """The shipped apparatus: 250 V at the beam by a gain of 25, 500 mm/s; into 50 ohm half the volts arrive."""
+def test_limits_of_the_shipped_apparatus(apparatus: Apparatus) -> None:
+    """250 V at the beam with a gain of 25, and 500 mm/s; into 50 ohm the voltage is halved."""
     assert limits_of(apparatus) == Limits(AFG3022B, level=10.0, beam=250.0, gain=25.0, velocity=0.5)
     terminated = apparatus.model_copy(update={"generator": apparatus.generator.model_copy(update={"load": "50_ohm"})})
     assert limits_of(terminated) == Limits(AFG3022B, level=10.0, beam=250.0, gain=12.5, velocity=0.5)
 
 
 WIDE = Limits(AFG3022B, level=10.0, beam=1000.0, gain=25.0, velocity=0.5)
-"""The generator's own limits alone."""
+"""Only the generator's own limits."""
 
 
 def strong(burst: Burst, amplitude: float, limits: Limits = WIDE) -> tuple[float, ...]:
-    """Return the amplitudes at 200 mm/s of a burst whose first channel needs one of its own."""
+    """Return the amplitudes at 200 mm/s of a burst with a given amplitude on its first channel."""
     return limits.amplitudes(full(burst, (amplitude, 8.0)), 0.2)
 
 
@@ -137,7 +135,7 @@ def full(burst: Burst, amplitude: tuple[float, float]) -> Burst:
         (12.01, replace(WIDE, beam=75.0, gain=12.5), r"75.1 V at the beam: allowed at most 75 V"),
     ],
 )
-def test_amplitudes_end_where_generator_and_amplifier_end(
+def test_amplitudes_are_limited_by_generator_and_amplifier(
     burst: Burst, amplitude: float, limits: Limits, refusal: str
 ) -> None:
     """20 mV to 20 V peak to peak open circuit; half of it times the gain at the beam; the limit itself is allowed."""
@@ -148,15 +146,15 @@ def test_amplitudes_end_where_generator_and_amplifier_end(
         strong(burst, amplitude, limits)
 
 
-def test_second_output_is_judged_like_the_first(burst: Burst) -> None:
-    """8 Vpp of output 2 at a level of 3.9 V, where output 1 has little to do."""
+def test_the_second_output_is_limited_like_the_first(burst: Burst) -> None:
+    """8 Vpp of output 2 at a level limit of 3.9 V, while output 1 needs only 1 Vpp."""
     with pytest.raises(RigError, match="needs 8 V peak to peak of output 2: allowed 0.02 to 7.8 V"):
         strong(burst, 1.0, replace(WIDE, level=3.9))
 
 
 @pytest.mark.parametrize("velocity", [0.0, -0.1, 0.5001, 1.0, math.nan, math.inf])
 def test_no_velocity_beyond_the_safety_limit_is_played(burst: Burst, velocity: float) -> None:
-    """Above 0, up to 500 mm/s, whatever generator and amplifier could do."""
+    """Above 0 and up to 500 mm/s, whatever generator and amplifier permit."""
     low = full(burst, (1.0, 1.0))
     assert WIDE.amplitudes(low, 0.5) == (2.5, 2.5)
     with pytest.raises(RigError, match="allowed above 0, up to the safety limit of 500 mm/s; the outputs stay off"):
@@ -164,7 +162,7 @@ def test_no_velocity_beyond_the_safety_limit_is_played(burst: Burst, velocity: f
 
 
 @pytest.mark.parametrize(("level", "quiet"), [(10.0, 0.1), (0.05, 0.1), (0.03, 0.06)])
-def test_channel_without_drive_waits_at_a_quiet_level(burst: Burst, level: float, quiet: float) -> None:
+def test_a_channel_without_drive_has_a_low_level(burst: Burst, level: float, quiet: float) -> None:
     """0.1 V peak to peak, or twice the level where that is less."""
     silent = replace(burst, codes=np.full_like(burst.codes, 8191), amplitude=(0.0, 0.0))
     limits = replace(WIDE, level=level)
@@ -174,7 +172,7 @@ def test_channel_without_drive_waits_at_a_quiet_level(burst: Burst, level: float
 
 
 @pytest.mark.parametrize(("place", "code"), [(0, 81), (0, -81), (-1, 81), (-1, -81)])
-def test_record_begins_and_ends_within_a_hundredth_of_full_scale(burst: Burst, place: int, code: int) -> None:
+def test_a_record_begins_and_ends_within_1_percent_of_full_scale(burst: Burst, place: int, code: int) -> None:
     """81 of 8191 codes are 0.99 %, 82 are 1.001 %, either sign, at either end."""
     codes = burst.codes.copy()
     codes[1, place] = 8191 + code
@@ -184,20 +182,20 @@ def test_record_begins_and_ends_within_a_hundredth_of_full_scale(burst: Burst, p
         refuse_steps(replace(burst, codes=codes))
 
 
-def test_peaks_are_parts_of_full_scale(burst: Burst) -> None:
-    """(16382 - 8191) / 8191 = 1 of the first channel; the second goes furthest down, to (8191 - 4096) / 8191."""
+def test_peaks_are_relative_to_full_scale(burst: Burst) -> None:
+    """(16382 - 8191) / 8191 = 1 of the first channel; the lowest code of the second gives (8191 - 4096) / 8191."""
     codes = np.full_like(burst.codes, 8191)
     codes[0, 7], codes[0, 9], codes[1, 7], codes[1, 9] = 16382, 8000, 9000, 4096
     assert replace(burst, codes=codes).peaks == (1.0, pytest.approx(4095 / 8191))
 
 
 def commands(*settings: Setting) -> str:
-    """Return what makes the settings."""
+    """Return the commands of settings."""
     return ";".join(setting.command for setting in settings)
 
 
-def test_outputs_are_quiet_and_bounded_before_anything_is_loaded() -> None:
-    """Open circuit, upright, Vpp, no offset, low, and the limit of each sign; all but the level hold at each firing."""
+def test_settings_before_a_load_are_quiet_and_limited() -> None:
+    """Open circuit, normal polarity, Vpp, no offset, low level, both limits; all but the level hold at firing."""
     quiet = (
         "OUTP{0}:IMP INF;OUTP{0}:POL NORM;SOUR{0}:VOLT:UNIT VPP;SOUR{0}:VOLT:OFFS 0V;SOUR{0}:VOLT 0.1VPP;"
         "SOUR{0}:VOLT:LIM:HIGH 4V;SOUR{0}:VOLT:LIM:LOW -4V"
@@ -231,7 +229,7 @@ def test_burst_is_played_once_at_each_trigger(burst: Burst) -> None:
     assert not settings[0].confirmed_by("20.00003")
 
 
-def test_record_that_repeats_by_itself_needs_no_trigger(burst: Burst) -> None:
+def test_a_continuous_record_needs_no_trigger(burst: Burst) -> None:
     """A whole period of 1/7 s from the first point on, burst mode off."""
     settings = AFG3022B.burst_settings(1, 4, burst, continuous=True)
     assert commands(*settings) == "SOUR1:FREQ 7HZ;SOUR1:FUNC USER4;SOUR1:PHAS 0RAD;SOUR1:BURS:STAT OFF"
@@ -240,7 +238,7 @@ def test_record_that_repeats_by_itself_needs_no_trigger(burst: Burst) -> None:
 
 
 def test_timer_level_and_lock(burst: Burst) -> None:
-    """1/7 s, of which the instrument may keep four digits; an amplitude; a memory that nobody overwrites."""
+    """1/7 s, of which the instrument may keep four digits; an amplitude; a memory locked against overwriting."""
     assert commands(*AFG3022B.timer(burst), AFG3022B.level(2, 1.5)) == "TRIG:TIM 0.142857142857S;SOUR2:VOLT 1.5VPP"
     (timer,) = AFG3022B.timer(burst)
     assert timer.confirmed_by("0.1429")
@@ -254,15 +252,15 @@ def test_timer_level_and_lock(burst: Burst) -> None:
     assert not mark.confirmed_by("3183")
 
 
-def test_instrument_whose_channels_have_triggers_of_their_own() -> None:
-    """A setting for each channel where the table has a channel in it, once where it has none; no timer in common."""
+def test_an_instrument_with_a_trigger_per_channel() -> None:
+    """One setting per channel if the table contains a channel, otherwise one in all; no common timer."""
     both = KEYSIGHT_33500B.on_all(KEYSIGHT_33500B.commands.stopped)
     assert commands(*both) == "TRIG1:SOUR BUS;TRIG2:SOUR BUS"
     assert commands(*AFG3022B.on_all(TABLE.stopped)) == "TRIG:SOUR EXT"
     assert KEYSIGHT_33500B.commands.timer is KEYSIGHT_33500B.commands.armed is None
 
 
-def test_records_are_played_at_a_rate_of_samples(burst: Burst) -> None:
+def test_records_are_played_at_a_sampling_rate(burst: Burst) -> None:
     """2,500 samples in 50 ms are 50 kHz; a whole period at 7 Hz has 262,144 points, 1.835008 MHz."""
     assert KEYSIGHT_33500B.timer(burst) == ()
     once = commands(*KEYSIGHT_33500B.burst_settings(2, "MT0", burst, continuous=False))
@@ -274,13 +272,13 @@ def test_records_are_played_at_a_rate_of_samples(burst: Burst) -> None:
     assert always.endswith("SOUR1:FUNC:ARB:SRAT 1835008;SOUR1:BURS:STAT OFF")
 
 
-def test_one_message_switches_everything_off() -> None:
-    """Each output off, then each asked: what the watchdog process says, and nothing else."""
+def test_a_single_message_switches_all_outputs_off() -> None:
+    """Each output off, then each queried: exactly the message that the watchdog process sends."""
     assert AFG3022B.off == KEYSIGHT_33500B.off == ":OUTP1 OFF;:OUTP2 OFF;:OUTP1?;:OUTP2?"
 
 
-def test_part_of_the_range_that_codes_use_is_all_that_can_be_set(burst: Burst) -> None:
-    """Codes from -1/4 to 1 of the range use 5/8 of it: 8 Vpp of them are 12.8 V of full scale, 160 V at the beam."""
+def test_the_settable_amplitude_depends_on_the_range_of_the_codes(burst: Burst) -> None:
+    """Codes from -1/4 to 1 of the range use 5/8 of it: 8 Vpp are 12.8 V of full scale, 160 V at the beam."""
     codes = np.full_like(burst.codes, 32767)
     codes[:, 5], codes[:, 7] = 65534, 24575
     part = replace(burst, codes=codes, converter=KEYSIGHT_33500B.converter, amplitude=(12.8, 12.8))
@@ -292,27 +290,27 @@ def test_part_of_the_range_that_codes_use_is_all_that_can_be_set(burst: Burst) -
         replace(limits, level=6.0).amplitudes(part, 0.2)
 
 
-def test_data_sheet() -> None:
-    """AFG3022B: 131,072 points a record; its successor takes the same commands."""
+def test_figures_of_the_data_sheet() -> None:
+    """AFG3022B: 131,072 points per record; the AFG3022C accepts the same commands."""
     assert AFG3022B.converter.max_points == 131_072
     assert instruments()[0].models == ("AFG3022B", "AFG3022C")
 
 
-def test_simulator_says_what_it_is_where_others_have_their_number() -> None:
-    """`*IDN?`: maker, model, serial number, firmware (IEEE 488.2, 10.14); the word elsewhere is somebody's name."""
+def test_the_simulator_is_recognised_by_its_serial_number() -> None:
+    """`*IDN?`: maker, model, serial number, firmware (IEEE 488.2, 10.14); in other fields the text does not count."""
     assert AFG3022B.is_simulated("TEKTRONIX,AFG3022B,SIMULATED,SCPI:99.0 FV:3.2.2")
     assert not AFG3022B.is_simulated("TEKTRONIX,AFG3022B,C012345,SCPI:99.0 FV:3.2.2")
     assert not AFG3022B.is_simulated("SIMULATED INSTRUMENTS,AFG3022B,C012345,1")
 
 
-def test_model_that_is_not_known_is_taken_for_the_first_one(apparatus: Apparatus) -> None:
-    """A relative's name in the apparatus file: the AFG3022B's figures and commands."""
+def test_an_unknown_model_is_treated_as_the_first_one(apparatus: Apparatus) -> None:
+    """A related model in the apparatus file gets the AFG3022B's figures and commands."""
     other = apparatus.model_copy(update={"generator": apparatus.generator.model_copy(update={"model": "AFG31022"})})
     assert instrument_of(other) is instrument_of(apparatus) is AFG3022B
 
 
-def test_peak_of_the_record_counts_at_the_beam(apparatus: Apparatus, burst: Burst) -> None:
-    """A record that uses half the codes reaches half the volts: allowed where a full one is not."""
+def test_the_voltage_at_the_beam_depends_on_the_records_peak(apparatus: Apparatus, burst: Burst) -> None:
+    """A record that uses half the codes reaches half the voltage: allowed where a full one is not."""
     limits = replace(limits_of(apparatus), beam=100.0, level=10.0)
     half = replace(burst, codes=((burst.codes.astype(int) - 8191) // 2 + 8191).astype("uint16"))
     with pytest.raises(RigError, match="150.0 V at the beam: allowed at most 100 V"):
@@ -323,7 +321,7 @@ def test_peak_of_the_record_counts_at_the_beam(apparatus: Apparatus, burst: Burs
 @pytest.mark.parametrize(
     "module", ["generator", "connection", "controls", "player", "pacing", "visa", "watchdog_client"]
 )
-def test_promises_are_kept_without_the_commands_of_one_instrument(module: str) -> None:
-    """Headers and memories of the AFG3022B stand in its table alone."""
+def test_the_driver_contains_no_command_of_one_instrument(module: str) -> None:
+    """Headers and memories of the AFG3022B are only in its own table."""
     text = (Path(modaltouch.rig.__file__).parent / f"{module}.py").read_text(encoding="utf-8")
     assert not re.findall(r"SOUR|EMEM|USER|TRIG:|OUTP|BURS:|AFG3", text)

@@ -1,4 +1,4 @@
-"""A burst that is braked begins and ends at rest, so that it does not matter when the next one comes."""
+"""A braked burst begins and ends at rest, so that the timing of the next one does not matter."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ def left_at_the_next_focus(release: Release) -> float:
     return float(np.abs(system.velocity @ left).max() / velocity)
 
 
-def test_jitter_of_a_braked_burst_costs_nothing_at_the_focus() -> None:
-    """Least interval that the pacer allows, rounded codes: at most 1e-5 of the peak, in any phase, in every mode."""
+def test_jitter_of_a_braked_burst_does_not_affect_the_focus() -> None:
+    """Shortest interval that the pacer allows, rounded codes: at most 1e-5 of the peak, any phase, every mode."""
     assert left_at_the_next_focus("braked") <= 1e-5
 
 
-def test_a_burst_that_is_released_free_leaves_more() -> None:
-    """What the claim above would not see if the state at the end were always nothing."""
+def test_a_burst_with_a_free_release_leaves_more() -> None:
+    """Shows that the test above can fail: at least ten times more than a braked burst."""
     assert left_at_the_next_focus("free") > 10 * left_at_the_next_focus("braked")

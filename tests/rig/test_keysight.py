@@ -1,4 +1,4 @@
-"""The driver before a Keysight 33522B: the same promises as before an AFG3022B, over its own commands."""
+"""The driver with a Keysight 33522B: the same guarantees as with an AFG3022B, by different commands."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def apparatus() -> Apparatus:
 
 @pytest.fixture(name="make")
 def _make(make: Callable[..., Burst]) -> Callable[..., Burst]:
-    """Return what makes bursts in its codes, of which none uses the whole range."""
+    """Return a function that makes bursts in this generator's codes, none of which uses the whole range."""
 
     def in_its_codes(**options: Any) -> Burst:
         burst = make(**options)
@@ -69,10 +69,10 @@ UPLOAD, READ_BACK, ARM, SWITCH_ON, TRIGGER, STOP = (
 )
 
 LARGE_FILE = '#245Data Type:"short"\nData:\n99999999999999999999\n'
-"""A file with a code that no integer of the machine can hold."""
+"""A file with a code that exceeds every machine integer."""
 
 MATRIX: list[tuple[str, str, Any, str, str, str]] = [
-    # fault, message that meets it, value, phase, what is seen, words; as in test_faults
+    # fault, message affected, value, phase, outcome, pattern of the error; as in test_faults
     ("lost_reply", "IDN", 0, "connect", "refused", "no generator answers at .* no output was switched on"),
     ("wrong_reply", "IDN", "ACME,GEN1,0,1", "connect", "refused", "says it is 'ACME,GEN1,0,1'.*33522B"),
     ("scpi_error", "RST", -310, "connect", "refused", "does not accept its settings.*-310"),
@@ -108,13 +108,13 @@ MATRIX: list[tuple[str, str, Any, str, str, str]] = [
 
 
 @pytest.mark.parametrize("row", MATRIX, ids=lambda row: f"{row[3]}-{row[0]}-{row[1]}-{row[2]}")
-def test_fault_is_met(
+def test_a_fault_never_leaves_outputs_on_or_confirms_a_wrong_stimulus(
     row: tuple[str, str, Any, str, str, str],
     simulator: Simulator,
     open_generator: Callable[..., Generator],
     burst: Burst,
 ) -> None:
-    """Outputs off after each; what is confirmed played what was asked; the next stimulus plays."""
+    """Outputs are off after each fault; a confirmed stimulus played as requested; the next stimulus plays."""
     fault, when, value, phase, seen, words = row
     if phase == "connect":
         simulator.faults.inject(fault, when=when, value=value)
@@ -153,7 +153,7 @@ def assert_holds(simulator: Simulator, burst: Burst) -> None:
 
 
 def assert_plays(simulator: Simulator, burst: Burst, velocity: float) -> None:
-    """Check that the instrument sends what was commanded: records, full scales, length."""
+    """Check that the instrument plays what was commanded: records, full scales, length."""
     assert simulator.outputs == (True, True)
     for playback, codes, full_scale in zip(
         simulator.playbacks, burst.codes, burst.full_scale_for(velocity), strict=True
@@ -175,10 +175,10 @@ def assert_plays(simulator: Simulator, burst: Burst, velocity: float) -> None:
         ("OUTP1:POL INV", "OUTP1:POL reads INV"),
     ],
 )
-def test_disturbance_during_a_trial_takes_the_confirmation_back(
+def test_a_disturbance_during_a_trial_prevents_its_confirmation(
     generator: Generator, simulator: Simulator, burst: Burst, disturb: str, words: str
 ) -> None:
-    """Whoever changes a setting at the front panel while a stimulus plays is noticed at its end."""
+    """A setting changed at the front panel during a stimulus is detected at the end of the stimulus."""
     generator.load(burst)
     assert generator.fire(0.1).started
     simulator.front_panel(disturb)
@@ -189,8 +189,8 @@ def test_disturbance_during_a_trial_takes_the_confirmation_back(
     assert re.search(words, generator.firing.reason)
 
 
-def test_amplitude_that_is_set_is_that_of_the_record(generator: Generator, simulator: Simulator, burst: Burst) -> None:
-    """Codes over 79 % and 87 % of the range: 6 V of full scale are 4.754 Vpp, 4 V are 3.469 Vpp."""
+def test_the_amplitude_set_is_that_of_the_record(generator: Generator, simulator: Simulator, burst: Burst) -> None:
+    """Codes over 79 % and 87 % of the range: full scales of 6 V and 4 V need 4.754 Vpp and 3.469 Vpp."""
     generator.load(burst)
     firing = generator.fire(0.1)
     spans = np.ptp(burst.codes.astype(int), axis=1) / (2 * ZERO)
@@ -199,15 +199,15 @@ def test_amplitude_that_is_set_is_that_of_the_record(generator: Generator, simul
     assert [playback.amplitude for playback in simulator.playbacks if playback] == pytest.approx((6, 4), rel=5e-4 / 4)
 
 
-def test_limits_are_those_of_what_the_codes_leave(apparatus: Apparatus, burst: Burst) -> None:
-    """At 79 % of the range 20 V of full scale are 15.85 Vpp: no more can be set, though 20 Vpp are the data sheet's."""
+def test_the_amplitude_limit_is_scaled_by_the_range_of_the_codes(apparatus: Apparatus, burst: Burst) -> None:
+    """With 79 % of the range, 20 V of full scale are 15.85 Vpp: the limit, although the data sheet allows 20 Vpp."""
     limits = replace(instrument_of(apparatus).limits(apparatus), beam=1000.0)
     with pytest.raises(RigError, match=r"needs 16.64 V peak to peak of output 1: allowed 0.002 to 15.8\d* V"):
         limits.amplitudes(replace(burst, amplitude=(21.0, 4.0)), 0.2)
 
 
 def test_records_are_sent_once(open_generator: Callable[..., Generator], burst: Burst, heard: Any) -> None:
-    """A second session finds both records under their names, reads them back and sends none."""
+    """A second session finds both records by name, reads them back and sends none."""
     with open_generator() as first:
         first.load(burst)
     assert [facts["memory"][:4] for facts in heard.of("record_sent")] == ["1:MT", "2:MT"]
@@ -216,10 +216,10 @@ def test_records_are_sent_once(open_generator: Callable[..., Generator], burst: 
     assert (len(heard.of("record_sent")), len(heard.of("record_found"))) == (0, 2)
 
 
-def test_bursts_change_places_without_an_upload(
+def test_bursts_alternate_without_an_upload(
     generator: Generator, simulator: Simulator, make: Callable[..., Burst], heard: Any
 ) -> None:
-    """Two bursts, two records to a channel; firing one or the other sends settings alone."""
+    """Two bursts, two records per channel: firing either one sends only settings."""
     bursts = make(), make(seed=1)
     generator.load(*bursts)
     assert len(heard.of("record_sent")) == 4
@@ -231,10 +231,10 @@ def test_bursts_change_places_without_an_upload(
     assert heard.of("record_sent") == []
 
 
-def test_record_that_cannot_be_read_is_known_by_its_figures(
+def test_a_record_that_cannot_be_read_back_is_checked_by_its_statistics(
     simulator: Simulator, open_generator: Callable[..., Generator], burst: Burst, heard: Any
 ) -> None:
-    """An instrument that writes no files: points, average, peak to peak and crest factor, and the log says so."""
+    """If no files can be stored: points, average, peak to peak and crest factor are compared; the log records it."""
     simulator.faults.inject("wrong_reply", when="MMEM:STOR", value='1;-113,"Undefined header"', times=99)
     rig = open_generator()
     rig.load(burst)
@@ -243,8 +243,8 @@ def test_record_that_cannot_be_read_is_known_by_its_figures(
     assert_plays(simulator, burst, 0.1)
 
 
-def test_what_figures_notice_and_what_they_do_not(burst: Burst) -> None:
-    """To four decimals: a lost point, another byte order, sign or scale; not one code that is wrong by one."""
+def test_faults_that_the_statistics_detect_and_miss(burst: Burst) -> None:
+    """To four decimals: a lost point, byte order, sign or scale is detected; one code that is wrong by one is not."""
     codes = burst.codes[0]
 
     def noticed(other: Any) -> bool:
@@ -262,10 +262,10 @@ def test_what_figures_notice_and_what_they_do_not(burst: Burst) -> None:
     assert not noticed(slightly)
 
 
-def test_record_that_stays_wrong_is_refused(
+def test_a_record_that_reads_back_wrong_twice_is_refused(
     simulator: Simulator, open_generator: Callable[..., Generator], burst: Burst
 ) -> None:
-    """Two uploads that read back wrong: no third, and nothing is ever fired."""
+    """After two uploads that read back wrong there is no third, and the outputs are off."""
     simulator.faults.inject("garbled_upload", when=UPLOAD, times=99)
     with pytest.raises(RigError, match="MT[0-9A-F]{10} of output 1 does not hold the record that was sent"):
         open_generator().load(burst)
@@ -276,7 +276,7 @@ def test_record_that_stays_wrong_is_refused(
 def test_other_repetitions_play(
     repetition: str, apparatus: Apparatus, guard: Any, clock: VirtualClock, burst: Burst
 ) -> None:
-    """A whole period again and again, or a burst at each pulse that comes by the wire."""
+    """Continuous repetition of a whole period, or one burst per external trigger pulse."""
     hardware = apparatus.twin.generator.model_copy(update={"external_pulses_Hz": 7.0})
     wired = apparatus.model_copy(update={"twin": apparatus.twin.model_copy(update={"generator": hardware})})
     with Simulator(wired, clock=clock) as simulator:
@@ -292,17 +292,15 @@ def test_other_repetitions_play(
         assert simulator.outputs == (False, False)
 
 
-def test_timer_that_the_channels_do_not_share_is_refused(
-    open_generator: Callable[..., Generator], burst: Burst
-) -> None:
-    """Two timers of one period and unknown phase would tear the channels apart."""
+def test_separate_timers_of_the_channels_are_refused(open_generator: Callable[..., Generator], burst: Burst) -> None:
+    """Two timers with equal period and unknown phase would separate the channels in time."""
     rig = open_generator(repetition="timer")
     with pytest.raises(RigError, match="33522B has no timer that its channels share; .* generator.repetition: single"):
         rig.load(burst)
 
 
 def test_outputs_go_off_when_the_session_is_killed(apparatus: Apparatus) -> None:
-    """The watchdog process is given this instrument's words, and says them when its master is gone."""
+    """The watchdog process receives this instrument's off command and sends it when the session is gone."""
     with Simulator(apparatus) as simulator:
         assert instrument_of(apparatus).off == ":OUTP1 OFF;:OUTP2 OFF;:OUTP1?;:OUTP2?"
         dog = WatchdogClient(simulator.address, instrument_of(apparatus).off)
@@ -317,7 +315,7 @@ def test_outputs_go_off_when_the_session_is_killed(apparatus: Apparatus) -> None
 
 
 def test_outputs_go_off_after_an_exception(apparatus: Apparatus, burst: Burst) -> None:
-    """Whatever leaves the driver's block leaves the outputs off."""
+    """An exception that leaves the driver's with block switches the outputs off."""
 
     def fail(simulator: Simulator) -> None:
         with Generator(simulator.address, apparatus) as rig:
@@ -341,7 +339,7 @@ def test_no_fault_at_any_message_leaves_outputs_on_or_confirms_a_wrong_stimulus(
     open_generator: Callable[..., Generator],
     make: Callable[..., Burst],
 ) -> None:
-    """Whatever fails at whatever message: outputs off at the end; a confirmed firing plays what was asked."""
+    """For any fault at any message: outputs off at the end, and a confirmed firing played what was requested."""
     burst = make(n_samples=200)
     simulator.power_cycle()
     simulator.faults.clear()
@@ -408,7 +406,7 @@ def test_trigger_output_shows_each_burst(
 def test_checklist_notices_an_amplitude_of_another_meaning(
     apparatus: Apparatus, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A unit whose amplitude is that of all codes would play every level too low: told before anything is played."""
+    """If the amplitude is that of the full code range, every level would be too low: found before anything plays."""
     monkeypatch.setattr(TrueformChannel, "span", 1.0)
     monkeypatch.setattr("modaltouch.rig.checklist.QUESTIONS", QUESTIONS[-1:])
     with Simulator(apparatus) as simulator:
@@ -420,10 +418,10 @@ def test_checklist_notices_an_amplitude_of_another_meaning(
 def test_what_the_twin_plays_is_the_stimulus_to_its_prediction(
     apparatus: Apparatus, guard: Any, clock: VirtualClock
 ) -> None:
-    """On a beam as identified each mode at the focus is as predicted from codes of 16 bits, to a millionth.
+    """On the identified beam each mode at the focus is as predicted from 16-bit codes, within 1e-6.
 
-    The prediction itself knows of the four digits of an amplitude, which put all modes off by one factor: no full scale
-    can be chosen to suit, since the amplitude is that of the record. The codes alone miss less than one of theirs.
+    The prediction includes the rounding of amplitudes to four digits, which scales all modes by one factor: the full
+    scale cannot be chosen to avoid it, since the amplitude is that of the record. The codes alone err by less than one.
     """
     exact = dict.fromkeys(
         ("natural_frequency_mismatch", "damping_ratio_mismatch", "gain_mismatch", "generator_gain_mismatch"), 0.0

@@ -1,4 +1,4 @@
-"""How soon a generator does as it is told: measured on the twin, with nothing played."""
+"""Latency of a generator's commands, measured on the twin with nothing played."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ APPARATUS = Path(__file__).parents[2] / "protocols" / "apparatus" / "beam_100x6x
 GOOD = {"level_p95_ms": 2.0, "off_p95_ms": 2.0}
 
 
-def test_the_twin_is_prompt_and_stays_silent() -> None:
-    """Expected: figures in order, both outputs off before and after."""
+def test_latency_is_measured_without_motion_of_the_beam() -> None:
+    """The percentiles are in ascending order, and the beam is at rest afterwards."""
     parts = Apparatus.read(APPARATUS)
     with Simulator(parts) as simulator:
         with Generator(simulator.address, parts) as rig:
@@ -27,8 +27,8 @@ def test_the_twin_is_prompt_and_stays_silent() -> None:
     assert verdict == assess_latency(measured)
 
 
-def test_what_a_person_should_do_is_said() -> None:
-    """A prompt one is good, a slow one delays every trial, a very slow one is not for a session."""
+def test_the_verdict_on_a_latency_gives_advice() -> None:
+    """A short latency is good, a long one delays every trial, and a very long one is unfit for a session."""
     assert assess_latency(GOOD).endswith("are off within 2.0 ms (95 %): good.")
     assert "begins that much later" in assess_latency(GOOD | {"level_p95_ms": 30.0})
     assert "too slow. Connect the generator directly" in assess_latency(GOOD | {"level_p95_ms": 200.0})

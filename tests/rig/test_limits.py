@@ -1,4 +1,4 @@
-"""What no protocol can raise, and what has to be there before an output goes on."""
+"""Limits that no protocol can raise, and conditions for switching an output on."""
 
 from __future__ import annotations
 
@@ -42,14 +42,14 @@ def test_voltage_limits_are_set_before_any_output_goes_on(
         (0.0002, "needs 0.012 V peak to peak of output 1: allowed 0.02 to 20 V"),
     ],
 )
-def test_level_beyond_a_limit_is_refused(loaded: Generator, simulator: Simulator, level: float, message: str) -> None:
+def test_a_level_beyond_a_limit_is_refused(loaded: Generator, simulator: Simulator, level: float, message: str) -> None:
     """Limits: safety 500 mm/s, 250 V at the beam = 20 Vpp * 25 / 2, lowest amplitude 20 mVpp (apparatus, NI)."""
     with pytest.raises(RigError, match=message):
         loaded.fire(level)
     assert simulator.outputs == (False, False)
 
 
-def test_lower_amplifier_limit_binds_the_instrument(
+def test_a_lower_amplifier_limit_is_set_in_the_instrument(
     simulator: Simulator, apparatus: Apparatus, guard: Any, burst: Burst
 ) -> None:
     """With 100 V allowed at the beam the instrument itself refuses more than 4 V at its output."""
@@ -61,10 +61,10 @@ def test_lower_amplifier_limit_binds_the_instrument(
         assert simulator.front_panel("SOUR1:VOLT 12VPP;:SYST:ERR?").startswith("-222")
 
 
-def test_fifty_ohm_load_halves_the_volts_at_the_beam(
+def test_a_50_ohm_load_halves_the_voltage_at_the_beam(
     simulator: Simulator, apparatus: Apparatus, guard: Any, burst: Burst
 ) -> None:
-    """Into 50 ohm half the open-circuit volts remain: 20 Vpp at the generator are 125 V at the beam."""
+    """20 Vpp at the generator are 125 V at the beam, which is allowed."""
     terminated = apparatus.model_copy(update={"generator": apparatus.generator.model_copy(update={"load": "50_ohm"})})
     strong = replace(burst, amplitude=(20.0, 8.0))
     with Generator(simulator.address, terminated, start_guard=guard) as generator:
@@ -73,10 +73,10 @@ def test_fifty_ohm_load_halves_the_volts_at_the_beam(
 
 
 @pytest.mark.parametrize(("end", "code"), [(0, 8191 + 100), (-1, 8191 - 100)])
-def test_burst_that_begins_or_ends_with_a_step_is_refused(
+def test_a_burst_that_begins_or_ends_with_a_step_is_refused(
     loaded: Generator, simulator: Simulator, burst: Burst, end: int, code: int
 ) -> None:
-    """Ramp on, ramp off: the outputs rest at a record's ends, at most 1 % of full scale from 0 V; none is loaded."""
+    """A record must begin and end within 1 % of full scale of 0 V; otherwise it is not loaded."""
     codes = burst.codes.copy()
     codes[1, end] = code
     with pytest.raises(RigError, match="output 2 begins or ends at 1.2% of its full scale: at most 1% is allowed"):
@@ -86,23 +86,23 @@ def test_burst_that_begins_or_ends_with_a_step_is_refused(
     assert simulator.outputs == (False, False)
 
 
-def test_burst_of_one_channel_is_refused(generator: Generator, make: Callable[..., Burst]) -> None:
-    """The generator has two outputs and one trigger: a record is due for each."""
+def test_a_burst_of_one_channel_is_refused(generator: Generator, make: Callable[..., Burst]) -> None:
+    """The generator has two outputs and one trigger, and needs a record for each."""
     with pytest.raises(RigError, match="the burst has 1 channels: the generator has 2"):
         generator.load(make(amplitude=(10.0,)))
 
 
 def test_fire_before_load_is_refused(generator: Generator, heard: Any) -> None:
-    """There is nothing to fire, and no output goes on."""
+    """No output is switched on."""
     with pytest.raises(RigError, match="fire was called before a burst was loaded and verified"):
         generator.fire(0.1)
     assert not any("ON" in message for message in heard.sent)
 
 
-def test_fire_after_a_load_that_failed_is_refused(
+def test_fire_after_a_failed_load_is_refused(
     generator: Generator, simulator: Simulator, burst: Burst, heard: Any
 ) -> None:
-    """A record that could not be verified is not there, whatever the caller makes of the error."""
+    """A record that could not be verified does not count as loaded, even if the caller ignores the error."""
     simulator.faults.inject("garbled_upload", when="DATA EMEM,", times=99)
     with pytest.raises(RigError, match="does not hold the record that was sent"):
         generator.load(burst)
@@ -115,10 +115,10 @@ def test_fire_after_a_load_that_failed_is_refused(
 
 
 @pytest.mark.parametrize("erased", ["nothing", "the memories too"])
-def test_fire_after_a_power_cycle_sends_no_output_on_before_all_is_verified_again(
+def test_after_a_power_cycle_no_output_is_on_until_all_is_verified(
     loaded: Generator, simulator: Simulator, heard: Any, erased: str
 ) -> None:
-    """The first try is not confirmed, and no output goes on; the records are read back or sent before the next."""
+    """The first firing is not confirmed; the records are read back or sent before the next one."""
     simulator.power_cycle()
     if erased == "the memories too":
         simulator.front_panel("DATA:LOCK USER1,OFF;LOCK USER2,OFF;DEL USER1;DEL USER2")

@@ -1,4 +1,4 @@
-"""Exchanges: one error for everything that breaks, and a log of all that was said."""
+"""Exchanges over a link: one error class for every failure, and a log of all messages."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Transport:
 
 @pytest.fixture
 def link(heard: Any) -> Callable[[object], tuple[Controls, Transport]]:
-    """Return what opens a link over a transport that answers as told."""
+    """Return a function that opens a link over a transport with a given reply."""
 
     def open_link(reply: object) -> tuple[Controls, Transport]:
         transport = Transport(reply)
@@ -65,8 +65,10 @@ def link(heard: Any) -> Callable[[object], tuple[Controls, Transport]]:
         Exception("error creating link: 3"),
     ],
 )
-def test_every_exception_of_a_backend_is_one_error(link: Callable[..., Any], heard: Any, fault: Exception) -> None:
-    """The kinds seen in practice: each poisons the session and is logged."""
+def test_every_exception_of_a_backend_becomes_a_link_error(
+    link: Callable[..., Any], heard: Any, fault: Exception
+) -> None:
+    """The kinds seen in practice: each closes the session as broken and is logged."""
     opened, transport = link(fault)
     with pytest.raises(LinkError, match=rf"'\*IDN\?' failed \({type(fault).__name__}"):
         opened.ask("*IDN?")
@@ -76,8 +78,8 @@ def test_every_exception_of_a_backend_is_one_error(link: Callable[..., Any], hea
         opened.ask("*IDN?")
 
 
-def test_interrupt_passes_and_poisons_the_session(link: Callable[..., Any]) -> None:
-    """Ctrl-C between question and reply: not swallowed, and the reply can no longer be mistaken for another."""
+def test_an_interrupt_propagates_and_closes_the_session(link: Callable[..., Any]) -> None:
+    """After Ctrl-C between query and reply, the reply cannot be taken for another one."""
     opened, transport = link(KeyboardInterrupt())
     with pytest.raises(KeyboardInterrupt):
         opened.ask("*IDN?")
@@ -86,14 +88,14 @@ def test_interrupt_passes_and_poisons_the_session(link: Callable[..., Any]) -> N
         opened.ask("*IDN?")
 
 
-def test_reply_that_is_no_text_is_an_error(link: Callable[..., Any]) -> None:
+def test_a_reply_with_control_characters_is_an_error(link: Callable[..., Any]) -> None:
     """Control characters in a reply mean that bytes were lost."""
     opened, _ = link(b"1;\x00;2")
     with pytest.raises(LinkError, match="is not text"):
         opened.ask("OUTP1?")
 
 
-def test_reply_is_stripped_and_logged(link: Callable[..., Any], heard: Any) -> None:
+def test_a_reply_is_stripped_and_logged(link: Callable[..., Any], heard: Any) -> None:
     """The terminator belongs to the transport."""
     opened, _ = link(b"1\n")
     assert opened.ask("OUTP1?") == "1"
@@ -102,8 +104,8 @@ def test_reply_is_stripped_and_logged(link: Callable[..., Any], heard: Any) -> N
     assert facts["seconds"] >= 0
 
 
-def test_longer_wait_holds_for_one_exchange(link: Callable[..., Any]) -> None:
-    """A copy may take 15 s; the next question may not."""
+def test_a_longer_timeout_holds_for_one_exchange(link: Callable[..., Any]) -> None:
+    """A copy may take 15 s; the next query may not."""
     opened, transport = link(b"1")
     opened.ask("*OPC?", timeout=15)
     opened.ask("*IDN?")
@@ -111,7 +113,7 @@ def test_longer_wait_holds_for_one_exchange(link: Callable[..., Any]) -> None:
 
 
 def test_the_content_of_a_block_is_returned(link: Callable[..., Any], heard: Any) -> None:
-    """That of a definite block; what follows it is not looked at (IEEE 488.2, 8.7.9)."""
+    """The content of a definite-length block; anything after it is ignored (IEEE 488.2, 8.7.9)."""
     opened, _ = link(b"#16" + bytes([0, 1, 0, 2, 0x3F, 0xFE]) + b"\n")
     assert opened.ask_block("DATA?") == bytes([0, 1, 0, 2, 0x3F, 0xFE])
     assert heard.of("scpi")[-1]["reply"].startswith("<6 bytes, blake2b ")
@@ -120,8 +122,8 @@ def test_the_content_of_a_block_is_returned(link: Callable[..., Any], heard: Any
 
 
 @pytest.mark.parametrize("reply", [b"", b"1", b"#", b"#0", b"#2x1", b"#15ab", b"\xff#12ab"])
-def test_reply_that_is_no_whole_block_is_an_error(link: Callable[..., Any], reply: bytes) -> None:
-    """No head, no length, or fewer bytes than it announces."""
+def test_an_incomplete_block_is_an_error(link: Callable[..., Any], reply: bytes) -> None:
+    """No header, no length, or fewer bytes than it announces."""
     opened, _ = link(reply)
     with pytest.raises(LinkError, match="is not a block|announces 5 bytes, but 2 came"):
         opened.ask_block("DATA?")
@@ -315,8 +317,8 @@ def test_records_hold_what_a_memory_can(link: Callable[..., Any]) -> None:
         (InUse("another program has locked it"), InUse, "another program has locked it"),
     ],
 )
-def test_failure_to_open_is_told(heard: Any, fault: Exception, kind: type[Exception], words: str) -> None:
-    """Nobody there, or somebody else there first: told apart."""
+def test_a_failure_to_open_is_reported(heard: Any, fault: Exception, kind: type[Exception], words: str) -> None:
+    """An absent instrument and one in use are distinguished."""
     transport = Transport(b"")
     transport.open = Mock(side_effect=fault)  # type: ignore[method-assign]
     with pytest.raises(kind, match=words):
@@ -333,11 +335,11 @@ def test_failure_to_open_is_told(heard: Any, fault: Exception, kind: type[Except
         ("", [""]),
     ],
 )
-def test_compound_reply_is_divided_outside_quotes(reply: str, parts: list[str]) -> None:
-    """Error texts may hold semicolons (SCPI-99, 21.8)."""
+def test_a_compound_reply_is_split_outside_quotes(reply: str, parts: list[str]) -> None:
+    """Error texts may contain semicolons (SCPI-99, 21.8)."""
     assert split_reply(reply) == parts
 
 
-def test_block_is_named_by_length_and_hash() -> None:
+def test_a_block_is_described_by_length_and_hash() -> None:
     """BLAKE2b of eight bytes of the empty string is e4a6a0577479b2b4 (RFC 7693's algorithm, b2sum -l 64)."""
     assert describe_block(b"") == "<0 bytes, blake2b e4a6a0577479b2b4>"

@@ -1,4 +1,4 @@
-"""Bursts triggered one by one in virtual time: what is late is dropped, what fails is never repeated."""
+"""Bursts triggered one by one in virtual time: a late burst is dropped, and a failed trigger is never repeated."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ ORDER = Order("TRIG:SEQ:IMM", n_bursts=14, first=10.0, period=PERIOD, duration=0
 
 
 class Beam:
-    """Notes when it was triggered; may take its time, or fail, at the n-th trigger."""
+    """Record the instants of triggers; the n-th one may take time or fail."""
 
     def __init__(self, clock: VirtualClock, *, takes: dict[int, float] | None = None, fails_at: int = 0) -> None:
         self.clock = clock
@@ -36,7 +36,7 @@ class Beam:
 
 
 def play(pacer: Pacer, clock: VirtualClock, *, stalls: dict[int, float] | None = None) -> None:
-    """Step a pacer to its end; before the n-th burst the computer is held up for some seconds."""
+    """Step a pacer to its end; before the n-th burst the computer is delayed by some seconds."""
     number = 0
     while (due := pacer.due) is not None:
         number += 1
@@ -44,7 +44,7 @@ def play(pacer: Pacer, clock: VirtualClock, *, stalls: dict[int, float] | None =
         pacer.step()
 
 
-def test_bursts_come_a_period_apart_from_the_first_instant_on() -> None:
+def test_bursts_are_triggered_one_period_apart() -> None:
     """Fourteen triggers at 10 s + k/7 s, all counted, and none after them."""
     clock = VirtualClock(9.9)
     beam = Beam(clock)
@@ -58,8 +58,8 @@ def test_bursts_come_a_period_apart_from_the_first_instant_on() -> None:
 
 
 @given(st.dictionaries(st.integers(1, 14), st.floats(0, 2.0), max_size=5))
-def test_no_burst_is_later_than_a_twentieth_of_the_period_and_none_is_caught_up(stalls: dict[int, float]) -> None:
-    """Whatever holds the computer up: each trigger within 5 % of its own instant; due = played + dropped."""
+def test_no_burst_is_late_by_over_5_percent_or_made_up_later(stalls: dict[int, float]) -> None:
+    """For any delays of the computer: each trigger within 5 % of its own instant; due = played + dropped."""
     clock = VirtualClock(9.9)
     beam = Beam(clock)
     pacer = Pacer(ORDER, beam.trigger, lambda: 0.0, clock)
@@ -73,14 +73,14 @@ def test_no_burst_is_later_than_a_twentieth_of_the_period_and_none_is_caught_up(
     assert pacer.report.latest <= LATEST * PERIOD + 1e-6
 
 
-def test_rare_silence_leaves_less_room_for_delay() -> None:
-    """Of 140 ms in 142.9 a burst may be 2.9 ms late, not 7.1: the next one must not meet it."""
+def test_a_short_pause_between_bursts_reduces_the_tolerance() -> None:
+    """A burst of 140 ms in 142.9 ms may be 2.9 ms late, not 7.1 ms: it must not overlap the next one."""
     assert replace(ORDER, duration=0.14).tolerance == pytest.approx(PERIOD - 0.14)
     assert ORDER.tolerance == pytest.approx(0.05 * PERIOD)
 
 
-def test_trigger_that_fails_is_the_last() -> None:
-    """Nobody knows whether it was played: no second try, no further burst."""
+def test_no_trigger_follows_a_failed_one() -> None:
+    """It is unknown whether that burst was played: no second attempt, no further burst."""
     clock = VirtualClock(9.9)
     beam = Beam(clock, fails_at=3)
     pacer = Pacer(ORDER, beam.trigger, lambda: 0.0, clock)
@@ -90,8 +90,8 @@ def test_trigger_that_fails_is_the_last() -> None:
     assert pacer.report.reason == "trigger 3 failed (TimeoutError: no reply)"
 
 
-def test_trigger_that_is_taken_long_after_its_instant_ends_the_stimulus() -> None:
-    """Taken half a period late or more, it may have been played at any time: what is felt is no longer the rhythm."""
+def test_a_trigger_accepted_far_too_late_ends_the_stimulus() -> None:
+    """Accepted half a period late or more, it may have been played at any time: the rhythm is lost."""
     clock = VirtualClock(9.9)
     pacer = Pacer(ORDER, Beam(clock, takes={5: 0.08}).trigger, lambda: 0.0, clock)
     play(pacer, clock)
@@ -102,8 +102,8 @@ def test_trigger_that_is_taken_long_after_its_instant_ends_the_stimulus() -> Non
 @pytest.mark.parametrize(
     ("silence", "n_played", "ended"), [(0.1, 14, "count"), (0.5, 12, "count"), (9.0, 3, "stalled")]
 )
-def test_bursts_that_nobody_is_known_to_want_are_left_out(silence: float, n_played: int, ended: str) -> None:
-    """A silence from 10.3 s on: bursts more than 0.18 s into it are left out, and after a second no other comes."""
+def test_bursts_are_dropped_while_no_heartbeat_arrives(silence: float, n_played: int, ended: str) -> None:
+    """No heartbeat from 10.3 s on: bursts more than 0.18 s later are dropped, and after one second no more follow."""
     clock = VirtualClock(9.9)
     beam = Beam(clock)
 
@@ -117,8 +117,8 @@ def test_bursts_that_nobody_is_known_to_want_are_left_out(silence: float, n_play
     assert pacer.report.played == (4 if ended == "stalled" else n_played)
 
 
-def test_bursts_left_out_are_counted_though_the_end_is_asked_for_meanwhile() -> None:
-    """Held up from 10.3 to 11.1 s, asked to end at some time in it: three were played, five were due and left out."""
+def test_dropped_bursts_are_counted_if_the_end_is_requested_meanwhile() -> None:
+    """Delayed from 10.3 to 11.1 s with the end requested in between: three were played, five were due and dropped."""
     clock = VirtualClock(10.0)
     pacer = Pacer(ORDER, Beam(clock).trigger, lambda: 0.0, clock)
     for _ in range(3):
@@ -131,8 +131,8 @@ def test_bursts_left_out_are_counted_though_the_end_is_asked_for_meanwhile() -> 
     assert (report.due, report.played, report.dropped, report.ended) == (8, 3, 5, "asked")
 
 
-def test_order_that_comes_too_late_plays_nothing() -> None:
-    """A request that lay in a pipe until all its instants had passed: all dropped."""
+def test_an_order_that_arrives_too_late_plays_nothing() -> None:
+    """A request that waited in a pipe until all its instants had passed: all bursts are dropped."""
     clock = VirtualClock(20.0)
     beam = Beam(clock)
     pacer = Pacer(ORDER, beam.trigger, lambda: 0.0, clock)
@@ -144,8 +144,8 @@ def test_order_that_comes_too_late_plays_nothing() -> None:
 @pytest.mark.parametrize(
     ("late", "n_played", "n_dropped"), [(0.0, 1, 0), (0.025, 1, 0), (0.0251, 0, 1), (0.475, 0, 1), (0.5, 1, 1)]
 )
-def test_burst_is_played_within_its_tolerance(late: float, n_played: int, n_dropped: int) -> None:
-    """From its instant on, up to a twentieth of 0.5 s after it; beyond, the next one is waited for."""
+def test_a_burst_is_played_only_within_its_tolerance(late: float, n_played: int, n_dropped: int) -> None:
+    """At its instant or up to a twentieth of 0.5 s later; after that the pacer waits for the next one."""
     clock = VirtualClock(10.0 + late)
     pacer = Pacer(replace(ORDER, period=0.5), Beam(clock).trigger, lambda: 0.0, clock)
     pacer.step()
@@ -153,8 +153,8 @@ def test_burst_is_played_within_its_tolerance(late: float, n_played: int, n_drop
 
 
 @pytest.mark.parametrize(("takes", "ended"), [(0.2, ""), (0.25, ""), (0.26, "failed")])
-def test_trigger_may_be_taken_up_to_half_a_period_late(takes: float, ended: str) -> None:
-    """0.25 s of 0.5 s after its instant."""
+def test_a_trigger_may_be_accepted_up_to_half_a_period_late(takes: float, ended: str) -> None:
+    """The limit is 0.25 s at a period of 0.5 s."""
     clock = VirtualClock(10.0)
     pacer = Pacer(replace(ORDER, period=0.5), Beam(clock, takes={1: takes}).trigger, lambda: 0.0, clock)
     pacer.step()
@@ -171,8 +171,10 @@ def test_trigger_may_be_taken_up_to_half_a_period_late(takes: float, ended: str)
         (PATIENCE + 1e-6, 14, (0, 0, 0, "stalled")),
     ],
 )
-def test_silence_counts_beyond_its_limits(silence: float, n_bursts: int, counts: tuple[int, int, int, str]) -> None:
-    """More than 0.18 s: the burst that is due is left out; more than 1 s: it is the end."""
+def test_limits_on_the_time_without_a_heartbeat(
+    silence: float, n_bursts: int, counts: tuple[int, int, int, str]
+) -> None:
+    """Over 0.18 s the burst that is due is dropped; over 1 s the stimulus ends."""
     clock = VirtualClock(10.0)
     pacer = Pacer(replace(ORDER, n_bursts=n_bursts), Beam(clock).trigger, lambda: silence, clock)
     pacer.step()
@@ -181,7 +183,7 @@ def test_silence_counts_beyond_its_limits(silence: float, n_bursts: int, counts:
 
 
 class Waits:
-    """Stands where a pacer waits to be asked to end: lets virtual time pass, and asks by itself at an instant."""
+    """Replace the pacer's event: virtual time passes, and the end is requested at a given instant."""
 
     def __init__(self, clock: VirtualClock, asks_at: float) -> None:
         self.clock = clock
@@ -206,10 +208,10 @@ class Waits:
         (9.95, 99, "asked", 9.95),
     ],
 )
-def test_pacer_runs_until_it_is_asked_left_alone_or_done(
+def test_the_pacer_ends_on_request_without_heartbeat_or_when_done(
     asks_at: float, silent_at: float, ended: str, at: float
 ) -> None:
-    """Bursts at 10, 20 and 30 s: it ends when it is to, not at the next burst; the first is told once."""
+    """Bursts at 10, 20 and 30 s: it ends promptly, not at the next burst; the first burst is reported once."""
     clock = VirtualClock(9.87)
     order = replace(ORDER, n_bursts=3, period=10.0)
     pacer = Pacer(order, Beam(clock).trigger, lambda: max(clock.now() - silent_at, 0.0), clock)
@@ -223,15 +225,15 @@ def test_pacer_runs_until_it_is_asked_left_alone_or_done(
 
 
 class Ticks(Waits):
-    """The same on Windows, where such a wait ends with the next tick of the system's timer, 64 a second."""
+    """The same on Windows, where a wait ends at a tick of the system timer (64 per second)."""
 
     def wait(self, seconds: float) -> bool:
         end = math.ceil((self.clock.now() + seconds) * 64) / 64
         return super().wait(end - self.clock.now())
 
 
-def test_waits_that_end_by_ticks_of_the_system_delay_no_burst() -> None:
-    """15.6 ms is more than a burst may be late: the last stretch before each is slept, which Windows does exactly."""
+def test_coarse_system_timer_ticks_do_not_delay_bursts() -> None:
+    """15.6 ms exceeds the tolerance of a burst: the last part of each wait is slept, which is precise on Windows."""
     clock = VirtualClock(9.87)
     pacer = Pacer(ORDER, Beam(clock).trigger, lambda: 0.0, clock)
     pacer._asked_to_end = Ticks(clock, asks_at=99.0)
@@ -240,8 +242,8 @@ def test_waits_that_end_by_ticks_of_the_system_delay_no_burst() -> None:
     assert pacer.report.latest < 1e-6
 
 
-def test_close_is_the_end_where_no_thread_runs_it() -> None:
-    """No burst after it, not even one that is due."""
+def test_close_ends_a_pacer_without_a_thread() -> None:
+    """No burst follows, even if one is due."""
     clock = VirtualClock(10.0)
     beam = Beam(clock)
     for finish, ended in ((Pacer.close, "asked"), (Pacer.end, "")):
@@ -255,7 +257,7 @@ def test_close_is_the_end_where_no_thread_runs_it() -> None:
 
 
 def test_order_and_report_pass_through_a_pipe() -> None:
-    """As plain values, of which an equal one is made at the other end."""
+    """Converted to plain values and back, they are equal."""
     report = Report(
         due=3, played=2, dropped=1, first=(1.0, 1.1), last=(2.0, 2.1), latest=0.1, ended="failed", reason="r"
     )
@@ -263,8 +265,8 @@ def test_order_and_report_pass_through_a_pipe() -> None:
     assert Report(**asdict(report)) == report
 
 
-def test_end_lets_no_further_burst_go() -> None:
-    """Asked for between two bursts: those triggered by then are all there are; who waits for the first is told."""
+def test_no_burst_follows_a_request_to_end() -> None:
+    """Requested between two bursts: only those triggered by then count, and a wait for the first burst is released."""
     told = threading.Event()
     order = replace(ORDER, first=SYSTEM_CLOCK.now(), period=0.02, duration=0.01, n_bursts=1_000_000)
     triggered: list[float] = []
@@ -278,8 +280,8 @@ def test_end_lets_no_further_burst_go() -> None:
     assert pacer.report.played == len(triggered) >= 1 or pacer.report.dropped
 
 
-def test_bursts_of_a_twin_come_in_virtual_time() -> None:
-    """`play` returns with the first one, the others come as time passes, and none after the last or the end."""
+def test_bursts_of_a_twin_are_played_in_virtual_time() -> None:
+    """`play` returns with the first burst; the others follow as time passes, and none after the last or the end."""
     clock, sent = VirtualClock(9.5), []
 
     def exchange(message: bytes, *, timeout: float, reply: bool) -> None:

@@ -1,6 +1,6 @@
 """The PicoScope adapter against a transcript of Pico's library.
 
-The transcript follows the maker's header ps3000aApi.h and its block example; no instrument wrote it.
+The transcript follows the maker's header ps3000aApi.h and its block example; it was not recorded from an instrument.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ HANDLE = 16384
 
 
 class Library:
-    """Stands in for Pico's library at the process boundary: writes down every call, and answers like a 3404D."""
+    """A stand-in for Pico's library at the process boundary: logs every call, and answers like a 3404D."""
 
     def __init__(self, **statuses: int) -> None:
         self.calls: list[tuple[Any, ...]] = []
@@ -87,7 +87,7 @@ TRANSCRIPT: list[tuple[Any, ...]] = [
 ]
 
 
-def test_calls_are_those_of_the_transcript(apparatus: Apparatus) -> None:
+def test_calls_match_the_transcript(apparatus: Apparatus) -> None:
     """Settings, trigger and one record, in the order and with the numbers of the maker's header and example."""
     library = Library()
     with PicoScope(apparatus, driver=library) as scope:
@@ -114,7 +114,7 @@ def test_interval_of_nothing_is_refused(apparatus: Apparatus, monkeypatch: pytes
 
 
 def test_a_burst_is_recorded_without_waiting_for_it(apparatus: Apparatus) -> None:
-    """Armed at once, fetched later, where the vibrometer aims anyway; armed anew where that burst never came."""
+    """Armed immediately and fetched later, at the vibrometer's present position; armed again if no burst came."""
     library = Library()
     with PicoScope(apparatus, driver=library) as scope:
         scope.configure(Acquisition(n_samples=100, drives=()))
@@ -129,8 +129,8 @@ def test_a_burst_is_recorded_without_waiting_for_it(apparatus: Apparatus) -> Non
 
 
 @pytest.mark.parametrize("probe", ["configure", "time_trigger"])
-def test_a_burst_that_never_came_is_given_up_before_new_settings(apparatus: Apparatus, probe: str) -> None:
-    """A unit that still waits for its trigger is stopped first: a trial that was cut short spoils no other."""
+def test_a_pending_trigger_is_cancelled_before_new_settings(apparatus: Apparatus, probe: str) -> None:
+    """A unit that still waits for its trigger is stopped first: an aborted trial does not affect the next one."""
     library = Library()
     with PicoScope(apparatus, driver=library) as scope:
         scope.arm()
@@ -143,8 +143,8 @@ def test_a_burst_that_never_came_is_given_up_before_new_settings(apparatus: Appa
         assert library.calls.count(("Stop",)) == 1
 
 
-def test_every_call_names_the_scope(apparatus: Apparatus) -> None:
-    """The handle that OpenUnit gave is the first argument of every other call."""
+def test_every_call_passes_the_handle(apparatus: Apparatus) -> None:
+    """The handle from OpenUnit is the first argument of every other call."""
     handles = []
 
     class Watching(Library):
@@ -157,8 +157,8 @@ def test_every_call_names_the_scope(apparatus: Apparatus) -> None:
     assert all(isinstance(handle, ctypes.c_int16) and handle.value == HANDLE for handle in handles[1:])
 
 
-def test_both_drives_and_several_records_are_kept_apart(apparatus: Apparatus) -> None:
-    """Input B is drive 1 and C is drive 2; an overload bit of any record names its input."""
+def test_drives_and_records_are_kept_separate(apparatus: Apparatus) -> None:
+    """Input B is drive 1 and C is drive 2; an overload bit of any record identifies its input."""
     library = Library()
     library.overflow = 0b100
     with PicoScope(apparatus, driver=library) as scope:
@@ -170,8 +170,8 @@ def test_both_drives_and_several_records_are_kept_apart(apparatus: Apparatus) ->
     assert seen.overloaded == ("drive 2",)
 
 
-def test_later_start_is_a_delay_of_the_trigger(apparatus: Apparatus) -> None:
-    """24 ms at 1.25 MS/s are 30,000 samples of delay, and the time says so."""
+def test_a_later_start_is_a_delay_after_the_trigger(apparatus: Apparatus) -> None:
+    """24 ms at 1.25 MS/s are 30,000 samples of delay, and the time axis starts at 24 ms."""
     library = Library()
     with PicoScope(apparatus, driver=library) as scope:
         library.calls.clear()
@@ -183,7 +183,7 @@ def test_later_start_is_a_delay_of_the_trigger(apparatus: Apparatus) -> None:
     assert seen.drive.shape == (1, 0, 50)
 
 
-def test_scope_on_usb_power_goes_on(apparatus: Apparatus) -> None:
+def test_a_scope_on_usb_power_can_be_used(apparatus: Apparatus) -> None:
     """Status 282 at opening is answered by ChangePowerSource with the same number, as in the maker's example."""
     library = Library(OpenUnit=282)
     with PicoScope(apparatus, driver=library):
@@ -199,16 +199,16 @@ def test_scope_on_usb_power_goes_on(apparatus: Apparatus) -> None:
         ({"GetTimebase2": 21}, r"refuses GetTimebase2 \(status 21.*131072 samples of 2 channels do not fit its memory"),
     ],
 )
-def test_failures_at_opening_say_what_to_do(apparatus: Apparatus, statuses: dict[str, int], words: str) -> None:
-    """Every status but success is a `RigError`, and what was opened is closed."""
+def test_failures_at_opening_give_a_remedy(apparatus: Apparatus, statuses: dict[str, int], words: str) -> None:
+    """Every status but success is a `RigError`, and a unit that was opened is closed."""
     library = Library(**statuses)
     with pytest.raises(RigError, match=words):
         PicoScope(apparatus, driver=library)
     assert ("OpenUnit" in statuses) != (("CloseUnit",) in library.calls)
 
 
-def test_trigger_that_never_comes_is_an_error(apparatus: Apparatus) -> None:
-    """The scope is stopped, and the wiring named."""
+def test_a_missing_trigger_is_an_error(apparatus: Apparatus) -> None:
+    """The scope is stopped, and the message mentions the wiring."""
     library = Library()
     with PicoScope(apparatus, driver=library, trigger_wait=0.01) as scope:
         scope.configure(Acquisition(n_samples=10))
@@ -218,18 +218,18 @@ def test_trigger_that_never_comes_is_an_error(apparatus: Apparatus) -> None:
         assert ("Stop",) in library.calls
 
 
-def test_missing_library_is_said_only_when_a_scope_is_opened(
+def test_a_missing_library_is_an_error_only_when_a_scope_is_opened(
     apparatus: Apparatus, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Importing the adapter loads nothing of Pico's; opening without it names what to install."""
+    """Importing the adapter does not load Pico's library; the error gives the package to install."""
     assert "picosdk" not in sys.modules
     monkeypatch.setitem(sys.modules, "picosdk.ps3000a", None)
     with pytest.raises(RigError, match="cannot be used here .* install the package picosdk"):
         PicoScope(apparatus)
 
 
-def test_trigger_is_timed_between_two_questions(apparatus: Apparatus) -> None:
-    """A trigger that comes 30 ms after the command lies in the interval, which is as long as one question takes."""
+def test_a_trigger_is_timed_between_two_queries(apparatus: Apparatus) -> None:
+    """A trigger 30 ms after the command is within the interval, whose width is the duration of one query."""
     library = Library()
     began: list[float] = []
 
@@ -247,8 +247,8 @@ def test_trigger_is_timed_between_two_questions(apparatus: Apparatus) -> None:
     assert ("RunBlock", 0, 100, 127, 1, None, 0, None, None) in library.calls  # 1 MHz: 125 MHz / (127 - 2)
 
 
-def test_trigger_that_fails_to_be_sent_is_an_error(apparatus: Apparatus) -> None:
-    """What the generator's link raises reaches the caller, not a wait without end."""
+def test_a_trigger_that_cannot_be_sent_is_an_error(apparatus: Apparatus) -> None:
+    """The generator's error reaches the caller instead of an endless wait."""
 
     def send() -> None:
         raise RigError("the link is gone")

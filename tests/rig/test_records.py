@@ -1,4 +1,4 @@
-"""The records in the instrument's memories: sent once, verified, recognised, locked."""
+"""The records in the instrument's memories are sent once, verified, recognised and locked."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ def test_memories_hold_the_codes(loaded: Generator, simulator: Simulator, burst:
         assert simulator.afg.user[number] == codes.astype(">u2").tobytes()
 
 
-def test_record_already_there_is_not_sent_again(
+def test_a_record_already_in_memory_is_not_sent_again(
     open_generator: Callable[..., Generator], burst: Burst, heard: Any
 ) -> None:
-    """A second session reads the memories back, finds the record right and sends none."""
+    """A second session reads the memories back, finds the records correct and sends none."""
     with open_generator() as first:
         first.load(burst)
     assert len(heard.of("record_sent")) == 2
@@ -38,7 +38,7 @@ def test_record_already_there_is_not_sent_again(
 def test_record_with_one_wrong_code_is_sent_again(
     open_generator: Callable[..., Generator], simulator: Simulator, burst: Burst, heard: Any
 ) -> None:
-    """A memory that differs in a single code is not taken for the record."""
+    """A memory that differs in a single code is overwritten with the right record."""
     with open_generator() as first:
         first.load(burst)
     simulator.front_panel("DATA:COPY EMEM,USER2;:DATA:DATA:VAL EMEM,1000,8192;:DATA:COPY USER2,EMEM")
@@ -51,7 +51,7 @@ def test_record_with_one_wrong_code_is_sent_again(
 def test_two_bursts_share_the_memories(
     loaded: Generator, simulator: Simulator, burst: Burst, make: Callable[..., Burst], heard: Any
 ) -> None:
-    """Loading another burst and the first again plays the first one's records."""
+    """After another burst has been loaded, loading the first one again plays the first one's records."""
     other = make(seed=1)
     loaded.load(other)
     loaded.load(burst)
@@ -60,10 +60,10 @@ def test_two_bursts_share_the_memories(
         assert simulator.afg.user[int(channel.function[4:])] == codes.astype(">u2").tobytes()
 
 
-def test_bursts_change_places_without_an_upload(
+def test_bursts_alternate_without_an_upload(
     generator: Generator, simulator: Simulator, burst: Burst, make: Callable[..., Burst], heard: Any
 ) -> None:
-    """Two bursts of four records fill the memories; firing one or the other sends settings alone, in any order."""
+    """Two bursts of four records fill the memories; firing them in any order sends only settings."""
     other = replace(make(seed=1), repetition_rate=5.0, amplitude=(6.0, 3.0))
     generator.load(burst, other)
     assert len(heard.of("record_sent")) == 4
@@ -84,10 +84,10 @@ def test_bursts_change_places_without_an_upload(
         generator.fire(0.1, which=2)
 
 
-def test_of_more_records_than_memories_those_of_a_burst_are_loaded_before_it_is_fired(
+def test_records_that_exceed_the_memories_are_loaded_before_firing(
     generator: Generator, simulator: Simulator, make: Callable[..., Burst], heard: Any
 ) -> None:
-    """Six different records do not fit into four memories; three bursts that share one channel's do."""
+    """Six different records do not fit into four memories; three bursts that share one channel's record do."""
     bursts = [make(seed=seed) for seed in (1, 2, 3)]
     generator.load(*bursts)
     assert len(heard.of("record_sent")) == 2
@@ -104,8 +104,8 @@ def test_of_more_records_than_memories_those_of_a_burst_are_loaded_before_it_is_
     assert generator.fire(0.1, which=2).started
 
 
-def test_log_holds_every_exchange_but_no_record(generator: Generator, burst: Burst, heard: Any) -> None:
-    """Commands come with reply and time; a record is named by its length and hash."""
+def test_the_log_contains_every_exchange_but_no_record(generator: Generator, burst: Burst, heard: Any) -> None:
+    """Commands are logged with reply and time, a record by its length and hash."""
     generator.load(burst)
     exchanges = heard.of("scpi")
     assert all(facts["seconds"] >= 0 for facts in exchanges)
@@ -115,10 +115,10 @@ def test_log_holds_every_exchange_but_no_record(generator: Generator, burst: Bur
     assert all(f"<{2 * burst.codes.shape[1]} bytes, blake2b " in sent for sent in uploads)
 
 
-def test_memories_are_locked_while_they_are_needed(
+def test_memories_are_locked_while_a_session_uses_them(
     loaded: Generator, simulator: Simulator, burst: Burst, open_generator: Callable[..., Generator]
 ) -> None:
-    """Nobody stores another record over them at the front panel (-221); whoever comes next can."""
+    """The front panel cannot overwrite a record (-221) until the driver is closed."""
     loaded.fire(0.1)
     assert simulator.front_panel("*CLS;:DATA:COPY USER1,EMEM;:SYST:ERR?").startswith("-221")
     assert simulator.afg.user[1] == burst.codes[0].astype(">u2").tobytes()
@@ -130,10 +130,10 @@ def test_memories_are_locked_while_they_are_needed(
 
 
 @pytest.mark.parametrize("n_points", [1000, 125_000])
-def test_stimulus_in_which_a_program_stores_another_record_does_not_count(
+def test_a_stimulus_is_not_confirmed_if_another_program_stores_a_record(
     loaded: Generator, simulator: Simulator, burst: Burst, n_points: int
 ) -> None:
-    """It unlocks the memory, stores its own through the edit memory and locks it again; then the right one is sent."""
+    """It unlocks the memory, stores through the edit memory and locks it; the right record is then sent again."""
     loaded.fire(0.1)
     simulator.front_panel(f"DATA:LOCK USER1,OFF;:DATA:DEF EMEM,{n_points};:DATA:COPY USER1,EMEM;:DATA:LOCK USER1,ON")
     loaded.stop()
@@ -146,10 +146,10 @@ def test_stimulus_in_which_a_program_stores_another_record_does_not_count(
     assert loaded.firing.confirmed
 
 
-def test_each_record_has_its_own_mark(
+def test_each_burst_marks_the_edit_memory_differently(
     generator: Generator, simulator: Simulator, burst: Burst, make: Callable[..., Burst]
 ) -> None:
-    """Another session of the same program is noticed as well: its records are others, so its mark is another."""
+    """A second session of this program is detected too: its records differ, and so does its mark."""
     marks = set()
     for each in (burst, make(seed=1), make(seed=2)):
         generator.load(each)
@@ -158,8 +158,8 @@ def test_each_record_has_its_own_mark(
     assert all(n % 2 == 0 and n < 65_536 for n in marks)
 
 
-def test_continuous_codes_hold_the_burst_and_then_rest(burst: Burst) -> None:
-    """Point n of 131072 lies at (n + 1/2) / (7 Hz * 131072): the burst's sample of that instant, else 0 V."""
+def test_continuous_codes_are_the_burst_followed_by_rest(burst: Burst) -> None:
+    """Point n of 131072 is at (n + 1/2) / (7 Hz * 131072): the burst's sample at that instant, otherwise 0 V."""
     codes = AFG3022B.continuous_codes(burst)
     n_points = 131_072
     assert codes.shape == (2, n_points)
@@ -170,10 +170,10 @@ def test_continuous_codes_hold_the_burst_and_then_rest(burst: Burst) -> None:
 
 
 @pytest.mark.parametrize("message", ["DATA:DATA EMEM,", "DATA:COPY USER1,EMEM"])
-def test_error_of_an_upload_is_in_the_journal(
+def test_an_error_during_upload_is_logged(
     generator: Generator, simulator: Simulator, burst: Burst, heard: Any, message: str
 ) -> None:
-    """The upload is repeated and succeeds; what the instrument said the first time is kept."""
+    """The upload is repeated and succeeds; the instrument's first error is kept."""
     simulator.faults.inject("scpi_error", when=message, value=-222)
     generator.load(burst)
     (said,) = heard.of("instrument_errors")

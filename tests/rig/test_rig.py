@@ -1,4 +1,4 @@
-"""The interface of the package."""
+"""The public interface of the package."""
 
 from __future__ import annotations
 
@@ -20,8 +20,10 @@ from modaltouch.system import VirtualClock
 APPARATUS = Path(__file__).parents[2] / "protocols" / "apparatus" / "beam_100x6x2.yaml"
 
 
-def test_front_door_leads_to_driver_and_simulator(apparatus: Apparatus, burst: Burst, heard: Any, guard: Any) -> None:
-    """A session wires the two by the simulator's address alone."""
+def test_the_package_connects_driver_and_simulator_by_address(
+    apparatus: Apparatus, burst: Burst, heard: Any, guard: Any
+) -> None:
+    """A session needs only the simulator's address."""
     with (
         Simulator(apparatus) as simulator,
         Generator(simulator.address, apparatus, log=heard, start_guard=guard) as rig,
@@ -34,24 +36,24 @@ def test_front_door_leads_to_driver_and_simulator(apparatus: Apparatus, burst: B
 
 
 def loaded_modules(code: str) -> set[str]:
-    """Return the top-level modules that a fresh interpreter has after running code."""
+    """Return the top-level modules that are loaded in a new interpreter after running code."""
     code += "; import sys; print(*{name.partition('.')[0] for name in sys.modules})"
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     return set(result.stdout.split())
 
 
-def test_front_door_is_light() -> None:
-    """`modaltouch --help` pays for neither PyVISA nor numbers; the watchdog starts without them too."""
+def test_importing_the_package_loads_no_heavy_library() -> None:
+    """`modaltouch --help` loads neither PyVISA nor NumPy, and neither does the watchdog."""
     heavy = {"pyvisa", "pyvisa_py", "pandas", "scipy", "numpy", "pydantic"}
     assert not loaded_modules("import modaltouch.rig, modaltouch.rig.watchdog_process") & heavy
 
 
 def test_interface_does_not_load_pyvisa() -> None:
-    """The session imports the interface; the instrument's library comes with the instrument."""
+    """The session imports the interface; PyVISA is loaded with the instrument."""
     assert "pyvisa" not in loaded_modules("import modaltouch.rig.interface")
 
 
-def test_simulator_runs_in_a_process_of_its_own(burst: Burst, apparatus: Apparatus, heard: Any, guard: Any) -> None:
+def test_the_simulator_runs_in_a_separate_process(burst: Burst, apparatus: Apparatus, heard: Any, guard: Any) -> None:
     """Its first line is its address; SIGTERM ends it with status 0."""
     command = [sys.executable, "-m", "modaltouch", "rig", "simulate", "--port", "0", "--apparatus", str(APPARATUS)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
@@ -64,8 +66,8 @@ def test_simulator_runs_in_a_process_of_its_own(burst: Burst, apparatus: Apparat
         assert process.wait(10) == 0
 
 
-def test_simulator_reports_a_faulty_apparatus(tmp_path: Path) -> None:
-    """Status 2 and the place of the fault, no traceback."""
+def test_the_simulator_reports_an_invalid_apparatus_file(tmp_path: Path) -> None:
+    """Exit status 2 and the key at fault, no traceback."""
     faulty = tmp_path / "faulty.yaml"
     faulty.write_text("apparatus: x\nbeem: 1\n")
     command = [sys.executable, "-m", "modaltouch", "rig", "simulate", "--apparatus", str(faulty)]
@@ -75,8 +77,8 @@ def test_simulator_reports_a_faulty_apparatus(tmp_path: Path) -> None:
     assert "Traceback" not in result.stderr
 
 
-def test_only_a_twin_in_virtual_time_does_without_a_watchdog_process() -> None:
-    """What stands in a watchdog's place comes from the twin; a clock alone never keeps the watchdog away."""
+def test_only_a_twin_in_virtual_time_replaces_the_watchdog_process() -> None:
+    """The twin provides the replacement; in real time the watchdog process is always used."""
     apparatus = Apparatus.read(APPARATUS)
     with Simulator(apparatus) as simulator:
         assert "start_guard" not in simulator.driver_options

@@ -1,4 +1,4 @@
-"""Two programs at one generator: the second is refused and told so, the first goes on as if nothing were."""
+"""Two programs with one generator: the second is refused with a message, and the first is not affected."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ from modaltouch.rig.visa import VisaSession
 from modaltouch.stimulus.burst import Burst
 
 REFUSED = 3
-"""Exit status of a command whose rig failed."""
+"""Exit status of a command after a rig error."""
 
 
 @pytest.fixture(params=["admits many sessions", "admits one session"])
 def instrument(request: Any, apparatus: Apparatus) -> Iterator[Simulator]:
-    """Return an instrument on the network, or one as on USB."""
+    """Return an instrument on the network, or one with a single session as over USB."""
     many = request.param == "admits many sessions"
     with Simulator(apparatus, behaviour=Behaviour(max_sessions=16 if many else 1)) as simulator:
         yield simulator
 
 
-def test_second_run_is_refused_and_leaves_the_first_alone(
+def test_a_second_run_is_refused_without_affecting_the_first(
     instrument: Simulator, apparatus: Apparatus, burst: Burst
 ) -> None:
-    """Processes of their own: exit status 3 and a message that says what to do; the stimulus stays confirmed."""
+    """In separate processes: exit status 3 and a message with the remedy; the stimulus stays confirmed."""
     with Generator(instrument.address, apparatus) as first:
         first.load(burst)
         first.fire(0.1)
@@ -56,12 +56,12 @@ def test_second_run_is_refused_and_leaves_the_first_alone(
         assert instrument.outputs == (True, True)
         first.stop()
         assert first.firing is not None
-        # How many played is not known where the machine was too busy for a trigger.
+        # The number played is unknown if the machine was too busy for a trigger.
         assert first.firing.bursts.played or first.firing.bursts.dropped
 
 
-def test_two_drivers_in_two_processes_never_share(instrument: Simulator, apparatus: Apparatus, burst: Burst) -> None:
-    """Each behind a watchdog of its own: refused while the first has it, taken as soon as that has let go."""
+def test_two_drivers_never_share_an_instrument(instrument: Simulator, apparatus: Apparatus, burst: Burst) -> None:
+    """Each with its own watchdog: refused while the first is open, accepted as soon as it has closed."""
     with Generator(instrument.address, apparatus) as first:
         first.load(burst)
         with pytest.raises(RigError, match="is in use: .*it was left as it is; close the other program"):
@@ -73,10 +73,10 @@ def test_two_drivers_in_two_processes_never_share(instrument: Simulator, apparat
 
 
 @pytest.mark.parametrize("serial", ["C012345", "SIMULATED", "0"])
-def test_instrument_is_known_by_its_serial_number_under_another_address(
+def test_an_instrument_in_use_is_recognised_by_its_serial_number(
     simulator: Simulator, apparatus: Apparatus, burst: Burst, serial: str
 ) -> None:
-    """A generator on VXI-11 is reached by a raw socket, too; units without a serial number cannot be told apart."""
+    """A VXI-11 generator may also be reached by a raw socket; without a serial number it cannot be recognised."""
     simulator.afg.identity = f"TEKTRONIX,AFG3022B,{serial},SCPI:99.0 FV:3.2.2"
     other = f"TCPIP::127.0.0.1::{simulator.server.port}::SOCKET"
     with Generator(simulator.address, apparatus) as first:
@@ -91,7 +91,9 @@ def test_instrument_is_known_by_its_serial_number_under_another_address(
         assert second.identity == simulator.afg.identity
 
 
-def test_session_that_is_just_dying_is_waited_for(simulator: Simulator, apparatus: Apparatus, burst: Burst) -> None:
+def test_opening_waits_for_a_session_that_is_about_to_end(
+    simulator: Simulator, apparatus: Apparatus, burst: Burst
+) -> None:
     """`modaltouch resume` right after a kill: the old watchdog is switching off, for less than a second."""
     dying = VisaSession(simulator.address)
     dying.open()
@@ -101,10 +103,8 @@ def test_session_that_is_just_dying_is_waited_for(simulator: Simulator, apparatu
         assert rig.fire(0.1).started
 
 
-def test_lock_that_a_dead_link_left_keeps_nobody_out_who_needs_none(
-    simulator: Simulator, apparatus: Apparatus, burst: Burst
-) -> None:
-    """The driver takes no lock of the instrument's (VXI-11): its own dead links could not be got rid of."""
+def test_the_driver_takes_no_lock_of_the_instrument(simulator: Simulator, apparatus: Apparatus, burst: Burst) -> None:
+    """A VXI-11 lock of its own dead link could not be released."""
     with Generator(simulator.address, apparatus) as rig:
         rig.load(burst)
         rig.fire(0.1)
@@ -114,8 +114,8 @@ def test_lock_that_a_dead_link_left_keeps_nobody_out_who_needs_none(
         assert simulator.outputs == (False, False)
 
 
-def test_word_of_another_computer_is_noticed(simulator: Simulator, apparatus: Apparatus, burst: Burst) -> None:
-    """What a script on another machine changes is read back at the end: the trial is offered again."""
+def test_a_change_by_another_computer_is_detected(simulator: Simulator, apparatus: Apparatus, burst: Burst) -> None:
+    """A setting changed by a script elsewhere is read back at the end: the trial is not confirmed."""
     with Generator(simulator.address, apparatus) as rig:
         rig.load(burst)
         assert rig.fire(0.1).started

@@ -1,4 +1,4 @@
-"""What is found, and by which backend it is reached."""
+"""Finding instruments, and the VISA backend by which each is reached."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from modaltouch.rig.simulator.vxi11 import Links
 from modaltouch.rig.visa import VisaSession, find_by, find_instruments
 
 
-def test_found_instruments_are_no_serial_ports(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The AFG3022B has USB, LAN and GPIB; what a backend warns of while it searches is kept from the user."""
+def test_serial_ports_are_not_listed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The AFG3022B has USB, LAN and GPIB; warnings of a backend during the search are not shown."""
 
     class Manager:
         def __init__(self, library: str) -> None:
@@ -38,16 +38,16 @@ def test_found_instruments_are_no_serial_ports(monkeypatch: pytest.MonkeyPatch) 
     assert find_instruments()[2] == "USB0::0x0699::0x0347::C012345::INSTR@ivi"
 
 
-def test_backend_that_is_not_there_is_reported() -> None:
-    """A VISA library that does not exist: said, and that an address needs no listing."""
+def test_a_missing_backend_is_reported() -> None:
+    """The message adds that an address works without listing."""
     with pytest.raises(RigError, match="VISA backend '/nowhere/libvisa.so' cannot list instruments .*works without"):
         find_by("/nowhere/libvisa.so")
 
 
-def test_backend_is_chosen_by_the_address(
+def test_the_address_selects_the_backend(
     simulator: Simulator, open_generator: Callable[..., Generator], apparatus: Apparatus, guard: Any
 ) -> None:
-    """`@py` after an address is what none means; `@ivi` wants a vendor's library, and says so where there is none."""
+    """`@py` is the default; `@ivi` needs a vendor's library, and the error is clear where none is installed."""
     with Generator(f"{simulator.address}@py", apparatus, start_guard=guard) as generator:
         assert generator.address.endswith("INSTR@py")
     with pytest.raises(RigError, match="no generator answers .*Could not open VISA library"):
@@ -55,8 +55,8 @@ def test_backend_is_chosen_by_the_address(
 
 
 @pytest.mark.parametrize("way", ["address", "socket_address"])
-def test_reply_after_a_block_that_ends_in_line_feeds_is_its_own(simulator: Simulator, way: str) -> None:
-    """A Keysight's file of a record ends so: over a raw socket, every later reply came one too late."""
+def test_a_block_that_ends_in_line_feeds_does_not_shift_replies(simulator: Simulator, way: str) -> None:
+    """A Keysight's file of a record may end so: over a raw socket every later reply was one message behind."""
     session = VisaSession(getattr(simulator, way))
     session.open()
     try:
@@ -67,8 +67,8 @@ def test_reply_after_a_block_that_ends_in_line_feeds_is_its_own(simulator: Simul
         session.close(broken=False)
 
 
-def test_trigger_into_a_dead_raw_socket_is_no_trigger(simulator: Simulator) -> None:
-    """A write into it succeeds, and the burst that was never played would count as played."""
+def test_a_trigger_into_a_dead_raw_socket_is_an_error(simulator: Simulator) -> None:
+    """The write itself succeeds, and the burst, which was never played, would count as played."""
     with Cable(simulator.server.port) as cable:
         session = VisaSession(f"TCPIP::127.0.0.1::{cable.port}::SOCKET")
         session.open()
@@ -84,8 +84,10 @@ def test_trigger_into_a_dead_raw_socket_is_no_trigger(simulator: Simulator) -> N
             session.release()
 
 
-def test_session_that_was_cut_may_still_be_counted(single_link: Simulator, monkeypatch: pytest.MonkeyPatch) -> None:
-    """An instrument of one session that learns of a reset 0.3 s late admits the next; a stranger is refused at once."""
+def test_reconnecting_waits_for_an_instrument_to_notice_a_reset(
+    single_link: Simulator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """If it notices a reset 0.3 s late, reopening succeeds; another session is refused immediately."""
     forget = Links.forget
 
     def forget_late(links, numbers):
@@ -106,10 +108,10 @@ def test_session_that_was_cut_may_still_be_counted(single_link: Simulator, monke
 
 
 @pytest.mark.parametrize("other", ["TCPIP::{host}::INSTR", "TCPIP0::{host}::inst0::INSTR", "tcpip::{host}::INSTR"])
-def test_instrument_in_use_is_known_by_any_spelling_of_its_address(
+def test_an_instrument_in_use_is_recognised_by_any_form_of_its_address(
     simulator: Simulator, monkeypatch: pytest.MonkeyPatch, other: str
 ) -> None:
-    """Board number, device name and resource class may be left out (VPP-4.3, 4.3.1)."""
+    """Board number, device name and resource class may be omitted (VPP-4.3, 4.3.1)."""
     monkeypatch.setattr(visa, "LOCK_TIMEOUT", 0.0)
     session = VisaSession(simulator.address)
     session.open()
@@ -120,7 +122,7 @@ def test_instrument_in_use_is_known_by_any_spelling_of_its_address(
         session.release()
 
 
-def test_usb_instrument_is_known_by_hexadecimal_and_decimal_numbers() -> None:
+def test_usb_addresses_match_in_hexadecimal_and_decimal() -> None:
     """PyVISA-py lists 1689 for what the manual calls 0x0699."""
     assert visa.lock_name("USB::0x0699::0x0349::C012345::INSTR") == visa.lock_name("USB0::1689::841::C012345::0::INSTR")
     assert visa.lock_name("USB0::0x0699::0x0349::C012346::INSTR") != visa.lock_name("USB0::0x0699::0x0349::C1::INSTR")

@@ -1,4 +1,4 @@
-"""What the watchdog does with requests, silence and the end of its pipe: no process, no instrument."""
+"""The watchdog's reactions to requests, silence and the end of its pipe, without a process or an instrument."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ OFF = ASKED_OFF.encode() + b"\n"
 
 
 class Instrument:
-    """Notes what is asked of it, and answers as told, the last answer again and again."""
+    """Record the messages, and give prepared answers, the last one repeatedly."""
 
     def __init__(self, *answers: object) -> None:
         self.answers = list(answers) or [b"0;0\n"]
@@ -80,7 +80,7 @@ class Instrument:
 
 
 class Pipe:
-    """Hands out what is written to it, as a pipe does, until it is closed."""
+    """Return what is written to it, as a pipe does, until it is closed."""
 
     def __init__(self) -> None:
         self._data = bytearray()
@@ -114,7 +114,7 @@ def serve(instrument: Instrument, *requests: bytes) -> list[tuple[bytes, int, by
 
 
 def request(letter: bytes) -> bytes:
-    """Return a request without an interesting content."""
+    """Return a request with default content."""
     return frame(letter, 0, FLAG.pack(False) if letter in (ARM, REPORT) else b"")
 
 
@@ -137,15 +137,15 @@ def ask(number: int, message: bytes) -> bytes:
         ([OPEN, ARM, CLEAN], False),
     ],
 )
-def test_pipe_that_ends_without_a_clean_end_switches_off(requests: list[bytes], pressed: bool) -> None:
-    """Whoever had the instrument and did not say that it ends cleanly is taken for dead (module docstring)."""
+def test_end_of_the_pipe_without_a_clean_end_switches_off(requests: list[bytes], pressed: bool) -> None:
+    """A session that opened the instrument and did not announce a clean end counts as dead (module docstring)."""
     instrument = Instrument()
     serve(instrument, *map(request, requests))
     assert (OFF in instrument.sent) is pressed
 
 
-def test_answers_bear_the_numbers_of_their_requests() -> None:
-    """Done, failed and in use are told apart; the words of an error come along."""
+def test_answers_have_the_numbers_of_their_requests() -> None:
+    """Done and failed are distinguished; the message of an error is included."""
     instrument = Instrument(b"reply\n", TimeoutError("too late"), b"0;0\n")
     answers = serve(
         instrument, frame(OPEN, 7), ask(8, b"*IDN?\n"), ask(9, b"*OPC?\n"), frame(CLOSE, 10, TERMS.pack(0, False, True))
@@ -159,8 +159,8 @@ def test_answers_bear_the_numbers_of_their_requests() -> None:
     assert instrument.sent[:3] == [b"*IDN?\n", b"*OPC?\n", b"broken"]
 
 
-def test_instrument_of_another_program_is_left_alone() -> None:
-    """Never opened: nothing is switched off at the end."""
+def test_an_instrument_of_another_program_is_not_touched() -> None:
+    """It was never opened: nothing is switched off at the end."""
 
     class Taken(Instrument):
         def open(self) -> str:
@@ -181,15 +181,15 @@ def test_instrument_of_another_program_is_left_alone() -> None:
         struct.pack(">4scII", b"mtwx", CLEAN, 1, 0),
     ],
 )
-def test_rubbish_in_the_pipe_is_its_end(rubbish: bytes) -> None:
-    """What is no request, or half of one: the outputs are switched off."""
+def test_invalid_data_in_the_pipe_counts_as_its_end(rubbish: bytes) -> None:
+    """An invalid or incomplete request switches the outputs off."""
     instrument = Instrument()
     serve(instrument, frame(OPEN, 1), rubbish)
     assert instrument.sent == [OFF]
 
 
 def silent(instrument: Instrument, *letters: bytes, seconds: float = 0.3) -> int:
-    """Return how often an instrument was switched off during a silence after some requests."""
+    """Return how often an instrument is switched off during a silence after some requests."""
     pipe = Pipe()
     watch = WatchdogProcess(instrument, ASKED_OFF, limit=0.05, persistence=0.1)
     serving = threading.Thread(target=watch.serve, args=(pipe, lambda data: None))
@@ -208,19 +208,19 @@ def silent(instrument: Instrument, *letters: bytes, seconds: float = 0.3) -> int
     ("letters", "pressed"),
     [((OPEN, ARM), 1), ((OPEN, ARM, BEAT), 1), ((OPEN,), 0), ((OPEN, BEAT), 0), ((OPEN, ARM, DISARM), 0)],
 )
-def test_silence_counts_while_armed(letters: tuple[bytes, ...], pressed: int) -> None:
-    """0.3 s without a sign of life at a limit of 0.05 s: off, once; a beat alone does not arm."""
+def test_silence_switches_off_only_while_armed(letters: tuple[bytes, ...], pressed: int) -> None:
+    """0.3 s without a heartbeat at a limit of 0.05 s: off, once; a heartbeat alone does not arm."""
     assert silent(Instrument(), *letters) == pressed
 
 
-def test_the_longest_silence_is_the_one_that_is_promised() -> None:
-    """The README of the rig, which the processes of `test_watchdog.py` are timed against."""
+def test_the_limit_on_silence_matches_the_readme() -> None:
+    """The README of the rig; `test_watchdog.py` checks it with processes."""
     text = " ".join((Path(watchdog.__file__).parent / "README.md").read_text(encoding="utf-8").split())
     assert f"or falls silent for {watchdog.LIMIT:g} s while outputs may be on" in text
 
 
-def test_signs_of_life_keep_an_armed_session_on() -> None:
-    """A beat every 0.02 s at a limit of half a second: never off, and its bursts go on."""
+def test_heartbeats_keep_the_outputs_on() -> None:
+    """A heartbeat every 0.02 s at a limit of half a second: never switched off, and the bursts continue."""
     pipe, instrument = Pipe(), Instrument()
     watch = WatchdogProcess(instrument, ASKED_OFF, limit=0.5)
     serving = threading.Thread(target=watch.serve, args=(pipe, lambda data: None))
@@ -237,7 +237,7 @@ def test_signs_of_life_keep_an_armed_session_on() -> None:
 
 
 class Waiting(Instrument):
-    """Does not answer until it may."""
+    """Does not answer until permitted."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -248,8 +248,8 @@ class Waiting(Instrument):
         return super().exchange(message, timeout=timeout, reply=reply)
 
 
-def test_signs_of_life_are_taken_behind_an_exchange_that_lasts() -> None:
-    """Else bursts would be left out whenever the instrument is slow; and a session that stopped meanwhile is silent."""
+def test_heartbeats_are_received_during_a_long_exchange() -> None:
+    """A slow instrument does not delay them; after the exchange the time of silence starts at its end."""
     instrument, clock = Waiting(), VirtualClock(50.0)
     master = Master(instrument, clock)
     master.pipe.write(ask(1, b"*IDN?\n"), frame(BEAT, 2))
@@ -266,14 +266,14 @@ def test_signs_of_life_are_taken_behind_an_exchange_that_lasts() -> None:
 
 
 class Sluggish(VirtualClock):
-    """Oversleeps by 0.3 s each time."""
+    """Oversleep by 0.3 s each time."""
 
     def sleep(self, seconds: float) -> None:
         super().sleep(seconds + 0.3)
 
 
-def test_watchdog_tells_by_how_much_it_was_late() -> None:
-    """Its patrol comes round every 50 ms; what that is late is the time it was held up, since it was armed."""
+def test_the_watchdog_reports_its_own_delay() -> None:
+    """It checks every 50 ms; any excess counts as its delay since it was armed."""
     watch = WatchdogProcess(Instrument(), ASKED_OFF, clock=Sluggish(50.0))
 
     def late() -> float:
@@ -296,8 +296,8 @@ def test_watchdog_tells_by_how_much_it_was_late() -> None:
     assert late() == 0
 
 
-def test_outputs_that_do_not_go_off_are_tried_again_over_new_sessions() -> None:
-    """A lost reply and an output that stays on: off at the third try, each over a session opened anew."""
+def test_switching_off_is_repeated_over_new_sessions() -> None:
+    """A lost reply, then an output that stays on: off at the third attempt, each over a new session."""
     instrument = Instrument(TimeoutError("lost"), b"0;1\n", b"0;0\n")
     assert WatchdogProcess(instrument, ASKED_OFF, persistence=5).switch_off()
     assert instrument.sent == [OFF, b"broken", OFF, b"broken", OFF]
@@ -305,15 +305,15 @@ def test_outputs_that_do_not_go_off_are_tried_again_over_new_sessions() -> None:
     assert instrument.opened == 2
 
 
-def test_an_output_is_off_if_the_instrument_says_0_or_off() -> None:
-    """Both are replies of generators to `OUTP?`; one reply too few says nothing of the other output."""
+def test_replies_of_0_or_off_confirm_that_an_output_is_off() -> None:
+    """Generators use both for `OUTP?`; a missing reply does not confirm the other output."""
     instrument = Instrument(b"OFF\n", b"OFF;ON\n", b"off;OFF\n")
     assert WatchdogProcess(instrument, ASKED_OFF, persistence=5).switch_off()
     assert instrument.sent.count(OFF) == 3
 
 
 class Terminal:
-    """Keeps what was said to whoever sits there, and when [s]."""
+    """Record the messages to the terminal and their times [s]."""
 
     def __init__(self, clock: VirtualClock) -> None:
         self.clock = clock
@@ -324,7 +324,7 @@ class Terminal:
 
 
 class Dead(Instrument):
-    """Answers again from some instant on."""
+    """Answer only from a given instant on."""
 
     def __init__(self, clock: VirtualClock, until: float) -> None:
         super().__init__()
@@ -344,8 +344,8 @@ STILL, NOBODY = (
 
 
 @pytest.mark.parametrize(("free_running", "patience"), [(False, 30.0), (True, 3600.0)])
-def test_outputs_that_cannot_be_switched_off_are_told_until_nobody_tries(free_running: bool, patience: float) -> None:
-    """First after a second, then every ten; the last word after half a minute, after an hour where it plays on."""
+def test_a_failure_to_switch_off_is_repeated_on_the_terminal(free_running: bool, patience: float) -> None:
+    """After one second, then every ten; the last message after 30 s, or after an hour if bursts are free-running."""
     assert (PERSISTENCE, LONG_PERSISTENCE) == (30.0, 3600.0)
     clock = VirtualClock(50.0)
     terminal, instrument = Terminal(clock), Dead(clock, math.inf)
@@ -365,8 +365,8 @@ def test_outputs_that_cannot_be_switched_off_are_told_until_nobody_tries(free_ru
 
 
 @pytest.mark.parametrize(("dead_for", "said"), [(0.1, []), (0.5, []), (5.0, [STILL]), (15.0, [STILL, STILL])])
-def test_outputs_that_go_off_at_last_are_told_if_anything_was(dead_for: float, said: list[str]) -> None:
-    """Whoever was told to switch the amplifier off is told that it is over; nobody else hears of it."""
+def test_the_end_of_a_warning_is_shown_only_after_a_warning(dead_for: float, said: list[str]) -> None:
+    """After a warning to switch the amplifier off, success is shown as well; otherwise nothing is."""
     clock = VirtualClock(50.0)
     terminal = Terminal(clock)
     assert WatchdogProcess(Dead(clock, 50 + dead_for), ASKED_OFF, say=terminal, clock=clock).switch_off()
@@ -376,7 +376,7 @@ def test_outputs_that_go_off_at_last_are_told_if_anything_was(dead_for: float, s
 
 
 class Master:
-    """Asks a watchdog in a thread, and takes its answers."""
+    """The client of a watchdog that runs in a thread."""
 
     def __init__(self, instrument: Instrument, clock: Clock = SYSTEM_CLOCK) -> None:
         self.answers: queue.Queue[bytes] = queue.Queue()
@@ -395,7 +395,7 @@ class Master:
 
 @pytest.fixture
 def master() -> Iterator[Master]:
-    """Return the master of a watchdog that ends with the test."""
+    """Return the client of a watchdog that ends with the test."""
     master = Master(Instrument())
     yield master
     master.pipe.write(frame(END, 0), frame(CLEAN, 0))
@@ -404,13 +404,13 @@ def master() -> Iterator[Master]:
 
 
 def order(n_bursts: int, command: str = "*TRG") -> bytes:
-    """Return bursts 1,000 s apart, the first of them now."""
+    """Return an order for bursts 1,000 s apart, the first one due now."""
     return json.dumps(asdict(Order(command, n_bursts, SYSTEM_CLOCK.now(), 1000.0, 0.05, 1.0))).encode()
 
 
 @pytest.mark.parametrize("how", [END, REPORT, PLAY])
-def test_bursts_end_between_two_when_that_is_asked(master: Master, how: bytes) -> None:
-    """The first is triggered and told at once; asked to end, to report or to play another order, it waits for none."""
+def test_a_request_ends_the_bursts_between_two_of_them(master: Master, how: bytes) -> None:
+    """The first is triggered and reported immediately; to end, report or play another order waits for no burst."""
     first = master.ask(PLAY, order(5))
     assert (first["due"], first["played"], first["ended"]) == (1, 1, "")
     assert master.ask(LOOK) == first
@@ -430,8 +430,8 @@ def test_bursts_end_between_two_when_that_is_asked(master: Master, how: bytes) -
     assert ended["ended"] == ("count" if how == PLAY else "asked")
 
 
-def test_report_waits_for_the_last_burst_where_it_is_asked_to() -> None:
-    """Of 50 ms, begun now: 50 ms where it is to come to its end, and no longer the second time."""
+def test_a_report_waits_for_the_last_burst_if_requested() -> None:
+    """A burst of 50 ms that has just begun: 50 ms, and no further wait the second time."""
     clock = VirtualClock(50.0)
     watch = WatchdogProcess(Instrument(), ASKED_OFF, clock=clock)
     watch._pacer = pacer = Pacer(Order("*TRG", 1, 50.0, 0.2, 0.05, 0.1), lambda: None, lambda: 0.0, clock)
@@ -441,8 +441,8 @@ def test_report_waits_for_the_last_burst_where_it_is_asked_to() -> None:
         assert clock.now() == pytest.approx(now)
 
 
-def test_report_waits_for_nothing_after_a_failure() -> None:
-    """A trigger taken 150 ms late in 200 ms: nobody knows when its burst ends."""
+def test_a_report_after_a_failure_does_not_wait() -> None:
+    """A trigger accepted 150 ms late in 200 ms: the end of its burst is unknown."""
     clock = VirtualClock(50.0)
     watch = WatchdogProcess(Instrument(), ASKED_OFF, clock=clock)
     watch._pacer = Pacer(Order("*TRG", 1, 50.0, 0.2, 0.05, 0.1), lambda: clock.sleep(0.15), lambda: 0.0, clock)
@@ -451,13 +451,13 @@ def test_report_waits_for_nothing_after_a_failure() -> None:
     assert clock.now() == pytest.approx(50.15)
 
 
-def test_report_of_nothing_is_empty(master: Master) -> None:
-    """No order was given yet."""
+def test_a_report_without_an_order_is_empty(master: Master) -> None:
+    """Neither a report nor a look has any content."""
     assert master.ask(REPORT, FLAG.pack(True)) == master.ask(LOOK) == {}
 
 
-def test_bursts_end_with_the_pipe() -> None:
-    """The master is gone: no further burst, then the outputs off."""
+def test_the_end_of_the_pipe_ends_the_bursts() -> None:
+    """The session is gone: no further burst."""
     master = Master(Instrument())
     master.pipe.write(frame(OPEN, 0))
     master.answers.get(timeout=60)
@@ -470,8 +470,8 @@ def test_bursts_end_with_the_pipe() -> None:
     assert pacer.report.ended == "asked"
 
 
-def test_bursts_asked_for_in_the_last_moment_end_with_the_pipe() -> None:
-    """Killed right after it asked: the request waits behind an exchange, and the pipe has ended before its turn."""
+def test_bursts_requested_just_before_the_end_of_the_pipe_are_not_played() -> None:
+    """Killed right after its request, which waits for an exchange: the pipe has ended before it is carried out."""
     instrument = Waiting()
     master = Master(instrument)
     later = Order("*TRG", 5, SYSTEM_CLOCK.now() + 1000.0, 1.0, 0.05, 1.0)
@@ -485,15 +485,15 @@ def test_bursts_asked_for_in_the_last_moment_end_with_the_pipe() -> None:
     assert b"*TRG\n" not in instrument.sent
 
 
-def test_words_and_answers_leave_by_their_own_ways(capfd: pytest.CaptureFixture[str]) -> None:
-    """Answers through the pipe, whole; words to the terminal, on a line of their own."""
+def test_messages_and_answers_use_separate_streams(capfd: pytest.CaptureFixture[str]) -> None:
+    """Answers go through the pipe unchanged, messages to the terminal on separate lines."""
     watchdog._answer(b"mtwd+")
     watchdog._say("it is on")
     assert capfd.readouterr() == ("mtwd+", "\nmodaltouch: it is on\n")
 
 
-def test_watchdog_runs_before_others_where_it_may(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A burst that waits for its turn, or for a collection of garbage, is late."""
+def test_the_watchdog_raises_its_priority(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A burst that waits for the processor or for garbage collection is late."""
     done: list[Any] = []
     monkeypatch.setattr(watchdog.os, "setpriority", lambda *asked: done.append(asked))
     monkeypatch.setattr(watchdog.gc, "disable", lambda: done.append("gc"))
@@ -501,15 +501,15 @@ def test_watchdog_runs_before_others_where_it_may(monkeypatch: pytest.MonkeyPatc
     assert done == ["gc", (watchdog.os.PRIO_PROCESS, 0, -10)]
 
 
-def test_clean_end_closes_a_session_that_is_sound() -> None:
-    """With a word to the instrument, which would keep the link else."""
+def test_a_clean_end_closes_an_intact_session_in_order() -> None:
+    """The instrument is notified, since it would keep the link otherwise."""
     instrument = Instrument()
     serve(instrument, request(OPEN), request(CLEAN))
     assert instrument.sent == [b"closed"]
 
 
-def test_trigger_that_fails_is_told_with_the_next_sign_of_life() -> None:
-    """A beat is answered with why the bursts ended; with nothing while all is well, or nothing was asked for."""
+def test_a_failed_trigger_is_reported_with_the_next_heartbeat() -> None:
+    """A heartbeat is answered with the reason for the end of the bursts, or with nothing if there is none."""
     master = Master(Instrument(OSError("gone"), b"0;0\n"))
     failed = master.ask(PLAY, order(5))
     assert (failed["played"], failed["ended"], failed["reason"]) == (0, "failed", "trigger 1 failed (OSError: gone)")

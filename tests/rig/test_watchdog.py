@@ -1,6 +1,6 @@
-"""A session that dies or stalls leaves its outputs off: real processes, real signals, read from the instrument.
+"""A session that dies or stalls leaves its outputs off: real processes and signals, with the state read from the twin.
 
-The instrument admits one session, as over USB: whoever switches it off must have that one.
+The instrument admits one session, as over USB: switching it off requires that session.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ SESSIONS = textwrap.dedent(
             os.dup2(output, 1)
             os.dup2(output, 2)
             if terminal != "none":
-                os.setsid()  # the terminal that it opens next is its own
+                os.setsid()  # the terminal opened next becomes its controlling terminal
                 signal.signal(signal.SIGHUP, signal.SIG_DFL)  # the tests themselves may run under nohup
                 os.dup2(os.open(terminal, os.O_RDWR), 2)
             sit(*words)
@@ -73,11 +73,11 @@ SESSIONS = textwrap.dedent(
         print(pid, flush=True)
     """
 )
-"""Sits through sessions in processes of their own, forked where all is imported: a start costs no second each."""
+"""Runs sessions in processes forked after all imports, which saves a second per start."""
 
 
 class Session:
-    """One session's process."""
+    """A session in its own process."""
 
     def __init__(self, host: subprocess.Popen[str], output: Path, *words: str) -> None:
         self._host = host
@@ -86,17 +86,17 @@ class Session:
         self.ended = False
 
     def signal(self, number: int) -> None:
-        """Send it a signal."""
+        """Send the process a signal."""
         os.kill(self.pid, number)
 
     def wait(self) -> int:
-        """Return its status, once it has ended."""
+        """Return the exit status after the process has ended."""
         self.ended = True
         return int(self._tell("wait", str(self.pid)))
 
     @property
     def said(self) -> list[str]:
-        """What it has printed."""
+        """Lines that the process has printed."""
         return self._output.read_text().splitlines() if self._output.exists() else []
 
     def _tell(self, *words: str) -> str:
@@ -108,14 +108,14 @@ class Session:
 
 
 SLOW = 0.4
-"""How long the instrument takes over the message at which a phase is met [s]."""
+"""How long the instrument takes for the message by which a phase is recognised [s]."""
 
 PHASES = {"connect": r"\*RST", "upload": "COPY USER", "arm": "SEQ:IMM$", "trial": None, "stop": r"OUTP1\?;:OUTP2\?"}
 
 
 @pytest.fixture(scope="module")
 def host() -> Iterator[subprocess.Popen[str]]:
-    """Return the process that sessions come from."""
+    """Return the process from which sessions are forked."""
     command = [sys.executable, "-c", SESSIONS, str(APPARATUS)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         yield process
@@ -127,7 +127,7 @@ Start = Callable[..., Session]
 
 @pytest.fixture
 def start(single_link: Simulator, host: subprocess.Popen[str], tmp_path: Path) -> Iterator[Start]:
-    """Return what starts a session and waits until it has come to a phase."""
+    """Return a function that starts a session and waits until it has reached a phase."""
     started: list[Session] = []
 
     def start_one(phase: str, *, hangs: bool = False, terminal: str = "none") -> Session:
@@ -154,7 +154,7 @@ def start(single_link: Simulator, host: subprocess.Popen[str], tmp_path: Path) -
 
 
 def wait_until(happened: Callable[[], bool], what: str, patience: float = 60.0) -> float:
-    """Wait for something, and return how long it took [s]."""
+    """Wait until a condition holds, and return how long it took [s]."""
     started = time.monotonic()
     while not happened():
         if time.monotonic() > started + patience:
@@ -164,9 +164,9 @@ def wait_until(happened: Callable[[], bool], what: str, patience: float = 60.0) 
 
 
 def seconds_until_off(simulator: Simulator) -> float:
-    """Return how long the outputs stayed on; `make stops` holds what is promised of it, where there is time for it."""
+    """Return how long the outputs stayed on; the promised time itself is checked by `make stops`."""
     took = wait_until(lambda: simulator.outputs == (False, False), "both outputs off", 60)
-    # What is under way at the instrument must not switch them on again.
+    # A pending message must not switch them on again.
     time.sleep(SLOW + 0.1)
     assert simulator.outputs == (False, False)
     return took
@@ -174,14 +174,14 @@ def seconds_until_off(simulator: Simulator) -> float:
 
 @pytest.mark.parametrize("phase", list(PHASES))
 def test_killed_session_leaves_outputs_off(start: Start, single_link: Simulator, phase: str) -> None:
-    """SIGKILL passes every finally; the pipe's end tells the watchdog, which waits for what is under way alone."""
+    """SIGKILL bypasses every finally; end of file on the pipe makes the watchdog switch off after a pending message."""
     start(phase).signal(signal.SIGKILL)
     seconds_until_off(single_link)
 
 
 @pytest.mark.parametrize("phase", list(PHASES))
 def test_stopped_session_leaves_outputs_off(start: Start, single_link: Simulator, phase: str) -> None:
-    """SIGSTOP: no sign of life, off after the limit of 1 s and a moment; with outputs that are off, nothing to do."""
+    """After SIGSTOP there is no heartbeat: outputs are off soon after the limit of 1 s."""
     session = start(phase)
     session.signal(signal.SIGSTOP)
     took = seconds_until_off(single_link)
@@ -191,7 +191,7 @@ def test_stopped_session_leaves_outputs_off(start: Start, single_link: Simulator
 
 @pytest.mark.parametrize("phase", list(PHASES))
 def test_exception_leaves_outputs_off_before_the_process_ends(start: Start, single_link: Simulator, phase: str) -> None:
-    """Raised in the midst of an exchange, in every phase: not swallowed, and the with statement switches off."""
+    """Raised during an exchange, in every phase: it propagates, and the with statement switches the outputs off."""
     session = start(phase)
     session.signal(signal.SIGUSR1)
     assert session.wait() == 1
@@ -200,8 +200,8 @@ def test_exception_leaves_outputs_off_before_the_process_ends(start: Start, sing
 
 
 @pytest.mark.parametrize("phase", list(PHASES))
-def test_pulled_cable_and_a_killed_session_leave_outputs_off(start: Start, single_link: Simulator, phase: str) -> None:
-    """Both at once: the watchdog opens the instrument anew as soon as it can be reached, here 0.3 s later."""
+def test_a_pulled_cable_and_a_kill_together_leave_outputs_off(start: Start, single_link: Simulator, phase: str) -> None:
+    """The watchdog reopens the instrument as soon as it can be reached, here 0.3 s later."""
     session = start(phase)
     single_link.server.refuse()
     single_link.server.drop_connections()
@@ -211,8 +211,8 @@ def test_pulled_cable_and_a_killed_session_leave_outputs_off(start: Start, singl
     seconds_until_off(single_link)
 
 
-def test_pulled_cable_is_found_again_through_the_watchdog(start: Start, single_link: Simulator) -> None:
-    """Cable out and in at the stop: the one session is opened anew, and the outputs go off."""
+def test_the_watchdog_reconnects_after_a_pulled_cable(start: Start, single_link: Simulator) -> None:
+    """Connections dropped at the stop: the single session is reopened, and the outputs go off."""
     session = start("stop")
     single_link.server.drop_connections()
     assert session.wait() == 0
@@ -223,20 +223,20 @@ def test_pulled_cable_is_found_again_through_the_watchdog(start: Start, single_l
 
 
 def test_hanging_session_leaves_outputs_off(start: Start, single_link: Simulator) -> None:
-    """A session that runs but no longer comes round counts as stalled: no heartbeat, off."""
+    """A session that runs but sends no heartbeat counts as stalled."""
     start("trial", hangs=True)
     seconds_until_off(single_link)
 
 
 def test_terminated_session_leaves_outputs_off(start: Start, single_link: Simulator) -> None:
-    """Without any handler SIGTERM ends the process at once, past every finally."""
+    """Without a handler SIGTERM ends the process immediately and bypasses every finally."""
     start("trial").signal(signal.SIGTERM)
     seconds_until_off(single_link)
 
 
 @pytest.mark.parametrize("cable", ["in", "out for a while"])
-def test_terminal_that_is_closed_leaves_outputs_off(start: Start, single_link: Simulator, cable: str) -> None:
-    """SIGHUP ends the session, not its watchdog; a word to the terminal that is gone does not end it either."""
+def test_closing_the_terminal_leaves_outputs_off(start: Start, single_link: Simulator, cable: str) -> None:
+    """SIGHUP ends the session but not its watchdog, nor does writing to the closed terminal."""
     ours, theirs = os.openpty()
     session = start("trial", terminal=os.ttyname(theirs))
     os.close(theirs)
@@ -251,8 +251,8 @@ def test_terminal_that_is_closed_leaves_outputs_off(start: Start, single_link: S
     seconds_until_off(single_link)
 
 
-def test_session_that_wakes_up_again_is_told_what_happened(start: Start, single_link: Simulator) -> None:
-    """Stopped for longer than the limit, then continued: its trial is not confirmed."""
+def test_a_session_continued_after_a_stall_does_not_confirm_its_trial(start: Start, single_link: Simulator) -> None:
+    """It was stopped for longer than the limit; after SIGCONT it ends with an error, with the outputs off."""
     session = start("trial")
     session.signal(signal.SIGSTOP)
     seconds_until_off(single_link)

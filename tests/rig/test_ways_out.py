@@ -1,4 +1,4 @@
-"""However a session ends, the outputs are off, and the watchdog knows."""
+"""However a session ends, the outputs are off, and the watchdog is informed."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from modaltouch.rig.simulator import Simulator
 from modaltouch.stimulus.burst import Burst
 
 
-def test_exception_inside_the_session_leaves_outputs_off(
+def test_an_exception_in_a_session_leaves_outputs_off(
     open_generator: Callable[..., Generator], simulator: Simulator, burst: Burst
 ) -> None:
-    """Any way out of the with statement switches off."""
+    """Every exit from the with statement switches the outputs off."""
 
     class SomethingElse(BaseException):
         pass
@@ -33,7 +33,7 @@ def test_exception_inside_the_session_leaves_outputs_off(
 
 
 def test_close_is_final_and_can_be_repeated(loaded: Generator, simulator: Simulator, guard: Any) -> None:
-    """The second close does nothing; the watchdog is let go once, cleanly."""
+    """The second close does nothing; the watchdog is released once, cleanly."""
     loaded.fire(0.1)
     loaded.close()
     loaded.close()
@@ -42,16 +42,16 @@ def test_close_is_final_and_can_be_repeated(loaded: Generator, simulator: Simula
     assert guard.told.count("clean") == 1
 
 
-def test_watchdog_is_armed_before_the_outputs_go_on(loaded: Generator, guard: Any, heard: Any) -> None:
-    """The watchdog knows first; it is relieved once the outputs are confirmed off."""
+def test_the_watchdog_is_armed_during_a_stimulus(loaded: Generator, guard: Any, heard: Any) -> None:
+    """It is armed after the start and disarmed after the stop."""
     loaded.fire(0.1)
     assert guard.told[-1] == "arm"
     loaded.stop()
     assert guard.told[-1] == "disarm"
 
 
-def test_interrupt_in_the_midst_of_starting_leaves_outputs_off(loaded: Generator, simulator: Simulator) -> None:
-    """Ctrl-C right after the outputs went on: not swallowed, and they are off before it passes on."""
+def test_an_interrupt_while_starting_leaves_outputs_off(loaded: Generator, simulator: Simulator) -> None:
+    """Ctrl-C right after the outputs went on: it propagates after they have been switched off."""
     controls = loaded._connection.controls
     outputs_on = controls.outputs_on
 
@@ -66,8 +66,8 @@ def test_interrupt_in_the_midst_of_starting_leaves_outputs_off(loaded: Generator
     assert simulator.outputs == (False, False)
 
 
-def test_watchdog_that_cannot_be_armed_leaves_outputs_off(loaded: Generator, simulator: Simulator, guard: Any) -> None:
-    """No output without a watchdog."""
+def test_outputs_stay_off_if_the_watchdog_cannot_be_armed(loaded: Generator, simulator: Simulator, guard: Any) -> None:
+    """The error propagates, and no output is switched on."""
 
     def refuse(*, free_running: bool) -> None:
         raise RigError("the watchdog process does not run")
@@ -78,10 +78,10 @@ def test_watchdog_that_cannot_be_armed_leaves_outputs_off(loaded: Generator, sim
     assert simulator.outputs == (False, False)
 
 
-def test_close_with_a_log_that_fails_switches_off_and_leaves_the_watchdog(
+def test_close_with_a_failing_log_leaves_outputs_off(
     open_generator: Callable[..., Generator], simulator: Simulator, burst: Burst, guard: Any
 ) -> None:
-    """A full disk under the log: close raises nothing, the outputs are off, and the watchdog makes sure."""
+    """Disk full while logging: close raises nothing, the outputs are off, and the watchdog keeps watching."""
     full = False
 
     def log(event: str, **facts: Any) -> None:
