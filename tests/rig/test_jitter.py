@@ -15,9 +15,9 @@ PROTOCOL = Path(__file__).parents[2] / "protocols" / "differentiated_stimulation
 
 
 def left_at_the_next_focus(release: Release) -> float:
-    """Return what a burst leaves of a mode at the next focus, at the shortest interval, as a part of the peak [1].
+    """Return the residual motion of a mode at the next focus, at the shortest interval, over the peak [1].
 
-    Linear: the state at its end, decayed until the next focusing instant, is all that another interval can change.
+    By linearity, the interval only affects the state at the end of a burst, decayed until the next focusing instant.
     """
     ground, _ = examine(PROTOCOL).require().sound
     stimulus = design_to_fit(ground, release=release)

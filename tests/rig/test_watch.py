@@ -249,7 +249,7 @@ class Waiting(Instrument):
 
 
 def test_heartbeats_are_received_during_a_long_exchange() -> None:
-    """A slow instrument does not delay them; after the exchange the time of silence starts at its end."""
+    """Answered during the exchange, with the time of arrival; silence then counts from the end of the exchange."""
     instrument, clock = Waiting(), VirtualClock(50.0)
     master = Master(instrument, clock)
     master.pipe.write(ask(1, b"*IDN?\n"), frame(BEAT, 2))

@@ -1,4 +1,4 @@
-"""A twin to be measured, and what its channels are sent."""
+"""A twin for measurements, and the signals of its channels."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def _playback() -> Callable[..., Playback]:
 
 
 def make_with_twin(apparatus: Apparatus, **values: Any) -> Apparatus:
-    """Return an apparatus whose twin differs as stated, and in nothing else."""
+    """Return an apparatus whose twin differs only in the given values."""
     spreads = ("natural_frequency_mismatch", "damping_ratio_mismatch", "gain_mismatch", "generator_gain_mismatch")
     zero = dict.fromkeys((*spreads, "cross_gain"), 0.0) | {"unlisted_modes": (), "amplifier": TrueAmplifier()}
     return apparatus.model_copy(update={"twin": apparatus.twin.model_copy(update=zero | values)})
@@ -53,7 +53,7 @@ def twin(apparatus: Apparatus) -> Twin:
 
 @pytest.fixture(scope="session")
 def shipped_burst(apparatus: Apparatus) -> list[Playback]:
-    """Return what both channels send for the shipped stimulus at 200 mm/s."""
+    """Return the playbacks of both channels for the shipped stimulus at 200 mm/s."""
     design = design_stimulus(
         apparatus.modal_model(), TargetField(), Timing(AFG3022B.converter), apparatus.amplifier_values()
     )

@@ -1,4 +1,4 @@
-"""Bursts of several cycles, and bursts that wait after their trigger: played as the instrument is set."""
+"""Bursts of several cycles and bursts with a trigger delay are played as set."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def course(twin: Twin, sent: list[Playback | None], time: np.ndarray) -> np.ndar
 
 
 def test_cycles_follow_each_other_without_a_gap(twin: Twin, playback: Play) -> None:
-    """Three cycles of 25 ms are one record of 75 ms that holds them one after the other, state for state."""
+    """Three cycles of 25 ms give the same states as one record of 75 ms that contains them in sequence."""
     cycle = replace(playback(), duration=0.025, n_cycles=3)
     whole = replace(playback(), duration=0.075, record=cycle.record * 3)
     for instant in (0.01, 0.03, 0.0749, 0.1):
@@ -35,8 +35,8 @@ def test_cycles_follow_each_other_without_a_gap(twin: Twin, playback: Play) -> N
     assert twin.felt([cycle, None], [0.0]) == pytest.approx(twin.felt([whole, None], [0.0]))
 
 
-def test_cycles_build_up_what_one_cycle_does_not(twin: Twin, playback: Play) -> None:
-    """Sine at the first resonance: the speed's envelope is 1 - e^(-a t), and its last peak at n - 1/4 cycles."""
+def test_several_cycles_build_up_a_resonance(twin: Twin, playback: Play) -> None:
+    """Sine at the first resonance: the envelope is 1 - e^(-a t), and the last peak is at n - 1/4 cycles."""
     time = np.arange(1000) / 1000
     sine = np.round(8191 + 8191 * np.sin(2 * np.pi * time)).astype(">u2").tobytes()
     beam = twin.beam.table
@@ -52,22 +52,22 @@ def test_cycles_build_up_what_one_cycle_does_not(twin: Twin, playback: Play) -> 
     assert peaks[1] / peaks[0] == pytest.approx(envelope[1] / envelope[0], rel=0.02)
 
 
-def test_triggers_during_many_cycles_are_lost(twin: Twin, playback: Play) -> None:
+def test_triggers_during_a_burst_of_many_cycles_are_lost(twin: Twin, playback: Play) -> None:
     """Five cycles of 50 ms after a delay of 40 ms, a trigger every 1/7 s: every third counts (290 of 428.6 ms)."""
     (held,) = twin.held_of([replace(playback(), n_cycles=5, delay=0.04), None])
     assert held.period == pytest.approx(3 / 7)
     assert held.duration == pytest.approx(0.25)
 
 
-def test_a_million_cycles_take_no_more_memory_than_are_heard(twin: Twin, playback: Play) -> None:
-    """MOST_SAMPLES points at most; the triggers that are lost are those of all the cycles."""
+def test_a_million_cycles_need_bounded_memory(twin: Twin, playback: Play) -> None:
+    """MOST_SAMPLES points at most; triggers are lost for the duration of all cycles."""
     (held,) = twin.held_of([replace(playback(), n_cycles=1_000_000), None])
     assert held.voltage.shape[1] <= MOST_SAMPLES
     assert held.period == pytest.approx(50_000, rel=1e-4)
 
 
-def test_delay_moves_the_burst_and_changes_nothing_else(twin: Twin, playback: Play) -> None:
-    """Everything 10 ms later, around the whole period: true states, motion, drive, and the same peaks."""
+def test_a_delay_only_shifts_the_burst(twin: Twin, playback: Play) -> None:
+    """Everything is 10 ms later, around the whole period: true states, motion and drive, with the same peaks."""
     now, later = playback(), replace(playback(), delay=0.01)
     instants = np.linspace(0.0101, 0.14, 50)
     np.testing.assert_allclose(course(twin, [later, None], instants), course(twin, [now, None], instants - 0.01))
@@ -84,16 +84,16 @@ def test_delay_moves_the_burst_and_changes_nothing_else(twin: Twin, playback: Pl
     assert twin.felt([later, None], [0.0]) == pytest.approx(twin.felt([now, None], [0.0]))
 
 
-def test_channels_of_unlike_delay_meet_as_they_do(twin: Twin, playback: Play) -> None:
-    """The second channel comes 3 ms late: the peak is that of the sum over time, within 0.3 %, not the peaks' sum."""
+def test_channels_with_different_delays_are_added_in_time(twin: Twin, playback: Play) -> None:
+    """The second channel is 3 ms late: the peak is that of the sum over time, within 0.3 %, not the sum of peaks."""
     sent = [playback(), replace(playback(), delay=0.003)]
     fine = np.abs(course(twin, sent, np.arange(0, 0.2, 0.5e-6))).max()
     assert twin.felt(sent, [0.011])[0] == pytest.approx(fine, rel=3e-3)
     assert twin.felt([sent[0], None], [0.011])[0] + twin.felt([None, sent[1]], [0.011])[0] > 1.01 * fine
 
 
-def test_instrument_plays_its_cycles_and_delay(simulator: Simulator) -> None:
-    """What the commands set is what is sent; INFinity, or burst off, is no burst, and has neither."""
+def test_the_instrument_plays_the_cycles_and_delay_that_are_set(simulator: Simulator) -> None:
+    """With INFinity cycles the record repeats continuously, and the delay does not apply."""
     simulator.front_panel("DATA:COPY USER1;:SOUR1:FUNC USER1;:SOUR1:FREQ 20;:SOUR1:BURS:STAT ON;:OUTP1 ON")
     simulator.front_panel("SOUR1:BURS:NCYC 3;:SOUR1:BURS:TDEL 5MS;:TRIG:TIM 0.2")
     sent = simulator.playbacks[0]
@@ -106,7 +106,7 @@ def test_instrument_plays_its_cycles_and_delay(simulator: Simulator) -> None:
 
 
 def test_edit_memory_and_phase_are_played(simulator: Simulator) -> None:
-    """EMEM is a waveform as the USER memories are; a quarter of a turn begins a quarter into the record."""
+    """EMEM is a waveform like the USER memories; a phase of 90 degrees starts a quarter into the record."""
     simulator.front_panel("DATA:DEF EMEM,1000;:DATA:DATA:LINE EMEM,1,0,1000,9990;:SOUR2:FUNC EMEM;:OUTP2 ON")
     sent = simulator.playbacks[1]
     assert sent is not None
@@ -118,7 +118,7 @@ def test_edit_memory_and_phase_are_played(simulator: Simulator) -> None:
     np.testing.assert_array_equal(np.frombuffer(sent.record, ">u2"), np.roll(straight, -250))
 
 
-def test_forced_triggers_are_no_closer_than_their_bursts(apparatus: Apparatus) -> None:
+def test_a_trigger_during_a_delayed_burst_is_lost(apparatus: Apparatus) -> None:
     """*TRG: 10 ms of delay and three cycles of 50 ms; a trigger 159 ms later is lost, the next one counts."""
     clock = VirtualClock(100.0)
     with Simulator(apparatus, clock=clock) as simulator:

@@ -1,4 +1,4 @@
-"""What fingers feel on the simulated beam: closed forms, linearity, and nothing computed that nobody asks for."""
+"""Velocities under the fingers on the simulated beam: closed forms, linearity, and no unnecessary computation."""
 
 from __future__ import annotations
 
@@ -14,8 +14,10 @@ from modaltouch.rig.simulator.timeline import Playback
 from modaltouch.rig.simulator.twin import Twin
 
 
-def test_sine_at_a_resonance_reaches_the_closed_form(with_twin: Callable[..., Apparatus], apparatus: Apparatus) -> None:
-    """Steady state at resonance: speed = G V / (2 xi w) per modal shape (erratum 1); mode 1 alone, 2 s of sine."""
+def test_a_sine_at_resonance_agrees_with_the_closed_form(
+    with_twin: Callable[..., Apparatus], apparatus: Apparatus
+) -> None:
+    """Steady state at resonance: velocity = G V / (2 xi w) per modal shape (erratum 1); mode 1 alone, 2 s of sine."""
     mode = next(mode for mode in apparatus.modes if mode.label == 1)
     alone = with_twin(apparatus).model_copy(update={"modes": (mode,)})
     twin = Twin(alone, seed=1)
@@ -28,8 +30,8 @@ def test_sine_at_a_resonance_reaches_the_closed_form(with_twin: Callable[..., Ap
     assert twin.felt([sine, None], [0.0])[0] == pytest.approx(expected, rel=2e-3)
 
 
-def test_speed_is_linear_and_computed_once(playback: Callable[..., Playback], twin: Twin) -> None:
-    """Another level of the same records is a scale factor: no second computation."""
+def test_velocity_is_linear_and_computed_once(playback: Callable[..., Playback], twin: Twin) -> None:
+    """Another level of the same records is only a scale factor: no second computation."""
     one = twin.felt([playback(2.0), playback(1.0)], [0.0, -0.04])
     two = twin.felt([playback(4.0), playback(2.0)], [0.0, -0.04])
     assert two == pytest.approx(2 * one, rel=1e-12)
@@ -38,8 +40,8 @@ def test_speed_is_linear_and_computed_once(playback: Callable[..., Playback], tw
     assert twin.peaks.cache_info().misses == 2
 
 
-def test_only_the_places_asked_for_are_computed(playback: Callable[..., Playback], twin: Twin) -> None:
-    """A new place of the same setting is computed, a known one is not."""
+def test_only_requested_positions_are_computed(playback: Callable[..., Playback], twin: Twin) -> None:
+    """A new position with the same settings is computed, a known one is not."""
     twin.felt([playback(), None], [0.0])
     twin.felt([playback(), None], [0.0])
     assert twin.peaks.cache_info().misses == 1
@@ -47,14 +49,14 @@ def test_only_the_places_asked_for_are_computed(playback: Callable[..., Playback
     assert twin.peaks.cache_info().misses == 2
 
 
-def test_nothing_is_computed_while_nobody_measures(simulator: Simulator) -> None:
-    """An idle simulator computes nothing, and so does a question about a beam at rest."""
+def test_nothing_is_computed_for_a_beam_at_rest(simulator: Simulator) -> None:
+    """Neither by an idle simulator nor by a query for the velocity of a beam at rest."""
     simulator.felt_velocity(["A", "B", "C"])
     assert simulator.twin.peaks.cache_info().misses == 0
 
 
-def test_amplifier_saturates(playback: Callable[..., Playback], twin: Twin, apparatus: Apparatus) -> None:
-    """20 Vpp at a gain of 25 are 250 V: more amplitude than that adds no volt at the beam."""
+def test_the_amplifier_saturates(playback: Callable[..., Playback], twin: Twin, apparatus: Apparatus) -> None:
+    """20 Vpp at a gain of 25 are 250 V: a higher amplitude does not raise the voltage at the beam."""
     (held,) = twin.held_of([playback(40.0), None])
     assert np.abs(held.voltage[0]).max() == pytest.approx(apparatus.amplifier.limit_V)
     at_limit = twin.felt([playback(20.0), None], [0.0])[0]
@@ -62,10 +64,10 @@ def test_amplifier_saturates(playback: Callable[..., Playback], twin: Twin, appa
     assert at_limit < beyond < 2 * at_limit
 
 
-def test_amplifier_pole_slows_the_fast_modes(
+def test_the_amplifiers_pole_attenuates_the_drive(
     playback: Callable[..., Playback], with_twin: Callable[..., Apparatus], apparatus: Apparatus
 ) -> None:
-    """A first-order pole at the drive's own frequency leaves 1/sqrt(2) of it, within 2 %."""
+    """A first-order pole at the frequency of the drive reduces the velocity to 1/sqrt(2), within 2 %."""
     hertz = 2553.0
     mode = next(mode for mode in apparatus.modes if mode.label == 3)
     alone = with_twin(apparatus).model_copy(update={"modes": (mode,)})
@@ -77,34 +79,34 @@ def test_amplifier_pole_slows_the_fast_modes(
     assert ratio[0] == pytest.approx(1 / np.sqrt(2), rel=0.02)
 
 
-def test_constant_level_moves_nothing(playback: Callable[..., Playback], twin: Twin) -> None:
-    """An offset, or an idle level that the record does not leave, is a constant volt: no velocity."""
+def test_a_constant_voltage_causes_no_velocity(playback: Callable[..., Playback], twin: Twin) -> None:
+    """An offset, or an idle level equal to the whole record, is a constant voltage."""
     flat = replace(playback(), record=(8500).to_bytes(2, "big") * 100, idle_code=8500, offset=1.0)
     assert twin.felt([flat, None], [0.0])[0] == pytest.approx(0, abs=1e-15)
 
 
-def test_first_point_off_zero_kicks_the_beam(playback: Callable[..., Playback], twin: Twin) -> None:
-    """Where the output rests at the offset, a record that begins elsewhere starts with a step."""
+def test_a_first_point_off_zero_excites_the_beam(playback: Callable[..., Playback], twin: Twin) -> None:
+    """If the output rests at the offset, a record that begins at another code starts with a step."""
     step = replace(playback(), record=(8500).to_bytes(2, "big") * 100, idle_code=8191)
     assert twin.felt([step, None], [0.0])[0] > 1e-4
 
 
-def test_unequal_rates_add_their_peaks(playback: Callable[..., Playback], twin: Twin) -> None:
-    """Channels of different period slide past each other: the peaks meet."""
+def test_peaks_are_added_at_unequal_rates(playback: Callable[..., Playback], twin: Twin) -> None:
+    """Channels with different periods drift relative to each other, so that their peaks coincide at some time."""
     left, right = playback(), replace(playback(), period=0.2)
     together = twin.felt([left, right], [0.0])[0]
     alone = twin.felt([left, None], [0.0])[0] + twin.felt([None, right], [0.0])[0]
     assert together == pytest.approx(alone)
 
 
-def test_tripped_amplifier_moves_nothing(playback: Callable[..., Playback], twin: Twin) -> None:
-    """Its output is cut."""
+def test_a_tripped_amplifier_moves_nothing(playback: Callable[..., Playback], twin: Twin) -> None:
+    """The amplifier's output is off."""
     twin.tripped = True
     assert twin.felt([playback(), playback()], [0.0]).tolist() == [0.0]
 
 
-def test_zone_is_felt_at_its_centre(playback: Callable[..., Playback], simulator: Simulator) -> None:
-    """A zone's name and its centre in metres are one place; another name is refused with the names there are."""
+def test_a_zone_stands_for_its_centre(playback: Callable[..., Playback], simulator: Simulator) -> None:
+    """A zone's name and its centre in metres give the same velocity; an unknown name is refused with the known ones."""
     simulator.afg.user[1] = playback().record
     simulator.front_panel("SOUR1:FUNC USER1;FREQ 20;:OUTP1 ON")
     assert simulator.felt_velocity(["A"]) == simulator.felt_velocity([-0.04])

@@ -15,7 +15,7 @@ NO_ERROR = '0,"No error"'
 
 
 class Bench:
-    """An instrument without transport."""
+    """An instrument without a transport."""
 
     def __init__(self, behaviour: Behaviour | None = None) -> None:
         self.clock = VirtualClock(100.0)
@@ -28,7 +28,7 @@ class Bench:
         return self.instrument.execute(data).data.decode("latin1").rstrip("\n")
 
     def error(self, message: str | bytes) -> int:
-        """Return the number of the error that a message makes, 0 for none."""
+        """Return the number of the error caused by a message, 0 for none."""
         self.ask(message)
         return int(self.ask("SYST:ERR?").partition(",")[0])
 
@@ -47,7 +47,7 @@ def block(codes: list[int]) -> bytes:
 
 @pytest.fixture
 def bench() -> Bench:
-    """Return an instrument as switched on."""
+    """Return an instrument that has just been switched on."""
     return Bench()
 
 
@@ -123,7 +123,7 @@ TRANSCRIPT = [
 
 
 def test_transcript_of_the_command_list(bench: Bench) -> None:
-    """One session through every command of the notes, in order, without an error."""
+    """A session with every command of the notes, in order, without an error."""
     for message, reply in TRANSCRIPT:
         assert (message, bench.ask(message)) == (message, reply)
         assert bench.ask("SYST:ERR?") == NO_ERROR
@@ -160,19 +160,19 @@ def test_transcript_of_the_command_list(bench: Bench) -> None:
         ("SOUR1:BURS:NCYC 2000000", -222),
     ],
 )
-def test_mistake_has_its_standard_error(bench: Bench, message: str | bytes, code: int) -> None:
+def test_mistakes_cause_standard_errors(bench: Bench, message: str | bytes, code: int) -> None:
     """Numbers of SCPI-99, volume 2, 21.8; ranges of the notes (NI's tables for the AFG3022B)."""
     assert bench.error(message) == code
 
 
-def test_longest_record_has_131072_points(bench: Bench) -> None:
+def test_the_longest_record_has_131072_points(bench: Bench) -> None:
     """NI: 131072 points on the AFG3022B."""
     assert bench.error(block([8191] * 131_072)) == 0
     assert bench.error(block([8191] * 131_073)) == -223
 
 
-def test_event_status_has_the_bit_of_each_class(bench: Bench) -> None:
-    """IEEE 488.2, 11.5.1: command error 32, execution error 16, power on 128; reading clears."""
+def test_the_event_status_register_has_a_bit_per_error_class(bench: Bench) -> None:
+    """IEEE 488.2, 11.5.1: command error 32, execution error 16, power on 128; reading clears it."""
     assert bench.ask("*ESR?") == "128"
     bench.ask("NONSENSE")
     assert bench.ask("*ESR?") == "32"
@@ -181,8 +181,8 @@ def test_event_status_has_the_bit_of_each_class(bench: Bench) -> None:
     assert bench.ask("*ESR?") == "0"
 
 
-def test_error_queue_is_first_in_first_out_and_overflows() -> None:
-    """SCPI-99, 21.8.1: the last place of a full queue says -350."""
+def test_the_error_queue_is_first_in_first_out_and_overflows() -> None:
+    """SCPI-99, 21.8.1: the last entry of a full queue is -350."""
     bench = Bench(Behaviour(queue_depth=3))
     for message in ("NONSENSE", "SOUR1:VOLT 99VPP", "NONSENSE", "NONSENSE"):
         bench.ask(message)
@@ -190,7 +190,7 @@ def test_error_queue_is_first_in_first_out_and_overflows() -> None:
     assert replies == ["-113", "-222", "-350", '0,"N']
 
 
-def test_memories_outlive_reset_and_power_cut(bench: Bench) -> None:
+def test_memories_survive_reset_and_power_failure(bench: Bench) -> None:
     """USER memories are non-volatile; everything else is not (notes: power-cut question)."""
     bench.upload([8191, 9000, 8191, 8191], user=4)
     bench.ask("OUTP1 ON;:SOUR1:FREQ 20")
@@ -200,15 +200,15 @@ def test_memories_outlive_reset_and_power_cut(bench: Bench) -> None:
     assert bench.ask("DATA:COPY EMEM,USER4;:DATA:POIN? EMEM;:DATA:VAL? EMEM,2") == "4;9000"
 
 
-def test_impedance_rescales_the_numbers_only(bench: Bench) -> None:
-    """The output is always 50 ohm: 1 Vpp set for 50 ohm reads 2 Vpp once the load is called open."""
+def test_the_load_setting_only_rescales_the_numbers(bench: Bench) -> None:
+    """The output is always 50 ohm: 1 Vpp set for 50 ohm reads 2 Vpp once the load is set to open."""
     bench.ask("SOUR1:VOLT 1VPP")
     assert bench.ask("OUTP1:IMP INF;:SOUR1:VOLT?") == "2.0000E+00"
     assert bench.ask("OUTP1:IMP 50;:SOUR1:VOLT?") == "1.0000E+00"
 
 
 @pytest.mark.parametrize(("violation", "code", "level"), [("error", -222, "2.0000E+00"), ("clip", 0, "4.0000E+00")])
-def test_limit_refuses_or_clips(violation: str, code: int, level: str) -> None:
+def test_a_level_beyond_the_limit_is_refused_or_clipped(violation: str, code: int, level: str) -> None:
     """Both answers to an open question of the notes: amplitude / 2 + offset beyond VOLTage:LIMit."""
     bench = Bench(Behaviour(limit_violation=violation))  # type: ignore[arg-type]
     bench.ask("OUTP1:IMP INF;:SOUR1:VOLT 2VPP;:SOUR1:VOLT:LIM:HIGH 2;LOW -2")
@@ -216,7 +216,7 @@ def test_limit_refuses_or_clips(violation: str, code: int, level: str) -> None:
     assert bench.ask("SOUR1:VOLT?") == level
 
 
-def test_amplitude_keeps_four_digits_and_a_tenth_of_a_millivolt(bench: Bench) -> None:
+def test_amplitude_has_four_digits_or_steps_of_0_1_millivolt(bench: Bench) -> None:
     """Amplitude step 0.1 mVpp or 4 digits (notes)."""
     bench.ask("OUTP1:IMP INF")
     assert bench.ask("SOUR1:VOLT 1.23456VPP;VOLT?") == "1.2350E+00"
@@ -224,8 +224,8 @@ def test_amplitude_keeps_four_digits_and_a_tenth_of_a_millivolt(bench: Bench) ->
     assert bench.ask("SOUR1:VOLT 0.0234567VPP;VOLT?") == "2.3500E-02"
 
 
-def test_output_plays_only_when_everything_is_set(bench: Bench) -> None:
-    """On, with a record, burst on the timer: one period after the other; off or without record nothing."""
+def test_an_output_plays_only_when_everything_is_set(bench: Bench) -> None:
+    """On, with a record and the timer: one burst per period; off or without a record nothing."""
     bench.upload([8191, 9000, 8000, 8191])
     bench.ask("SOUR1:FUNC USER1;FREQ 20;:SOUR1:BURS:STAT ON;NCYC 1;:TRIG:TIM 0.142857;:OUTP1:IMP INF;:SOUR1:VOLT 3VPP")
     assert bench.afg.playback(1) is None
@@ -241,7 +241,7 @@ def test_output_plays_only_when_everything_is_set(bench: Bench) -> None:
 
 
 def test_external_triggers_are_described_until_the_outputs_are_off(bench: Bench) -> None:
-    """With EXT and nothing wired *TRG is the only trigger, for both channels; the period is the latest interval."""
+    """With EXT and no wire *TRG is the only trigger, for both channels; the period is the latest interval."""
     bench.upload([8191, 9000, 8000, 8191])
     for n in (1, 2):
         bench.ask(f"SOUR{n}:FUNC USER1;FREQ 20;:SOUR{n}:BURS:STAT ON;NCYC 1;:OUTP{n} ON")
@@ -266,7 +266,7 @@ def test_external_triggers_are_described_until_the_outputs_are_off(bench: Bench)
 
 
 @pytest.mark.parametrize(("level", "code"), [("first", 8000), ("last", 8500), ("offset", 8191)])
-def test_output_rests_where_it_is_told_to(level: str, code: int) -> None:
+def test_the_idle_level_of_an_output(level: str, code: int) -> None:
     """The three possible idle levels of the notes' first open question."""
     bench = Bench(Behaviour(idle_level=level))  # type: ignore[arg-type]
     bench.upload([8000, 9000, 8500])
@@ -274,8 +274,8 @@ def test_output_rests_where_it_is_told_to(level: str, code: int) -> None:
     assert bench.afg.playback(1).idle_code == code  # type: ignore[union-attr]
 
 
-def test_locked_memory_is_not_overwritten(bench: Bench) -> None:
-    """DATA:LOCK protects a memory from copies and from being deleted."""
+def test_a_locked_memory_is_not_overwritten(bench: Bench) -> None:
+    """DATA:LOCK protects a memory against copies and deletion."""
     bench.upload([8191, 9000])
     bench.ask("DATA:LOCK USER1,ON")
     assert bench.error("DATA:COPY USER1,EMEM") == -221

@@ -1,4 +1,4 @@
-"""The twin of the Keysight 33522B: what its guide says it does, and a driver that knows nothing of this project."""
+"""The twin of the Keysight 33522B against its user's guide and a driver that is independent of this project."""
 
 from __future__ import annotations
 
@@ -33,19 +33,19 @@ def apparatus() -> Apparatus:
 
 @pytest.fixture
 def stranger(simulator: Simulator) -> Iterator[Any]:
-    """Return PyMeasure's driver of the series at the simulator."""
+    """Return PyMeasure's driver of the series, connected to the simulator."""
     adapter = VISAAdapter(simulator.address, visa_library="@py", timeout=1000)
     yield Agilent33500(adapter)
     adapter.close()
 
 
 def said(simulator: Simulator, *messages: str) -> str:
-    """Return the last reply to messages at the front panel."""
+    """Return the last reply to messages from the front panel."""
     return [simulator.front_panel(message) for message in messages][-1]
 
 
 def error_of(simulator: Simulator, message: str) -> str:
-    """Return the error that a message leaves."""
+    """Return the error that a message causes."""
     return said(simulator, "*CLS", message, "SYST:ERR?")
 
 
@@ -83,7 +83,7 @@ def test_pymeasure_sets_and_reads_both_channels(stranger: Any, simulator: Simula
 
 
 def test_pymeasure_uploads_a_record(stranger: Any, simulator: Simulator) -> None:
-    """Codes and values under names, selected, at a rate, unfiltered; a name is not used twice without clearing."""
+    """Codes and values under names, selected, at a rate, unfiltered; a name can be reused only after clearing."""
     channel = stranger.ch_2
     ramp = range(-10_000, 10_000, 20)
     channel.data_arb("test", ramp, data_format="DAC")
@@ -107,14 +107,14 @@ def test_pymeasure_uploads_a_record(stranger: Any, simulator: Simulator) -> None
 
 
 def write(simulator: Simulator, codes: list[int], name: str = "REC") -> None:
-    """Select a record of channel 1, to be played without a filter."""
+    """Select a record for channel 1, played without a filter."""
     points = ",".join(map(str, codes))
     said(simulator, f"SOUR1:DATA:ARB:DAC {name},{points}", f'SOUR1:FUNC:ARB "{name}"', "SOUR1:FUNC ARB")
     said(simulator, "SOUR1:FUNC:ARB:FILT OFF", "OUTP1:LOAD INF", "OUTP1 ON")
 
 
-def test_amplitude_is_that_of_the_record(simulator: Simulator) -> None:
-    """Values from 0 to 1 at 0.9 Vpp go from 0 to 0.9 V, as a user's 33522B played them: 1.8 Vpp of full scale."""
+def test_the_amplitude_is_that_of_the_record(simulator: Simulator) -> None:
+    """Values from 0 to 1 at 0.9 Vpp are 0 to 0.9 V, as a user's 33522B played them: full scale is 1.8 Vpp."""
     write(simulator, [0] * 8 + [HIGHEST_CODE] * 8)
     said(simulator, "SOUR1:VOLT 0.9", "SOUR1:VOLT:OFFS 0")
     playback = simulator.afg.playback(1)
@@ -125,8 +125,8 @@ def test_amplitude_is_that_of_the_record(simulator: Simulator) -> None:
     assert (volts.min(), volts.max()) == (0, pytest.approx(0.9))
 
 
-def test_codes_that_are_not_used_limit_the_amplitude(simulator: Simulator) -> None:
-    """The guide's "Sinc" from -0.2174 to 1 reaches 6.087 V of 10 into 50 ohm; more is cut, with -222."""
+def test_unused_codes_limit_the_amplitude(simulator: Simulator) -> None:
+    """The guide's "Sinc" from -0.2174 to 1 reaches 6.087 V of 10 into 50 ohm; more is clipped, with -222."""
     write(simulator, [round(-0.2174 * HIGHEST_CODE)] * 8 + [HIGHEST_CODE] * 8)
     said(simulator, "OUTP1:LOAD 50")
     assert float(said(simulator, "SOUR1:VOLT? MAX")) == pytest.approx(6.087, abs=5e-4)
@@ -168,13 +168,13 @@ def test_codes_that_are_not_used_limit_the_amplitude(simulator: Simulator) -> No
         ("SOUR1:VOLT:LIM:STAT ON;:SOUR1:VOLT:LIM:HIGH 1;:SOUR1:VOLT 4", -221),
     ],
 )
-def test_what_is_refused(simulator: Simulator, message: str, error: int) -> None:
-    """Too few points, a name too long, a code beyond the converter, what does not exist, what passes a limit."""
+def test_invalid_records_and_settings_are_refused(simulator: Simulator, message: str, error: int) -> None:
+    """Too few points, a long name, a code beyond the converter, an unknown record, a value beyond a limit."""
     assert error_of(simulator, message).split(",")[0] == str(error)
 
 
 def test_an_amplitude_beyond_the_limits_may_be_clipped(simulator: Simulator) -> None:
-    """As some instruments do, without an error: a driver that reads back notices."""
+    """As on some instruments, without an error: only reading back shows it."""
     said(simulator, "OUTP1:LOAD INF", "SOUR1:VOLT 1", "SOUR1:VOLT:LIM:HIGH 1.5;LOW -1.5;STAT ON")
     simulator.afg.behaviour = replace(simulator.afg.behaviour, limit_violation="clip")
     said(simulator, "SOUR1:VOLT 4")
@@ -182,7 +182,7 @@ def test_an_amplitude_beyond_the_limits_may_be_clipped(simulator: Simulator) -> 
 
 
 def test_both_byte_orders_are_read(simulator: Simulator) -> None:
-    """`FORM:BORD SWAP` takes the low byte first."""
+    """With `FORM:BORD SWAP` the low byte is first."""
     codes = np.array([1, -2, 300, -32767, 32767, 0, 5, 6])
     for name, order, kind in (("A", "NORM", ">i2"), ("B", "SWAP", "<i2")):
         simulator.front_panel(f"FORM:BORD {order}")
@@ -193,8 +193,8 @@ def test_both_byte_orders_are_read(simulator: Simulator) -> None:
     assert int(said(simulator, "SOUR2:DATA:VOL:FREE?")) == (1 << 20) - 16
 
 
-def test_one_bus_trigger_begins_both_channels(simulator: Simulator, clock: VirtualClock) -> None:
-    """Each channel waits by its own source; one that waits for another trigger does not play with it."""
+def test_one_bus_trigger_starts_both_channels(simulator: Simulator, clock: VirtualClock) -> None:
+    """Each channel has its own trigger source; a channel with another source does not start."""
     for n in (1, 2):
         points = ",".join(["0", "20000"] * 50)
         said(simulator, f"SOUR{n}:DATA:ARB:DAC R,{points}", f"SOUR{n}:FUNC:ARB R", f"SOUR{n}:FUNC ARB")
@@ -209,8 +209,8 @@ def test_one_bus_trigger_begins_both_channels(simulator: Simulator, clock: Virtu
     assert [playback is not None for playback in simulator.playbacks] == [True, False]
 
 
-def test_values_come_as_floats_in_either_byte_order(simulator: Simulator) -> None:
-    """`DATA:ARB` takes values from -1 to 1, as text or as a block of four bytes each."""
+def test_values_are_read_as_floats_in_both_byte_orders(simulator: Simulator) -> None:
+    """`DATA:ARB` takes values from -1 to 1, here in blocks of four bytes each."""
     values = np.array([0, 0.5, -0.5, 1, -1, 0.25, 0, 0])
     for name, order, kind in (("A", "NORM", ">f4"), ("B", "SWAP", "<f4")):
         simulator.front_panel(f"FORM:BORD {order}")
@@ -218,10 +218,8 @@ def test_values_come_as_floats_in_either_byte_order(simulator: Simulator) -> Non
         np.testing.assert_array_equal(simulator.afg.volatile[1][name], np.round(values * HIGHEST_CODE))
 
 
-def test_a_burst_without_end_plays_from_its_trigger_until_it_is_aborted(
-    simulator: Simulator, clock: VirtualClock
-) -> None:
-    """`BURS:NCYC INF` reads 9.9E+37; `TRIG1` begins it whatever the source, `ABOR` ends it."""
+def test_an_endless_burst_plays_until_it_is_aborted(simulator: Simulator, clock: VirtualClock) -> None:
+    """`BURS:NCYC INF` reads 9.9E+37; `TRIG1` starts it with any trigger source, `ABOR` ends it."""
     write(simulator, [0, 20000] * 50)
     said(simulator, "TRIG1:SOUR EXT", "SOUR1:BURS:NCYC INF", "SOUR1:BURS:STAT ON")
     assert float(said(simulator, "SOUR1:BURS:NCYC?")) == 9.9e37
@@ -243,8 +241,8 @@ WORDS = (
 
 @settings(max_examples=400, deadline=None, derandomize=True)
 @given(head=st.sampled_from(HEADS), query=st.sampled_from(["", "?"]), word=st.sampled_from(WORDS))
-def test_nothing_that_is_sent_is_more_than_an_error(head: str, query: str, word: str) -> None:
-    """Every header with whatever argument: a reply, a setting or an entry of the error queue."""
+def test_no_message_breaks_the_instrument(head: str, query: str, word: str) -> None:
+    """Every header with any argument causes a reply, a setting or an entry of the error queue."""
     TABLE.run(f"{head}{query} {word}".encode(), fail=STATE.fail)
     STATE.clock.sleep(1e-3)
     for number in STATE.channels:
@@ -252,8 +250,8 @@ def test_nothing_that_is_sent_is_more_than_an_error(head: str, query: str, word:
         assert playback is None or playback.duration > 0
 
 
-def test_files_last_and_records_do_not(simulator: Simulator) -> None:
-    """A power cut empties the memories of the channels; a file written of a record stays, with its codes."""
+def test_files_survive_a_power_failure_and_records_do_not(simulator: Simulator) -> None:
+    """The channels' memories are empty after it; a file stored from a record keeps its codes."""
     write(simulator, [0, 1, -2, 32767, -32767, 5, 6, 0])
     said(simulator, 'MMEM:STOR:DATA1 "INT:\\KEPT.ARB"')
     simulator.power_cycle()
@@ -262,7 +260,7 @@ def test_files_last_and_records_do_not(simulator: Simulator) -> None:
     assert content.partition("Data:\n")[2].split() == ["0", "1", "-2", "32767", "-32767", "5", "6", "0"]
 
 
-def test_high_and_low_levels_are_amplitude_and_offset(simulator: Simulator) -> None:
+def test_high_and_low_levels_set_amplitude_and_offset(simulator: Simulator) -> None:
     """1 V and -0.5 V are 1.5 Vpp about 0.25 V."""
     said(simulator, "OUTP1:LOAD INF", "SOUR1:VOLT:HIGH 1", "SOUR1:VOLT:LOW -0.5")
     told = said(simulator, "SOUR1:VOLT?;VOLT:OFFS?;HIGH?;LOW?").split(";")

@@ -1,4 +1,4 @@
-"""Amplitudes in three units at the load that a channel is told, against what every bench table says."""
+"""Amplitudes in three units at the load that is set for a channel, against standard conversions."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ from modaltouch.rig.simulator import Simulator
         ("FUNC SIN;:SOUR1:VOLT:UNIT DBM;:SOUR1:VOLT 1500 mVpp", 1.5),
     ],
 )
-def test_amplitude_is_understood_in_its_unit(simulator: Simulator, setting: str, vpp: float) -> None:
-    """What was sent, read back in volts peak to peak: sine, square and ramp by their crest factors."""
+def test_an_amplitude_is_converted_from_its_unit(simulator: Simulator, setting: str, vpp: float) -> None:
+    """Read back in volts peak to peak: sine, square and ramp by their crest factors."""
     simulator.front_panel(f"SOUR1:{setting};:SOUR1:VOLT:UNIT VPP")
     assert simulator.front_panel("SYST:ERR?") == '0,"No error"'
     assert float(simulator.front_panel("SOUR1:VOLT?")) == pytest.approx(vpp, rel=5e-4)
 
 
 @pytest.mark.parametrize(("unit", "answer"), [("VPP", 1.0), ("VRMS", 0.353553), ("DBM", 3.9794)])
-def test_amplitude_is_told_in_the_unit_of_the_channel(simulator: Simulator, unit: str, answer: float) -> None:
+def test_an_amplitude_is_returned_in_the_channels_unit(simulator: Simulator, unit: str, answer: float) -> None:
     """A sine of 1 Vpp into 50 ohm: 353.6 mV rms, 2.5 mW."""
     simulator.front_panel(f"SOUR1:FUNC SIN;:SOUR1:VOLT 1VPP;:SOUR1:VOLT:UNIT {unit}")
     assert float(simulator.front_panel("SOUR1:VOLT?")) == pytest.approx(answer, rel=1e-3)
@@ -43,8 +43,8 @@ def test_amplitude_is_told_in_the_unit_of_the_channel(simulator: Simulator, unit
         ("SOUR1:VOLT 1HZ", "-131"),
     ],
 )
-def test_amplitude_that_cannot_be_is_an_error(simulator: Simulator, setting: str, error: str) -> None:
-    """Conflict, range and foreign unit by their standard numbers; the level stays."""
+def test_an_impossible_amplitude_is_an_error(simulator: Simulator, setting: str, error: str) -> None:
+    """Conflict, range and foreign unit have their standard numbers; the level does not change."""
     simulator.front_panel(setting)
     assert simulator.front_panel("SYST:ERR?").startswith(error)
     assert simulator.afg.channels[1].amplitude == 2.0

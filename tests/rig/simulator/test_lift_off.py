@@ -1,4 +1,4 @@
-"""Fingers that let go: against an integrator that looks for each event, and in the limits."""
+"""Fingers that lose contact: against an integrator that locates each event, and in limiting cases."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ COMPOSED = PLAIN | {
 
 
 class Pressed:
-    """One mode of shape 1 and a finger above it: 6 states of contact, 8 once it has let go.
+    """One mode of shape 1 and a finger on it: 6 states in contact, 8 without contact.
 
-    Beam's place and speed, Maxwell force, stretch to the second mass, its speed; then place and speed of the finger.
+    Beam's displacement and velocity, Maxwell force, stretch to the second mass, its velocity; then those of the finger.
     """
 
     def __init__(self, finger: FingerSection, volts: Callable[[float], float]) -> None:
@@ -53,7 +53,7 @@ class Pressed:
         return [maxwell, speed - y[4], (stiffness * y[3] - damping * y[4]) / mass]
 
     def beam_pushed(self, t: float, y: FloatArray) -> float:
-        """Acceleration of the beam by itself."""
+        """Acceleration of the beam alone."""
         return float(GAIN * self.volts(t) - self.beam[0] * y[0] - self.beam[1] * y[1])
 
     def touching(self, t: float, y: FloatArray) -> list[float]:
@@ -62,16 +62,16 @@ class Pressed:
         return [y[1], pushed / (1 + self.mass / MASS), *self.inner(y[1], y), y[1], pushed / (1 + self.mass / MASS)]
 
     def apart(self, t: float, y: FloatArray) -> list[float]:
-        """Rates once it has let go."""
+        """Rates while it has lost contact."""
         falls = -(self.holding(y[5], y[6], y) + PRESS) / self.mass
         return [y[1], self.beam_pushed(t, y) + PRESS / MASS, *self.inner(y[6], y), y[6], falls]
 
     def contact_force(self, t: float, y: FloatArray) -> float:
-        """What the beam bears; the finger lets go where it would have to pull."""
+        """Force on the beam; the finger loses contact where it would become tensile."""
         return PRESS + self.mass * self.touching(t, y)[1] + self.holding(y[0], y[1], y)
 
     def speeds(self, times: FloatArray) -> tuple[FloatArray, int]:
-        """Speed of the beam at some instants, and how often the finger lets go."""
+        """Velocity of the beam at given instants, and how often the finger loses contact."""
         y, start, n_lifted, found = np.zeros(7), 0.0, 0, np.zeros(times.size)
         touches = True
         while start < times[-1]:
@@ -95,7 +95,7 @@ class Pressed:
 
 
 @pytest.mark.parametrize("values", [PLAIN, COMPOSED], ids=["plain", "composed"])
-def test_a_finger_lets_go_and_lands_as_the_equations_say(
+def test_loss_of_contact_and_landing_follow_the_equations(
     with_twin: Callable[..., Apparatus], apparatus: Apparatus, playback: Callable[..., Playback], values: dict[str, Any]
 ) -> None:
     """Mode 1 alone, by an adaptive integrator with events; landing shares the momentum. Within 0.2 % of the peak."""
@@ -109,7 +109,7 @@ def test_a_finger_lets_go_and_lands_as_the_equations_say(
     assert n_lifted >= 4
     pressed = PressedBeam.of(twin.beam, twin.amplifier, twin.fingers(0.0), PRESS)
     (found,) = pressed.velocities(held.voltage, held.hold)
-    # At an event the speed may jump a sample early or late.
+    # At an event the velocity may jump one sample early or late.
     off = np.sort(np.abs(found - expected))[: -2 * n_lifted]
     assert off.max() < 2e-3 * np.abs(expected).max()
     assert twin.felt([sine, None], [0.0])[0] == pytest.approx(np.abs(found).max(), rel=1e-12)
@@ -117,10 +117,10 @@ def test_a_finger_lets_go_and_lands_as_the_equations_say(
     assert np.abs(found - never).max() > 0.05 * np.abs(found).max()
 
 
-def test_a_finger_that_presses_hard_never_lets_go(
+def test_a_finger_that_presses_hard_never_loses_contact(
     with_twin: Callable[..., Apparatus], apparatus: Apparatus, playback: Callable[..., Playback]
 ) -> None:
-    """All modes, torsion and the amplifier's pole included: the coupled equations, but for the contact's few points."""
+    """All modes, torsion and the amplifier's pole: as by the coupled equations, except for the few contact points."""
     finger = FingerSection(**PLAIN)
     twins = [
         Twin(apparatus.model_copy(update={"twin": apparatus.twin.model_copy(update={"fingers": finger, **press})}), 1)

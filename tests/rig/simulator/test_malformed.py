@@ -1,4 +1,4 @@
-"""Messages that no driver should send: an error in the queue, never a traceback, a wait, or memory that grows."""
+"""Malformed messages cause an error in the queue, never a traceback, a hang, or growing memory."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ NUMERIC = {
     "OUTPut1:IMPedance": "OHM",
     "SOUR1:PHAS": "RAD",
 }
-"""Commands of a channel with one number, and the unit it has."""
+"""Commands of a channel with one number, and its unit."""
 
 KEYWORD = {
     "SOUR1:FUNC": "SIN",
@@ -42,7 +42,7 @@ KEYWORD = {
     "TRIG:SOUR": "TIM",
     "OUTP:TRIG:MODE": "SYNC",
 }
-"""Commands with one keyword, and one that they know."""
+"""Commands with one keyword, and a valid one."""
 
 
 def fresh() -> SimulatedInstrument:
@@ -51,7 +51,7 @@ def fresh() -> SimulatedInstrument:
 
 
 def broken(rng: random.Random) -> tuple[str, int]:
-    """Return a command that is wrong in one respect, and the number of SCPI-99 for it."""
+    """Return a command with one fault, and the SCPI-99 number of its error."""
     header, unit = rng.choice(list(NUMERIC.items()))
     word, known = rng.choice(list(KEYWORD.items()))
     number = rng.uniform(0.1, 9)
@@ -87,7 +87,7 @@ def broken(rng: random.Random) -> tuple[str, int]:
 
 
 def mutated(rng: random.Random) -> bytes:
-    """Return bytes that began as commands."""
+    """Return randomly changed commands as bytes."""
     units = [broken(rng)[0] for _ in range(rng.randint(1, 8))]
     units += ["*IDN?", "SYST:ERR?", "DATA? EMEM", "*RST;*OPC?", "DATA:COPY USER1,EMEM"][: rng.randint(0, 5)]
     rng.shuffle(units)
@@ -116,8 +116,8 @@ def errors_of(instrument: SimulatedInstrument) -> list[str]:
     return errors
 
 
-def test_six_thousand_wrong_commands_have_their_numbers_in_the_queue() -> None:
-    """One fault each, with the number that SCPI-99, 21.8, has for it; no other command is touched by it."""
+def test_6000_wrong_commands_cause_their_standard_errors() -> None:
+    """One fault each, with the number of SCPI-99, 21.8; the settings of channel 1 do not change."""
     rng, instrument = random.Random(488), fresh()
     for _ in range(6000):
         message, number = broken(rng)
@@ -127,8 +127,8 @@ def test_six_thousand_wrong_commands_have_their_numbers_in_the_queue() -> None:
     assert instrument.afg.channels[1] == fresh().afg.channels[1]
 
 
-def test_four_thousand_mutilated_messages_leave_an_instrument_that_answers() -> None:
-    """Random changes of compound messages: known numbers in well-formed entries, no wait, and no memory kept."""
+def test_4000_corrupted_messages_leave_a_working_instrument() -> None:
+    """Random changes of compound messages: known numbers in well-formed entries, no hang, and no memory kept."""
     rng, instrument = random.Random(1999), fresh()
 
     def send_some(count: int) -> None:
@@ -155,7 +155,7 @@ def test_four_thousand_mutilated_messages_leave_an_instrument_that_answers() -> 
 
 
 FOUND: list[tuple[bytes, int]] = [
-    # what broke the simulator, or would have, and the number it has now
+    # messages that broke the simulator, or would have, and the error that they cause
     (b"OUTP1 \xb5", -104),
     (b"OUTP1 1E400", -222),
     (b"SOUR" + b"9" * 5000 + b":VOLT 1", -112),
@@ -184,8 +184,8 @@ FOUND: list[tuple[bytes, int]] = [
 
 
 @pytest.mark.parametrize(("message", "number"), FOUND, ids=lambda value: repr(value)[:30])
-def test_found_cases_stay_mended(message: bytes, number: int) -> None:
-    """Each is an error in the queue within a second, and the next question is answered."""
+def test_fixed_cases_stay_fixed(message: bytes, number: int) -> None:
+    """Each is an error in the queue within a second, and the next query is answered."""
     instrument = fresh()
     started = time.thread_time()
     assert instrument.execute(message).data == b""
@@ -194,8 +194,8 @@ def test_found_cases_stay_mended(message: bytes, number: int) -> None:
     assert instrument.execute(b"*OPC?").data == b"1\n"
 
 
-def test_headers_that_do_not_exist_are_not_remembered() -> None:
-    """A thousand different ones leave the table of known headers as it was."""
+def test_unknown_headers_are_not_cached() -> None:
+    """A thousand different ones leave the table of known headers unchanged."""
     instrument = fresh()
     before = len(instrument._table._known)
     for count in range(1000):
@@ -211,7 +211,7 @@ def standing(apparatus: Apparatus) -> Iterator[Simulator]:
 
 
 def send(simulator: Simulator, data: bytes, *, wait: float = 0.02) -> None:
-    """Send bytes over a connection of their own, and leave."""
+    """Send bytes over a separate connection, and close it."""
     port = int(simulator.address.partition(",")[2].partition(":")[0])
     with socket.create_connection(("127.0.0.1", port), timeout=2) as connection:
         connection.settimeout(wait)
@@ -229,7 +229,7 @@ def call(procedure: int, parameters: bytes, *, program: int = 0x0607AF) -> bytes
 
 
 def frames(rng: random.Random) -> bytes:
-    """Return something that is nearly VXI-11."""
+    """Return bytes that are nearly VXI-11."""
     link = call(10, struct.pack(">iIII", 1, 0, 50, 5) + b"inst0" + bytes(3))
     body = rng.randbytes(rng.randint(0, 60))
     match rng.randrange(8):
@@ -258,8 +258,8 @@ def n_serving() -> int:
     return sum(thread.name == "vxi11-link" for thread in threading.enumerate())
 
 
-def test_malformed_frames_end_their_own_connection_alone(standing: Simulator) -> None:
-    """400 of them: no exception in any thread (pytest turns one into a failure), no link left, others served."""
+def test_malformed_frames_end_only_their_own_connection(standing: Simulator) -> None:
+    """After 400 of them no thread has raised (pytest fails otherwise), no link is left, and others are served."""
     rng = random.Random(1831)
     client: Any = pyvisa.ResourceManager("@py").open_resource(standing.address)
     client.timeout = 2000
@@ -275,8 +275,8 @@ def test_malformed_frames_end_their_own_connection_alone(standing: Simulator) ->
     assert len(standing.server.links) == n_serving() == 0
 
 
-def test_link_of_another_connection_is_out_of_reach(standing: Simulator) -> None:
-    """Its number guessed right: neither written to nor destroyed (VXI-11 error 4)."""
+def test_a_link_of_another_connection_is_inaccessible(standing: Simulator) -> None:
+    """With its number guessed, it is neither written to nor destroyed (VXI-11 error 4)."""
     client: Any = pyvisa.ResourceManager("@py").open_resource(standing.address)
     number = client.visalib.sessions[client.session].link
     client.write("SOUR1:FREQ 20")
@@ -301,7 +301,7 @@ def test_message_without_end_is_dropped_before_it_fills_the_memory(standing: Sim
 
 
 def test_a_frame_longer_than_any_message_is_refused(standing: Simulator) -> None:
-    """4 GiB announced: the connection ends, and nothing is set aside for it."""
+    """With 4 GiB announced, the connection ends, and no memory is allocated for it."""
     tracemalloc.start()
     send(standing, struct.pack(">I", 0xFFFFFFFF) + b"x" * 1000, wait=0.2)
     peak = tracemalloc.get_traced_memory()[1]

@@ -1,4 +1,4 @@
-"""What a twin tells of the bursts that it really played: a line each, in a file that others read meanwhile."""
+"""The twin's list of the bursts that it played: one line each, in a file that other programs read meanwhile."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ def arm(simulator: Simulator, playback: Playback) -> None:
 
 
 def lines_of(file: Path) -> list[dict[str, Any]]:
-    """Return what has been written."""
+    """Return the lines written so far."""
     return [json.loads(line) for line in file.read_text().splitlines()]
 
 
 @contextlib.contextmanager
 def twin(file: Path) -> Iterator[int]:
-    """Run a twin in a process of its own; give its port."""
+    """Run a twin in a separate process; yield its port."""
     command = [sys.executable, "-m", "modaltouch", "rig", "simulate", "--played", str(file)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
@@ -59,14 +59,14 @@ def prepare(instrument: Any) -> None:
     instrument.write("DATA:DEF EMEM,1000;:DATA:DATA:LINE EMEM,100,8191,500,9000;:DATA:COPY USER1;:TRIG:SOUR EXT")
     for n in (1, 2):
         instrument.write(SETTINGS.format(n=n))
-    # The relays take 4 ms of the twin's own time, and the timer's last burst 50.
+    # The relays take 4 ms of the twin's own time, and the timer's last burst 50 ms.
     time.sleep(0.1)
 
 
-def test_line_says_what_reached_the_beam(
+def test_a_line_describes_what_reached_the_beam(
     apparatus: Apparatus, playback: Callable[..., Playback], tmp_path: Path
 ) -> None:
-    """Whole, cut in its middle, and with the amplifier tripped; nothing for a trigger with the outputs off."""
+    """A whole burst, one cut in its middle, one with a tripped amplifier; no line for a trigger with outputs off."""
     file, clock, burst = tmp_path / "played", VirtualClock(50.0), playback()
     with Simulator(apparatus, clock=clock, played=file) as simulator:
         arm(simulator, burst)
@@ -97,10 +97,10 @@ def test_line_says_what_reached_the_beam(
     assert {line["link"] for line in lines} == {0}
 
 
-def test_peak_of_a_cut_burst_is_that_of_its_part(
+def test_the_peak_of_a_cut_burst_is_that_of_the_part_played(
     apparatus: Apparatus, playback: Callable[..., Playback], tmp_path: Path
 ) -> None:
-    """A record that is at rest in its second half loses nothing there; one at rest in its first half, everything."""
+    """A record at rest in its second half is unaffected by the cut; one at rest in its first half loses everything."""
     file, clock = tmp_path / "played", VirtualClock(50.0)
     half = playback().record[::2]
     codes = np.frombuffer(playback().record, ">u2")[::2]
@@ -122,10 +122,10 @@ def test_peak_of_a_cut_burst_is_that_of_its_part(
     assert late_cut < 1e-3 * late
 
 
-def test_burst_that_plays_when_the_twin_ends_is_told(
+def test_a_burst_that_plays_when_the_twin_ends_is_listed(
     apparatus: Apparatus, playback: Callable[..., Playback], tmp_path: Path
 ) -> None:
-    """It ends there."""
+    """Its end is the twin's, and it is not whole."""
     clock = VirtualClock(50.0)
     with Simulator(apparatus, clock=clock, played=tmp_path / "played") as simulator:
         arm(simulator, playback())
@@ -135,10 +135,10 @@ def test_burst_that_plays_when_the_twin_ends_is_told(
     assert (line["end_s"], line["whole"]) == (pytest.approx(clock.now()), False)
 
 
-def test_full_disk_is_said(
+def test_a_full_disk_is_reported(
     apparatus: Apparatus, playback: Callable[..., Playback], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The twin goes on without."""
+    """The twin continues without its list."""
     clock = VirtualClock(50.0)
     with Simulator(apparatus, clock=clock, played=Path("/dev/full")) as simulator:
         arm(simulator, playback())
@@ -147,8 +147,8 @@ def test_full_disk_is_said(
     assert capsys.readouterr().err.startswith("/dev/full: No space left on device; no burst is listed from here on")
 
 
-def test_links_are_told_apart(apparatus: Apparatus, playback: Callable[..., Playback], tmp_path: Path) -> None:
-    """By message and by VXI-11's own trigger, of two links; 0 is the front panel, null the timer."""
+def test_links_are_distinguished(apparatus: Apparatus, playback: Callable[..., Playback], tmp_path: Path) -> None:
+    """By message and by VXI-11's trigger, over two links; 0 is the front panel, null the timer."""
     clock = VirtualClock(50.0)
     with Simulator(apparatus, clock=clock, played=tmp_path / "played") as simulator:
         arm(simulator, playback())
@@ -170,10 +170,10 @@ def test_links_are_told_apart(apparatus: Apparatus, playback: Callable[..., Play
     assert [line["link"] for line in lines[:5]] == [1, 2, 2, 0, None]
 
 
-def test_felt_does_not_compute_anew_while_the_period_jitters(
+def test_velocities_are_not_recomputed_while_the_period_jitters(
     apparatus: Apparatus, playback: Callable[..., Playback], rng: np.random.Generator
 ) -> None:
-    """One computation for fifty triggers, the first included, which has no period yet."""
+    """One computation for fifty triggers, including the first, which has no period yet."""
     clock = VirtualClock(50.0)
     with Simulator(apparatus, clock=clock) as simulator:
         arm(simulator, playback())
@@ -188,8 +188,8 @@ def test_felt_does_not_compute_anew_while_the_period_jitters(
         assert set(felt) == {felt[0]}
 
 
-def test_other_process_reads_each_burst_when_it_ends(tmp_path: Path) -> None:
-    """While the twin runs; by the machine's clock the burst began between the question and its answer, and 0.3 ms."""
+def test_another_process_reads_each_burst_when_it_ends(tmp_path: Path) -> None:
+    """While the twin runs; by the machine's clock the burst starts between sending and acknowledgement, plus 0.3 ms."""
     file = tmp_path / "played"
     with twin(file) as port:
         instrument = visa(port)
@@ -208,8 +208,8 @@ def test_other_process_reads_each_burst_when_it_ends(tmp_path: Path) -> None:
         instrument.close()
 
 
-def test_file_that_cannot_be_written_ends_it_before_it_serves(tmp_path: Path) -> None:
-    """A sentence with the file and what to do, status 2, no address."""
+def test_the_twin_does_not_start_if_its_list_cannot_be_written(tmp_path: Path) -> None:
+    """A message with the file and the remedy, status 2, no address."""
     ended = subprocess.run(
         [sys.executable, "-m", "modaltouch", "rig", "simulate", "--played", str(tmp_path)],
         capture_output=True,

@@ -1,4 +1,4 @@
-"""Simulated vibrometer and scope: chirps and bursts through the real driver, and each imperfection by its figure."""
+"""Simulated vibrometer and scope: chirps and bursts through the real driver, and each imperfection in figures."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ QUIET_VIBROMETER = Vibrometer(bandwidth_kHz=None, delay_us=0.0, noise_um_s_per_s
 
 
 def lab(apparatus: Apparatus, **values: Any) -> Apparatus:
-    """Return an apparatus whose instruments are ideal but for what is stated."""
+    """Return an apparatus with ideal instruments except for the given values."""
     ideal = {"scope": QUIET_SCOPE, "vibrometer": QUIET_VIBROMETER}
     return apparatus.model_copy(update={"twin": apparatus.twin.model_copy(update=ideal | values)})
 
@@ -40,7 +40,7 @@ def sine(hertz: float = 2000.0, amplitude: float = 4.0, *, n: int = 50_000, cycl
 
 @pytest.fixture
 def at(apparatus: Apparatus, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Recording]]:
-    """Return what measures a sine at a position, with an acquisition and differences of the twin."""
+    """Return a function that measures a sine at a position, with an acquisition and differences of the twin."""
     opened: list[Simulator] = []
 
     def measure(
@@ -73,10 +73,10 @@ def chirp_burst(n: int = 131_072, rate: float = 500e3, highest: float = 110e3, v
 def test_chirp_through_the_driver_gives_the_true_transfer_function(
     apparatus: Apparatus, guard: Any, patience: Any
 ) -> None:
-    """Output spectrum over drive spectrum at the nine peaks: the modes' closed form, within 1 % in the complex plane.
+    """Output over drive spectrum at the nine peaks agrees with the modes' closed form, within 1 % in the complex plane.
 
-    The chirp of 131,072 points at 500 kS/s plays continuously from a USER memory; the scope takes five samples to each
-    of its points, so that no image of the held samples folds.
+    The chirp of 131,072 points at 500 kS/s plays continuously from a USER memory; the scope takes five samples per
+    point, so that no image of the held samples is aliased.
     """
     with (
         Simulator(lab(apparatus, amplifier=TrueAmplifier(bandwidth_kHz=300.0, delay_us=1.0))) as simulator,
@@ -101,7 +101,7 @@ def test_chirp_through_the_driver_gives_the_true_transfer_function(
 
 
 def test_scan_of_the_burst_finds_the_field_at_the_focusing_instant(apparatus: Apparatus, burst: Burst) -> None:
-    """At five positions the velocity read at an instant is the true one, shapes times true modal velocities.
+    """At five positions the velocity at an instant is the true one: shapes times true modal velocities.
 
     Within half a step of 24 bits, 30 nm/s, and 2e-5 of the peak.
     """
@@ -121,20 +121,20 @@ def test_scan_of_the_burst_finds_the_field_at_the_focusing_instant(apparatus: Ap
                 assert seen.velocity[0, index] == pytest.approx(true, abs=2e-5 * np.abs(seen.velocity).max() + 3e-8)
 
 
-def test_no_trigger_is_an_error_that_says_why(simulator: Simulator) -> None:
-    """Outputs off: nothing starts a record."""
+def test_a_missing_trigger_is_an_error_with_its_cause(simulator: Simulator) -> None:
+    """With the outputs off nothing starts a record."""
     with simulator.scope() as scope, pytest.raises(RigError, match="no trigger came .* neither of its outputs plays"):
         scope.measure(0.0)
 
 
-def test_position_off_the_beam_is_refused(at: Callable[..., Recording]) -> None:
+def test_a_position_off_the_beam_is_refused(at: Callable[..., Recording]) -> None:
     """60 mm from the middle of a beam of 100 mm."""
     with pytest.raises(ValueError, match="position 60 mm is not on the beam"):
         at(0.06)
 
 
-def test_tripped_amplifier_leaves_noise_alone(simulator: Simulator, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The drive reads nothing but the converter's noise, and the velocity the vibrometer's."""
+def test_a_tripped_amplifier_leaves_only_noise(simulator: Simulator, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The drive reads only the noise of the converter, and the velocity that of the vibrometer."""
     monkeypatch.setattr(Simulator, "playbacks", property(lambda self: (sine(), None)))
     simulator.twin.tripped = True
     with simulator.scope() as scope:
@@ -145,8 +145,8 @@ def test_tripped_amplifier_leaves_noise_alone(simulator: Simulator, monkeypatch:
 
 
 @pytest.mark.parametrize("bits", [8, 12])
-def test_converter_has_its_bits(at: Callable[..., Recording], bits: int) -> None:
-    """Every voltage is a whole number of steps of range / (2^(bits-1) - 1), and errs by half a step at most."""
+def test_the_converter_has_its_number_of_bits(at: Callable[..., Recording], bits: int) -> None:
+    """Every voltage is a whole number of steps of range / (2^(bits-1) - 1), with an error of half a step at most."""
     asked = Acquisition(sampling_rate=1e6, n_samples=5000, drive_range=100.0)
     coarse = at(asked=asked, scope=QUIET_SCOPE.model_copy(update={"bits": bits}))
     exact = at(asked=asked)
@@ -156,15 +156,15 @@ def test_converter_has_its_bits(at: Callable[..., Recording], bits: int) -> None
     assert np.abs(coarse.drive - exact.drive).max() <= step / 2 + 2e-5
 
 
-def test_what_passes_a_range_is_cut_and_said(at: Callable[..., Recording]) -> None:
-    """50 V at a range of 20 V: cut there, and the drive is named; the velocity is not."""
+def test_a_signal_beyond_its_range_is_clipped_and_reported(at: Callable[..., Recording]) -> None:
+    """50 V in a range of 20 V: clipped there, and reported for the drive, not for the velocity."""
     seen = at(asked=Acquisition(sampling_rate=1e6, n_samples=5000, drive_range=20.0))
     assert seen.overloaded == ("drive 1",)
     assert np.abs(seen.drive).max() == pytest.approx(20.0)
 
 
-def test_vibrometer_has_a_range_of_its_own(apparatus: Apparatus, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A range of 1 mm/s cuts what the scope could still take."""
+def test_the_vibrometer_has_its_own_range(apparatus: Apparatus, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A range of 1 mm/s clips what the scope could still record."""
     knobs = apparatus.acquisition.model_copy(update={"range_mm_s": 1.0, "sensitivity_mm_s_per_V": 0.7})
     monkeypatch.setattr(Simulator, "playbacks", property(lambda self: (sine(), None)))
     with Simulator(lab(apparatus).model_copy(update={"acquisition": knobs})) as simulator, simulator.scope() as scope:
@@ -190,7 +190,7 @@ def test_noise_has_the_stated_density(at: Callable[..., Recording], corner: floa
 
 
 @pytest.mark.parametrize("corner", [None, 100.0])
-def test_the_converter_s_noise_adds_to_the_vibrometer_s(at: Callable[..., Recording], corner: float | None) -> None:
+def test_noise_of_converter_and_vibrometer_is_added(at: Callable[..., Recording], corner: float | None) -> None:
     """At each frequency the sum of both densities: the converter's is white over the whole band of the scope."""
     vibrometer = Vibrometer(bandwidth_kHz=corner, delay_us=0.0, noise_um_s_per_sqrt_Hz=2.0, offset_mm=0.0)
     asked = Acquisition(sampling_rate=2.5e6, n_samples=2**18, drives=(), velocity_range=0.5)
@@ -198,7 +198,7 @@ def test_the_converter_s_noise_adds_to_the_vibrometer_s(at: Callable[..., Record
     noise = at(asked=asked, vibrometer=vibrometer, scope=noisy).velocity[0] - at(asked=asked).velocity[0]
     power = np.abs(np.fft.rfft(noise)) ** 2 * 2 / (noise.size * 2.5e6)
     frequency = np.fft.rfftfreq(noise.size, 1 / 2.5e6)
-    # With what rounding adds, a twelfth of a step squared.
+    # Including rounding, a twelfth of a step squared.
     white = (10**2 + 1 / 12) * (0.5 / 2047) ** 2 / 1.25e6
     for low, high in ((100, 10e3), (95e3, 105e3), (600e3, 620e3)):
         some = (frequency > low) & (frequency < high)
@@ -211,8 +211,8 @@ def test_the_converter_s_noise_adds_to_the_vibrometer_s(at: Callable[..., Record
         assert power[some].mean() == pytest.approx(expected, rel=4 / np.sqrt(some.sum()) + 0.03)
 
 
-def test_the_vibrometer_s_noise_is_as_large_at_the_start(at: Callable[..., Recording]) -> None:
-    """Of 4,000 records, the first sample scatters as the twentieth does: by sqrt(pi/2 * corner) times the density."""
+def test_the_noise_of_the_vibrometer_is_stationary(at: Callable[..., Recording]) -> None:
+    """Of 4,000 records, the first sample scatters like the twentieth: by sqrt(pi/2 * corner) times the density."""
     vibrometer = Vibrometer(bandwidth_kHz=100.0, delay_us=0.0, noise_um_s_per_sqrt_Hz=2.0, offset_mm=0.0)
     asked = Acquisition(sampling_rate=2.5e6, n_samples=20, n_records=4000, drives=())
     noise = at(asked=asked, vibrometer=vibrometer).velocity - at(asked=asked).velocity
@@ -222,7 +222,7 @@ def test_the_vibrometer_s_noise_is_as_large_at_the_start(at: Callable[..., Recor
 
 
 def test_the_table_of_quantiles_is_normal() -> None:
-    """Its distribution is the normal one to within half a step of 2**-16; variance 1, kurtosis 3 to 1e-3."""
+    """Its distribution is normal to within half a step of 2**-16; variance 1, kurtosis 3 to 1e-3."""
     values = normal_quantiles()
     np.testing.assert_allclose(norm.cdf(values), (np.arange(2**16) + 0.5) / 2**16, atol=2**-17)
     assert values.std() == pytest.approx(1, abs=1e-12)
@@ -230,7 +230,7 @@ def test_the_table_of_quantiles_is_normal() -> None:
 
 
 def test_delays_add_up(at: Callable[..., Recording]) -> None:
-    """Velocity late by amplifier and vibrometer, drive by the amplifier, both early by the trigger's latency."""
+    """Velocity is late by amplifier and vibrometer, drive by the amplifier, both early by the trigger latency."""
     asked = Acquisition(sampling_rate=1e6, n_samples=5000, start=0.3e-6)
     plain = at(asked=asked, amplifier=TrueAmplifier(delay_us=0.0))
     late = at(
@@ -243,8 +243,8 @@ def test_delays_add_up(at: Callable[..., Recording]) -> None:
     np.testing.assert_allclose(late.drive[0, 0, 20:], plain.drive[0, 0, :-20], atol=1e-3)
 
 
-def test_fast_clock_of_the_scope_stretches_the_record(at: Callable[..., Recording]) -> None:
-    """1000 ppm fast: after 50,000 samples it is where a true clock is 50 samples earlier."""
+def test_a_fast_clock_of_the_scope_stretches_the_record(at: Callable[..., Recording]) -> None:
+    """1000 ppm fast: its sample 50,000 is at the instant of sample 49,950 of a true clock."""
     asked = Acquisition(sampling_rate=1e6, n_samples=50_001)
     fast = at(asked=asked, scope=QUIET_SCOPE.model_copy(update={"clock_offset_ppm": 1000.0}))
     true = at(asked=asked)
@@ -254,8 +254,8 @@ def test_fast_clock_of_the_scope_stretches_the_record(at: Callable[..., Recordin
     assert (fast.time == true.time).all()
 
 
-def test_jitter_of_the_trigger_moves_whole_records(at: Callable[..., Recording]) -> None:
-    """Drive and velocity of a record move together, by the stated spread: here 2 us over 60 records of a sine."""
+def test_trigger_jitter_shifts_whole_records(at: Callable[..., Recording]) -> None:
+    """Drive and velocity of a record shift together, by the stated spread: here 2 us over 60 records of a sine."""
     asked = Acquisition(sampling_rate=1e6, n_samples=1000, n_records=60)
     finely = (sine(n=125_000, cycles=10), None)
     seen = at(asked=asked, playing=finely, scope=QUIET_SCOPE.model_copy(update={"trigger_jitter_ns": 2000.0}))
@@ -265,8 +265,8 @@ def test_jitter_of_the_trigger_moves_whole_records(at: Callable[..., Recording])
     assert np.std(moved[0]) == pytest.approx(2e-6, rel=0.3)
 
 
-def test_many_records_of_a_small_jitter_are_those_of_the_instants(apparatus: Apparatus) -> None:
-    """Moved along the slope against computed one by one: of 108 kHz turning by 7e-3, within 3e-5 of the velocity."""
+def test_small_jitter_is_approximated_along_the_slope(apparatus: Apparatus) -> None:
+    """Against records computed one by one: a 105 kHz sine shifted in phase by 7e-3, within 3e-5 of the peak."""
     simulator = Simulator(lab(apparatus))
     with simulator:
         drive = sine(105e3, cycles=100, n=5000)
@@ -281,7 +281,7 @@ def test_many_records_of_a_small_jitter_are_those_of_the_instants(apparatus: App
 
 
 def test_equal_seeds_give_equal_recordings(apparatus: Apparatus, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two scopes of one seed see the same, another seed does not; two records of one scope differ."""
+    """Two scopes with one seed agree, another seed differs; two records of one scope differ."""
     monkeypatch.setattr(Simulator, "playbacks", property(lambda self: (sine(), None)))
     seen = []
     for seed in (3, 3, 4):
@@ -293,8 +293,8 @@ def test_equal_seeds_give_equal_recordings(apparatus: Apparatus, monkeypatch: py
     assert not np.allclose(seen[0][0], seen[0][1])
 
 
-def test_sampling_rate_is_a_whole_fraction_of_the_clock(at: Callable[..., Recording]) -> None:
-    """900 kHz of a clock of 125 MHz: the nearest is 125/139 MHz, and the recording says so."""
+def test_the_sampling_rate_is_a_whole_fraction_of_the_clock(at: Callable[..., Recording]) -> None:
+    """For 900 kHz from 125 MHz the nearest is 125/139 MHz, and the recording has that rate."""
     seen = at(asked=Acquisition(sampling_rate=900e3, n_samples=100))
     assert seen.sampling_rate == pytest.approx(125e6 / 139, rel=1e-12)
     assert seen.time[1] == pytest.approx(139 / 125e6, rel=1e-12)
@@ -310,14 +310,14 @@ def test_sampling_rate_is_a_whole_fraction_of_the_clock(at: Callable[..., Record
         (Acquisition(n_samples=1_500_000, drives=(1, 2)), "1500000 samples of 3 channels .* memory holds 1333333"),
     ],
 )
-def test_what_the_scope_cannot_do_is_refused(simulator: Simulator, asked: Acquisition, words: str) -> None:
-    """Rate and memory, with what is allowed."""
+def test_impossible_acquisitions_are_refused(simulator: Simulator, asked: Acquisition, words: str) -> None:
+    """Rate and memory; the message gives the limits."""
     with simulator.scope() as scope, pytest.raises(RigError, match=words):
         scope.configure(asked)
 
 
-def test_record_before_the_trigger_shows_the_burst_before(at: Callable[..., Recording]) -> None:
-    """Bursts every 60 ms: 10 ms before the trigger is 50 ms after the last, whose first sample was like this one's."""
+def test_samples_before_the_trigger_show_the_previous_burst(at: Callable[..., Recording]) -> None:
+    """Bursts every 60 ms: 10 ms before a trigger is 50 ms after the last one."""
     wave = np.round(8191 + 8191 * np.sin(np.pi * np.arange(20_000) / 20_000) ** 2).astype(">u2").tobytes()
     burst = Playback(wave, 4.0, 0.0, 0.05, 0.06, 8191)
     before = at(asked=Acquisition(sampling_rate=1e6, n_samples=20_000, start=-0.01), playing=(burst, None))
@@ -326,8 +326,8 @@ def test_record_before_the_trigger_shows_the_burst_before(at: Callable[..., Reco
     np.testing.assert_allclose(before.velocity[0, 10_000:], after.velocity[0, :10_000], atol=1e-8)
 
 
-def test_fingers_on_the_beam_are_measured(apparatus: Apparatus, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Laid on A and C they damp what the vibrometer sees; lifted, it is as before."""
+def test_fingers_on_the_beam_change_the_measurement(apparatus: Apparatus, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Laid on A and C they reduce the velocity; after lifting, it is as before."""
     monkeypatch.setattr(Simulator, "playbacks", property(lambda self: (sine(229.0, cycles=10), None)))
     heavy = lab(apparatus, fingers=FingerSection(mass_g=0.2, damping_N_s_per_m=1.0))
     speeds = []

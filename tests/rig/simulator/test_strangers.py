@@ -1,4 +1,4 @@
-"""Drivers that know nothing of this project, against the simulated generator: what works on the desk works here."""
+"""Drivers that are independent of this project work with the simulated generator as with a real one."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ READ_BY_QCODES = [
     "TRIGger:SEQuence:SOURce",
     "TRIGger:SEQuence:TIMer",
 ]
-"""All that Tektronix/AFG3000.py of qcodes_contrib_drivers 0.24.1 reads when it connects, with 20 s for each reply."""
+"""What Tektronix/AFG3000.py of qcodes_contrib_drivers 0.24.1 reads on connecting, each with a timeout of 20 s."""
 
 READ_FROM_KEYSIGHT = [
     "SOURce2:FUNCtion",
@@ -112,7 +112,7 @@ READ_FROM_KEYSIGHT = [
     "SOUR2:FUNC:PULS:DCYC",
     "SOUR2:FUNC:PULS:TRAN",
 ]
-"""Keysight/KeysightAgilent_33XXX.py of QCoDeS 0.58.0, and of PyMeasure's agilent33500.py what it adds to that."""
+"""Keysight/KeysightAgilent_33XXX.py of QCoDeS 0.58.0, and what PyMeasure's agilent33500.py reads in addition."""
 
 SENT_BY_TM_DEVICES = (
     "*CLS", "*RST", "*OPC?", "*ESR?", "OUTPUT1:STATE?", "OUTPUT1:STATE 0", "OUTPUT1:IMPEDANCE?",
@@ -123,12 +123,12 @@ SENT_BY_TM_DEVICES = (
     "SOURCE1:BURST:STATE?", "SOURCE2:BURST:STATE?", "SOURCE1:PHASE:INITIATE", ":OUTPut1:STATE 1", "*ESR?",
     "SYSTEM:ERROR?",
 )  # fmt: skip
-"""What drivers/afgs/afg3kb.py of tm_devices 3.7.0 sent over a socket to generate functions, clean up and reset."""
+"""Messages of drivers/afgs/afg3kb.py of tm_devices 3.7.0 over a socket to generate functions, clean up and reset."""
 
 
 @pytest.fixture
 def visa(simulator: Simulator) -> Iterator[Any]:
-    """Return PyVISA's own client at the simulator."""
+    """Return a PyVISA client of the simulator."""
     resource = pyvisa.ResourceManager("@py").open_resource(simulator.address, timeout=1000)
     yield resource
     resource.close()
@@ -136,12 +136,12 @@ def visa(simulator: Simulator) -> Iterator[Any]:
 
 @pytest.fixture(params=["VXI-11", "raw socket"])
 def stranger(simulator: Simulator, request: pytest.FixtureRequest) -> Iterator[AFG3152C]:
-    """Return PyMeasure's driver of the AFG3000 series at the simulator, over each of its transports."""
+    """Return PyMeasure's driver of the AFG3000 series, connected to the simulator over each of its transports."""
     raw = request.param == "raw socket"
     address = simulator.socket_address if raw else simulator.address
     lines = {"read_termination": "\n", "write_termination": "\n"} if raw else {}
     adapter = VISAAdapter(address, visa_library="@py", timeout=1000, **lines)
-    # PyMeasure warns of every driver whose authors do not know whether it speaks SCPI.
+    # PyMeasure warns about drivers whose support of SCPI is not known.
     with pytest.warns(FutureWarning, match="not known whether this device support SCPI"):
         instrument = AFG3152C(adapter)
     yield instrument
@@ -149,7 +149,7 @@ def stranger(simulator: Simulator, request: pytest.FixtureRequest) -> Iterator[A
 
 
 def test_pymeasure_identifies_and_resets(stranger: AFG3152C, simulator: Simulator) -> None:
-    """Its common commands of IEEE 488.2; ``*RST`` brings back 1 MHz, the default in the maker's manuals."""
+    """Its common commands of IEEE 488.2; ``*RST`` sets 1 MHz, the default in the maker's manuals."""
     simulator.front_panel("SOUR1:FREQ 20;:OUTP1 ON")
     assert stranger.id.startswith("TEKTRONIX,AFG3022B")
     stranger.reset()
@@ -159,7 +159,7 @@ def test_pymeasure_identifies_and_resets(stranger: AFG3152C, simulator: Simulato
 
 
 def test_pymeasure_sets_and_reads_a_channel(stranger: AFG3152C, simulator: Simulator) -> None:
-    """Shape, unit, amplitude, offset and frequency of either channel read back as they were set, without an error."""
+    """Shape, unit, amplitude, offset and frequency of either channel read back as set, without an error."""
     for channel, amplitude in ((stranger.ch1, 1.5), (stranger.ch2, 2.5)):
         channel.shape = "sinusoidal"
         channel.unit = "VPP"
@@ -176,10 +176,10 @@ def test_pymeasure_sets_and_reads_a_channel(stranger: AFG3152C, simulator: Simul
 
 
 def test_pymeasure_switches_outputs(stranger: AFG3152C, simulator: Simulator) -> None:
-    """By the command that its `enable` means to send, which fails before it is sent in PyMeasure 0.16."""
+    """By the command that its `enable` is meant to send, which fails before sending in PyMeasure 0.16."""
     stranger.write("output1:state on")
     stranger.write("output2:state on")
-    assert int(stranger.complete) == 1  # over a raw socket a command is on its way until it is asked for
+    assert int(stranger.complete) == 1  # over a raw socket a command may be in transit until a query is answered
     assert simulator.outputs == (True, True)
     stranger.write("output2:state off")
     assert int(stranger.complete) == 1
@@ -187,7 +187,7 @@ def test_pymeasure_switches_outputs(stranger: AFG3152C, simulator: Simulator) ->
 
 
 def test_pymeasure_sets_a_whole_waveform(stranger: AFG3152C, simulator: Simulator) -> None:
-    """Its `waveform` sends five commands with units of their own; a ramp of 0.5 V rms is sqrt(3) V peak to peak."""
+    """Its `waveform` sends five commands with their own units; a ramp of 0.5 V rms is sqrt(3) V peak to peak."""
     stranger.ch1.waveform(shape="RAMP", frequency=500.0, units="VRMS", amplitude=0.5, offset=0.1)
     assert simulator.front_panel("SYST:ERR?") == '0,"No error"'
     assert stranger.ch1.frequency == pytest.approx(500.0)
@@ -197,15 +197,15 @@ def test_pymeasure_sets_a_whole_waveform(stranger: AFG3152C, simulator: Simulato
 
 
 def test_pymeasure_finds_its_own_error_in_the_queue(stranger: AFG3152C) -> None:
-    """Its channel asks SOURce1:OUTPut:IMPedance, which no AFG3000 knows: -113, undefined header."""
+    """Its channel sends SOURce1:OUTPut:IMPedance, which does not exist on an AFG3000: -113, undefined header."""
     stranger.write("source1:output:impedance 50")
     errors = stranger.check_errors()
     assert [int(error[0]) for error in errors] == [-113]
     assert stranger.check_errors() == []
 
 
-def test_pyvisa_transfers_a_block_both_ways(visa: Any) -> None:
-    """Its own binary helpers: 5000 codes go and come back, big-endian."""
+def test_pyvisa_transfers_a_block_in_both_directions(visa: Any) -> None:
+    """Its own binary functions: 5000 codes are sent and read back, big-endian."""
     codes = [(37 * index) % 16383 for index in range(5000)]
     visa.write_binary_values("DATA:DATA EMEM,", codes, datatype="H", is_big_endian=True)
     assert visa.query("DATA:POIN? EMEM").strip() == "5000"
@@ -214,7 +214,7 @@ def test_pyvisa_transfers_a_block_both_ways(visa: Any) -> None:
 
 
 def test_pyvisa_reads_the_status_byte_and_clears(visa: Any) -> None:
-    """Serial poll over VXI-11: bit 2 says that the error queue holds something; device clear drops a pending reply."""
+    """Serial poll over VXI-11: bit 2 means that the error queue is not empty; device clear discards a pending reply."""
     visa.write("NO:SUCH:HEADER")
     assert visa.read_stb() & 4
     visa.write("*IDN?")
@@ -222,8 +222,8 @@ def test_pyvisa_reads_the_status_byte_and_clears(visa: Any) -> None:
     assert visa.query("SYST:ERR?").startswith("-113")
 
 
-def test_pyvisa_shell_finds_the_simulator(simulator: Simulator) -> None:
-    """A program of a few lines in a process of its own, as anybody's script would be."""
+def test_a_short_pyvisa_script_uses_the_simulator(simulator: Simulator) -> None:
+    """A script of a few lines in a separate process."""
     script = (
         "import pyvisa\n"
         f"with pyvisa.ResourceManager('@py').open_resource('{simulator.address}') as afg:\n"
@@ -235,8 +235,8 @@ def test_pyvisa_shell_finds_the_simulator(simulator: Simulator) -> None:
 
 
 @pytest.mark.parametrize("apparatus_of", ["AFG3022B", "33522B"])
-def test_everything_that_qcodes_reads_has_a_reply_and_takes_it_back(apparatus_of: str, apparatus: Apparatus) -> None:
-    """A driver that reads all settings when it connects need not wait for one, and may restore what it has read."""
+def test_everything_that_qcodes_reads_has_a_reply_and_can_be_set(apparatus_of: str, apparatus: Apparatus) -> None:
+    """A driver that reads all settings when it connects gets every reply, and can restore what it has read."""
     headers = READ_FROM_KEYSIGHT if apparatus_of == "33522B" else (*READ_BY_QCODES, *MODULATIONS)
     simulator = Simulator(KEYSIGHT if apparatus_of == "33522B" else apparatus)
     simulator.front_panel("OUTP2 OFF")
@@ -251,16 +251,16 @@ def test_everything_that_qcodes_reads_has_a_reply_and_takes_it_back(apparatus_of
     "command",
     ["SOUR1:AM:STAT ON", "SOUR1:FREQ:MODE SWE", "SOUR1:PULS:WIDT 1ms", "TRIG:SLOP NEG", "SOUR1:AM:INT:FUNC:EFIL 'a'"],
 )
-def test_what_the_twin_lacks_is_not_set_silently(simulator: Simulator, command: str) -> None:
-    """No modulation, sweep or pulse of the twin moves a beam: -241, hardware missing, and the default stays."""
+def test_settings_that_are_not_simulated_are_an_error(simulator: Simulator, command: str) -> None:
+    """No modulation, sweep or pulse is simulated: -241, hardware missing, and the default stays."""
     before = simulator.front_panel(f"{command.split()[0]}?")
     simulator.front_panel(command)
     assert simulator.front_panel("SYST:ERR?").startswith('-241,"Hardware missing; not simulated: ')
     assert simulator.front_panel(f"{command.split()[0]}?") == before
 
 
-def test_high_and_low_level_are_amplitude_and_offset(simulator: Simulator) -> None:
-    """At 50 ohm, as they are told: 0.2 V and -0.1 V are 0.3 V peak to peak about 0.05 V; high below low is refused."""
+def test_high_and_low_level_set_amplitude_and_offset(simulator: Simulator) -> None:
+    """Into 50 ohm, 0.2 V and -0.1 V are 0.3 V peak to peak about 0.05 V; high below low is refused."""
     simulator.front_panel("*RST;:SOUR1:VOLT:HIGH 0.2V;LOW -0.1V")
     told = [float(simulator.front_panel(f"SOUR1:VOLT:{name}?")) for name in ("HIGH", "LOW", "AMPL", "OFFS")]
     assert told == pytest.approx([0.2, -0.1, 0.3, 0.05])
@@ -268,14 +268,14 @@ def test_high_and_low_level_are_amplitude_and_offset(simulator: Simulator) -> No
     assert simulator.front_panel("SYST:ERR?").startswith("-222")
 
 
-def test_most_cycles_are_not_endless_ones(simulator: Simulator) -> None:
-    """`MAX` is a million, by number and as a limit that is asked for; a part of a cycle is none."""
+def test_the_maximum_number_of_cycles_is_finite(simulator: Simulator) -> None:
+    """`MAX` is a million, both as a setting and as a limit; a fraction is rounded."""
     told = simulator.front_panel("*RST;:SOUR1:BURS:NCYC MAX;NCYC?;NCYC? MIN;NCYC 2.6;NCYC?;NCYC INF;NCYC?")
     assert told == "1.0000E+06;1.0000E+00;3.0000E+00;9.9000E+37"
 
 
-def test_tm_devices_finds_what_it_sends(simulator: Simulator) -> None:
-    """Line by line as over a raw socket: each query has one reply, and nothing is in the error queue."""
+def test_every_message_of_tm_devices_is_accepted(simulator: Simulator) -> None:
+    """Line by line as over a raw socket: each query has one reply, and the error queue is empty."""
     replies = {sent: simulator.front_panel(sent) for sent in SENT_BY_TM_DEVICES}
     assert [sent for sent, reply in replies.items() if bool(reply) != sent.endswith("?")] == []
     assert replies["SOURCE1:FUNCTION:RAMP:SYMMETRY?"] == "5.0000E+01"
@@ -288,7 +288,7 @@ def replies(simulator: Simulator, *messages: str) -> list[str]:
 
 
 def test_the_edit_memory_has_limits_and_a_default(simulator: Simulator) -> None:
-    """2 to 131,072 points; `DATA:DEF EMEM` brings back 1,000 of them at mid-scale."""
+    """2 to 131,072 points; `DATA:DEF EMEM` restores 1,000 of them at mid-scale."""
     assert replies(simulator, "DATA:POIN? EMEM,MIN", "DATA:POIN? EMEM,MAX") == ["2", "131072"]
     assert replies(simulator, "DATA:POIN EMEM,64", "DATA:POIN?") == ["0", "64"]
     assert replies(simulator, "DATA:DEF EMEM1", "DATA:POIN?", "DATA:VAL? EMEM,1000") == ["0", "1000", "8191"]
@@ -297,15 +297,15 @@ def test_the_edit_memory_has_limits_and_a_default(simulator: Simulator) -> None:
 
 @pytest.fixture
 def raw(simulator: Simulator) -> Iterator[Any]:
-    """Return PyVISA's own client at the simulator's raw socket."""
+    """Return a PyVISA client of the simulator's raw socket."""
     how = {"read_termination": "\n", "write_termination": "\n", "timeout": 1000}
     resource = pyvisa.ResourceManager("@py").open_resource(simulator.socket_address, **how)
     yield resource
     resource.close()
 
 
-def test_a_block_over_a_raw_socket_may_hold_line_feeds(raw: Any, simulator: Simulator) -> None:
-    """Codes of 2570 are two line feeds, one of 3338 is CR LF: the length says where data end (IEEE 488.2, 7.7.6)."""
+def test_a_block_over_a_raw_socket_may_contain_line_feeds(raw: Any, simulator: Simulator) -> None:
+    """Codes of 2570 are two line feeds, one of 3338 is CR LF: the length delimits the data (IEEE 488.2, 7.7.6)."""
     codes = b"\n\n" * 999 + b"\r\n"
     raw.write_raw(b"DATA:DEF EMEM,1000;:DATA EMEM,#42000" + codes + b"\r\n*IDN?;:DATA:POIN? EMEM\r\n")
     assert raw.read().endswith(";1000")
@@ -316,8 +316,8 @@ def test_a_block_over_a_raw_socket_may_hold_line_feeds(raw: Any, simulator: Simu
     assert raw.read_bytes(6 + len(codes) + 1) == b"#42000" + codes + b"\n"
 
 
-def test_raw_sockets_and_links_reach_one_instrument(raw: Any, visa: Any, simulator: Simulator) -> None:
-    """Several messages at once are answered in their order; each connection is one of those that it takes."""
+def test_raw_sockets_and_links_reach_the_same_instrument(raw: Any, visa: Any, simulator: Simulator) -> None:
+    """Several messages sent together are answered in order; each connection counts as a link."""
     raw.write_raw(b"SOUR1:FREQ 1234\nSOUR1:FREQ?\nOUTP1?\n")
     assert (float(raw.read()), raw.read()) == (1234.0, "0")
     assert float(visa.query("SOUR1:FREQ?")) == 1234.0

@@ -1,4 +1,4 @@
-"""What leaves the outputs over time, by a virtual clock: phases, latencies, relays, and what ends a burst."""
+"""Playback over time with a virtual clock: phases, latencies, relays, and what ends a burst."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SETTINGS = "FUNC USER1;:SOUR{n}:FREQ 20;:SOUR{n}:BURS:STAT ON;NCYC 1"
 
 
 class Stage:
-    """A generator that tells what it plays, bursts of 50 ms set up at both outputs, which are off."""
+    """A generator that records what it plays, with bursts of 50 ms set up on both outputs, which are off."""
 
     def __init__(self, delays: Delays = AT_ONCE, behaviour: Behaviour | None = None, seed: int = 0) -> None:
         self.clock = VirtualClock(1000.0)
@@ -34,7 +34,7 @@ class Stage:
             self.tell(f"SOUR{n}:{SETTINGS.format(n=n)}")
 
     def tell(self, *messages: str, link: int = 7) -> None:
-        """Send messages, none of which may make an error."""
+        """Send messages, none of which may cause an error."""
         for message in messages:
             self.instrument.execute(message.encode(), link)
             assert self.afg.next_error() == '0,"No error"'
@@ -52,12 +52,12 @@ class Stage:
 
 @pytest.fixture
 def stage() -> Stage:
-    """Return a generator without latency, with nothing wired to its trigger input."""
+    """Return a generator without latency, with no wire at its trigger input."""
     return Stage()
 
 
-def test_triggered_burst_is_whole_and_names_its_link(stage: Stage) -> None:
-    """Relays closed before it and open after it: told once it has ended, not before."""
+def test_a_triggered_burst_is_whole_and_has_the_number_of_its_link(stage: Stage) -> None:
+    """Relays close before it and open after it: it is reported after it has ended, not before."""
     stage.on()
     begun = stage.clock.now()
     stage.tell("TRIG:SEQ:IMM")
@@ -71,14 +71,14 @@ def test_triggered_burst_is_whole_and_names_its_link(stage: Stage) -> None:
 
 
 def test_nothing_is_played_with_the_outputs_off(stage: Stage) -> None:
-    """A trigger is taken, and nothing leaves."""
+    """A trigger is accepted, and nothing is played."""
     stage.tell("*TRG")
     stage.wait(1.0)
     assert stage.played == []
 
 
 def test_latency_is_uniform_between_its_bounds() -> None:
-    """Kolmogorov and Smirnov find nothing against it in 400 triggers."""
+    """The Kolmogorov-Smirnov test does not reject it for 400 triggers."""
     stage = Stage(Delays(latency=(1e-4, 3e-4), relay=RELAY))
     stage.on()
     sent = []
@@ -92,8 +92,8 @@ def test_latency_is_uniform_between_its_bounds() -> None:
     assert kstest((late - 1e-4) / 2e-4, "uniform").pvalue > 0.01
 
 
-def test_timer_runs_on_whatever_is_armed_when(rng: np.random.Generator) -> None:
-    """Armed at random instants, the first burst comes anywhere within a period; the phase stays what it is."""
+def test_the_timer_is_free_running(rng: np.random.Generator) -> None:
+    """Armed at random instants, the first burst is anywhere within a period; the phase does not change."""
     stage = Stage()
     stage.tell("TRIG:TIM 0.142857143")
     stage.on()
@@ -113,7 +113,7 @@ def test_timer_runs_on_whatever_is_armed_when(rng: np.random.Generator) -> None:
 
 
 def test_timers_of_different_seeds_have_different_phases() -> None:
-    """After outputs on, at one and the same instant, over 200 twins."""
+    """Their phases at one instant after outputs on are uniform over 200 twins."""
     waits = []
     for seed in range(200):
         stage = Stage(seed=seed)
@@ -124,8 +124,8 @@ def test_timers_of_different_seeds_have_different_phases() -> None:
     assert kstest(waits, "uniform").pvalue > 0.01
 
 
-def test_relay_that_closes_late_cuts_the_beginning(stage: Stage) -> None:
-    """What came before it had closed never reached the beam."""
+def test_a_relay_that_closes_late_cuts_the_beginning(stage: Stage) -> None:
+    """The part before it has closed does not reach the beam."""
     stage.tell("OUTP1 ON;:OUTP2 ON", "*TRG")
     begun = stage.clock.now()
     stage.wait(0.1)
@@ -135,8 +135,8 @@ def test_relay_that_closes_late_cuts_the_beginning(stage: Stage) -> None:
     assert burst.passed == (pytest.approx((RELAY, LENGTH)),) * 2
 
 
-def test_relay_that_opens_early_cuts_the_end(stage: Stage) -> None:
-    """The relay takes its time; the burst is told when it has opened."""
+def test_a_relay_that_opens_early_cuts_the_end(stage: Stage) -> None:
+    """The relay takes its time; the burst is reported when it has opened."""
     stage.on()
     stage.tell("*TRG")
     begun = stage.clock.now()
@@ -150,7 +150,7 @@ def test_relay_that_opens_early_cuts_the_end(stage: Stage) -> None:
     assert len(stage.played) == 1
 
 
-def test_output_that_is_left_off_is_missed_nowhere_and_one_that_comes_late_is(stage: Stage) -> None:
+def test_an_output_that_is_off_does_not_count_but_a_late_one_does(stage: Stage) -> None:
     """A burst of one output alone is whole; one of both is not while the second relay is still open."""
     stage.tell("OUTP1 ON")
     stage.wait(0.1)
@@ -168,8 +168,8 @@ def test_output_that_is_left_off_is_missed_nowhere_and_one_that_comes_late_is(st
 
 
 @pytest.mark.parametrize(("retrigger", "starts"), [("ignored", [0.0]), ("restarts", [0.0, 0.03])])
-def test_trigger_inside_a_burst(retrigger: str, starts: list[float]) -> None:
-    """Both answers to an open question: it is lost, or cuts the burst and begins it anew."""
+def test_a_trigger_during_a_burst(retrigger: str, starts: list[float]) -> None:
+    """Both answers to an open question: it is ignored, or restarts the burst."""
     stage = Stage(behaviour=Behaviour(retrigger=retrigger))  # type: ignore[arg-type]
     stage.on()
     begun = stage.clock.now()
@@ -196,8 +196,8 @@ def test_trigger_inside_a_burst(retrigger: str, starts: list[float]) -> None:
         "ABOR",
     ],
 )
-def test_burst_ends_where_it_is_changed(stage: Stage, message: str) -> None:
-    """20 ms after its first sample, at once, whatever the relays do; not whole."""
+def test_a_burst_ends_when_it_is_changed(stage: Stage, message: str) -> None:
+    """20 ms after its first sample, immediately, independent of the relays; it is not whole."""
     stage.on()
     begun = stage.clock.now()
     stage.tell("*TRG")
@@ -208,8 +208,8 @@ def test_burst_ends_where_it_is_changed(stage: Stage, message: str) -> None:
     assert cut.end == pytest.approx(stage.clock.now(), abs=1e-8)
 
 
-def test_power_cut_ends_a_burst_at_once_and_for_good(stage: Stage) -> None:
-    """No relay has to open for that."""
+def test_a_power_failure_ends_a_burst_immediately(stage: Stage) -> None:
+    """Without the delay of a relay, and without a further burst."""
     stage.on()
     stage.tell("*TRG")
     stage.wait(0.02)
@@ -220,8 +220,8 @@ def test_power_cut_ends_a_burst_at_once_and_for_good(stage: Stage) -> None:
 
 
 @pytest.mark.parametrize("message", ["SOUR1:VOLT 1VPP", "TRIG:SOUR TIM", "TRIG:TIM 0.3", "SYST:ERR?", "SOUR1:FREQ 20"])
-def test_burst_goes_on_whatever_else_is_sent(stage: Stage, message: str) -> None:
-    """A setting that stays as it is, the trigger's settings, questions."""
+def test_other_messages_do_not_end_a_burst(stage: Stage, message: str) -> None:
+    """An unchanged setting, settings of the trigger, queries."""
     stage.tell("SOUR1:VOLT 1VPP")
     stage.on()
     stage.tell("*TRG")
@@ -231,8 +231,8 @@ def test_burst_goes_on_whatever_else_is_sent(stage: Stage, message: str) -> None
     assert [burst.whole for burst in stage.played[:1]] == [True]
 
 
-def test_pulses_at_the_trigger_input_count_while_it_is_the_source() -> None:
-    """7 Hz with a phase of their own; the timer's bursts are others."""
+def test_external_pulses_count_only_while_they_are_the_source() -> None:
+    """7 Hz; with the timer as source they trigger nothing."""
     stage = Stage(replace(AT_ONCE, pulses=7.0))
     stage.on()
     stage.wait(10.0)
@@ -246,8 +246,8 @@ def test_pulses_at_the_trigger_input_count_while_it_is_the_source() -> None:
     assert len(stage.played) == n_pulses
 
 
-def test_what_repeats_without_trigger_is_told_cycle_by_cycle(stage: Stage) -> None:
-    """The first is cut by the relay that closes in it, the last by the one that opens in it."""
+def test_continuous_playback_is_reported_cycle_by_cycle(stage: Stage) -> None:
+    """The first is cut by the relay that closes during it, the last by the one that opens."""
     stage.tell("SOUR1:BURS:STAT OFF;:SOUR2:BURS:STAT OFF", "OUTP1 ON;:OUTP2 ON")
     stage.wait(1.0)
     stage.tell("OUTP1 OFF;:OUTP2 OFF")
@@ -258,8 +258,8 @@ def test_what_repeats_without_trigger_is_told_cycle_by_cycle(stage: Stage) -> No
         assert after.start == pytest.approx(before.end)
 
 
-def test_bursts_faster_than_can_be_told_are_told_once_a_millisecond(stage: Stage) -> None:
-    """A timer of 1 us would be a million lines a second."""
+def test_very_fast_bursts_are_reported_once_a_millisecond(stage: Stage) -> None:
+    """A timer of 1 us would otherwise give a million lines per second."""
     stage.tell("SOUR1:FREQ 2E6;:SOUR2:FREQ 2E6", "TRIG:TIM 1E-6;SOUR TIM")
     stage.on()
     stage.played.clear()
@@ -267,8 +267,8 @@ def test_bursts_faster_than_can_be_told_are_told_once_a_millisecond(stage: Stage
     assert len(stage.played) == pytest.approx(1 / FINEST, abs=1)
 
 
-def test_day_with_the_outputs_off_is_passed_over(stage: Stage) -> None:
-    """605,000 ticks that nobody hears; the timer is in phase after them."""
+def test_a_day_with_the_outputs_off_is_skipped(stage: Stage) -> None:
+    """605,000 ticks without playback; the timer keeps its phase."""
     stage.tell("TRIG:TIM 0.142857;SOUR TIM")
     starts = []
     for night in (0.0, 86_400.0):
@@ -282,8 +282,8 @@ def test_day_with_the_outputs_off_is_passed_over(stage: Stage) -> None:
     assert periods == pytest.approx(round(periods), abs=1e-6)
 
 
-def test_what_is_told_does_not_depend_on_how_often_one_looks(rng: np.random.Generator) -> None:
-    """Settled after every millisecond or at commands alone, the same bursts come out."""
+def test_reports_do_not_depend_on_how_often_they_are_read(rng: np.random.Generator) -> None:
+    """Updated after every millisecond or only at commands, the bursts are the same."""
     course: list[tuple[float, str]] = [
         (w, m)
         for w, m in zip(

@@ -1,4 +1,4 @@
-"""The beam behind the simulated generator: how it differs from the identified one, and under fingers."""
+"""The beam behind the simulated generator: how it differs from the identified one, and with fingers."""
 
 from __future__ import annotations
 
@@ -19,16 +19,18 @@ TWIST = UnlistedMode(
 )
 
 
-def test_beam_without_mismatch_is_the_identified_one(with_twin: Callable[..., Apparatus], apparatus: Apparatus) -> None:
-    """All mismatches zero: every parameter of the table, exactly."""
+def test_a_beam_without_mismatch_is_the_identified_one(
+    with_twin: Callable[..., Apparatus], apparatus: Apparatus
+) -> None:
+    """With zero mismatch every parameter of the table is exact."""
     beam, table = true_beam(with_twin(apparatus), seed=5), apparatus.modal_model()
     assert (beam.natural_frequency == table.natural_frequency).all()
     assert (beam.damping_ratio == table.damping_ratio).all()
     assert (beam.modal_gain == table.modal_gain).all()
 
 
-def test_mismatch_has_the_stated_spread(with_twin: Callable[..., Apparatus], apparatus: Apparatus) -> None:
-    """Over 400 seeds and nine modes the logarithms spread by the stated value, within 5 %."""
+def test_the_mismatch_has_the_stated_spread(with_twin: Callable[..., Apparatus], apparatus: Apparatus) -> None:
+    """Over 400 seeds and nine modes the logarithms have the stated standard deviation, within 5 %."""
     known = with_twin(apparatus, natural_frequency_mismatch=0.02, damping_ratio_mismatch=0.1, gain_mismatch=0.05)
     beams = [true_beam(known, seed) for seed in range(400)]
     table = apparatus.modal_model()
@@ -38,10 +40,10 @@ def test_mismatch_has_the_stated_spread(with_twin: Callable[..., Apparatus], app
         assert np.std(logs) == pytest.approx(spread, rel=0.05)
 
 
-def test_equal_seeds_give_equal_beams_and_one_mismatch_leaves_the_others(
+def test_equal_seeds_give_equal_beams_and_mismatches_are_independent(
     with_twin: Callable[..., Apparatus], apparatus: Apparatus
 ) -> None:
-    """Streams are separate: another damping mismatch changes neither frequencies nor gains."""
+    """Random streams are separate: another damping mismatch changes neither frequencies nor gains."""
     first = true_beam(with_twin(apparatus, natural_frequency_mismatch=0.01, gain_mismatch=0.02), 3)
     again = true_beam(with_twin(apparatus, natural_frequency_mismatch=0.01, gain_mismatch=0.02), 3)
     other = true_beam(
@@ -53,10 +55,8 @@ def test_equal_seeds_give_equal_beams_and_one_mismatch_leaves_the_others(
     assert not np.allclose(other.damping_ratio, first.damping_ratio)
 
 
-def test_cross_gain_fills_what_the_table_leaves_empty(
-    with_twin: Callable[..., Apparatus], apparatus: Apparatus
-) -> None:
-    """A set that does not drive a mode drives it by the stated part of the one that does."""
+def test_cross_gain_replaces_zero_gains_of_the_table(with_twin: Callable[..., Apparatus], apparatus: Apparatus) -> None:
+    """A set that does not drive a mode drives it by the stated fraction of the gain of the other set."""
     beam, table = true_beam(with_twin(apparatus, cross_gain=0.1), 1), apparatus.modal_model()
     for row, known in zip(beam.modal_gain, table.modal_gain, strict=True):
         driven = known[known != 0][0]
@@ -66,7 +66,7 @@ def test_cross_gain_fills_what_the_table_leaves_empty(
 def test_true_shapes_have_unit_mean_square_and_are_orthogonal(
     with_twin: Callable[..., Apparatus], apparatus: Apparatus
 ) -> None:
-    """Gram matrix over the area by Gauss-Legendre: the identity, bending and torsion alike."""
+    """Gram matrix over the area by Gauss-Legendre quadrature: the identity, for bending and torsion."""
     beam = true_beam(with_twin(apparatus, unlisted_modes=(EVEN, TWIST)), 1)
     along, weight = np.polynomial.legendre.leggauss(120)
     x, z = np.meshgrid(0.05 * along, 0.003 / np.sqrt(3) * np.array([-1.0, 1.0]))
@@ -75,8 +75,8 @@ def test_true_shapes_have_unit_mean_square_and_are_orthogonal(
     np.testing.assert_allclose(gram, np.eye(beam.natural_frequency.size), atol=1e-12)
 
 
-def test_torsion_does_not_show_on_the_mid_line(with_twin: Callable[..., Apparatus], apparatus: Apparatus) -> None:
-    """Its shape vanishes on the mid-line and has opposite signs beside it."""
+def test_torsion_vanishes_on_the_mid_line(with_twin: Callable[..., Apparatus], apparatus: Apparatus) -> None:
+    """Its shape is zero there and has opposite signs on either side."""
     beam = true_beam(with_twin(apparatus, unlisted_modes=(TWIST,)), 1)
     assert beam.shapes([0.03])[-1] == 0
     assert beam.shapes([0.05], 0.003)[-1] == pytest.approx(np.sqrt(24) / 2)
@@ -84,7 +84,7 @@ def test_torsion_does_not_show_on_the_mid_line(with_twin: Callable[..., Apparatu
 
 
 def test_unlisted_modes_are_in_the_twin_and_not_in_the_table(apparatus: Apparatus) -> None:
-    """The shipped twin has even, torsion and higher modes; what the project plans with has the nine of Table I."""
+    """The shipped twin has even, torsional and higher modes; the design table has the nine of Table I."""
     beam = true_beam(apparatus, 1)
     families = {(mode.family, mode.label % 2 == 0, mode.label > 17) for mode in beam.apparatus.twin.unlisted_modes}
     assert {("bending", True, False), ("torsion", False, False), ("bending", False, True)} <= families
@@ -92,10 +92,10 @@ def test_unlisted_modes_are_in_the_twin_and_not_in_the_table(apparatus: Apparatu
     assert beam.natural_frequency.size == 9 + len(beam.apparatus.twin.unlisted_modes)
 
 
-def test_even_mode_makes_left_and_right_unlike(
+def test_an_even_mode_makes_left_and_right_differ(
     playback: Callable[..., Playback], with_twin: Callable[..., Apparatus], apparatus: Apparatus
 ) -> None:
-    """A drive at its resonance: antisymmetric, so A and E differ, while the table's modes alone move both alike."""
+    """At its resonance A and E differ, since it is antisymmetric; with the modes of the table they are equal."""
     drive = playback(hertz=4550.0)
     odd = Twin(with_twin(apparatus), 1).felt([None, drive], [-0.04, 0.04])
     both = Twin(with_twin(apparatus, unlisted_modes=(EVEN,)), 1).felt([None, drive], [-0.04, 0.04])
@@ -103,8 +103,10 @@ def test_even_mode_makes_left_and_right_unlike(
     assert abs(both[0] - both[1]) > 0.02 * both.max()
 
 
-def test_finger_lowers_the_first_mode_as_a_mass_does(with_twin: Callable[..., Apparatus], apparatus: Apparatus) -> None:
-    """Closed form of one mode under a finger: f0 / sqrt(1 + m_f/m) and a = (2 xi w m + c) / (2 (m + m_f)), phi = 1."""
+def test_a_finger_lowers_the_first_frequency_as_a_mass_does(
+    with_twin: Callable[..., Apparatus], apparatus: Apparatus
+) -> None:
+    """Closed form for one mode: f0 / sqrt(1 + m_f/m) and a = (2 xi w m + c) / (2 (m + m_f)), phi = 1."""
     mode = next(mode for mode in apparatus.modes if mode.label == 1)
     fingers = FingerSection(mass_g=0.33, damping_N_s_per_m=0.4)
     known = with_twin(apparatus, fingers=fingers, beam_mass_g=3.3).model_copy(update={"modes": (mode,)})
@@ -117,10 +119,10 @@ def test_finger_lowers_the_first_mode_as_a_mass_does(with_twin: Callable[..., Ap
     assert twin.system().exponent[0] == pytest.approx(apparatus.modal_model().exponent[0], rel=1e-12)
 
 
-def test_two_fingers_load_the_beam_for_each_other(
+def test_each_finger_changes_the_velocity_under_the_other(
     playback: Callable[..., Playback], with_twin: Callable[..., Apparatus], apparatus: Apparatus
 ) -> None:
-    """What a finger at C feels depends on whether another lies at A; without load it does not."""
+    """The velocity under a finger at C depends on another at A; without a load it does not."""
     drive = [playback(), playback(hertz=7137.0)]
     loaded = Twin(with_twin(apparatus, fingers=FingerSection(mass_g=0.1, damping_N_s_per_m=0.5)), 1)
     free = Twin(with_twin(apparatus), 1)
@@ -129,10 +131,10 @@ def test_two_fingers_load_the_beam_for_each_other(
     assert loaded.felt(drive, [0.0])[0] < free.felt(drive, [0.0])[0]
 
 
-def test_fingers_that_stop_the_beam_from_swinging_are_no_failure(
+def test_fingers_may_overdamp_a_mode(
     playback: Callable[..., Playback], with_twin: Callable[..., Apparatus], apparatus: Apparatus
 ) -> None:
-    """50 N s/m make mode 1 overdamped: two real exponents, and a speed that is finite and lower."""
+    """50 N s/m make mode 1 overdamped: two real exponents, and a velocity that is finite and lower."""
     heavy = Twin(with_twin(apparatus, fingers=FingerSection(mass_g=0.1, damping_N_s_per_m=50.0)), 1)
     assert np.sum(heavy.system(heavy.fingers(0.0)).exponent.imag == 0) >= 2
     assert (
@@ -140,10 +142,10 @@ def test_fingers_that_stop_the_beam_from_swinging_are_no_failure(
     )
 
 
-def test_generator_gain_error_scales_the_drive_alone(
+def test_a_gain_error_of_the_generator_only_scales_the_drive(
     playback: Callable[..., Playback], with_twin: Callable[..., Apparatus], apparatus: Apparatus
 ) -> None:
-    """Each output is off by a factor of its own, seeded, of the stated spread; the beam is none the other."""
+    """Each output has its own seeded factor with the stated spread; the beam does not change."""
     known = with_twin(apparatus, generator_gain_mismatch=0.02)
     logs = np.log([generator_gains(known, seed) for seed in range(400)])
     assert np.std(logs) == pytest.approx(0.02, rel=0.1)
@@ -153,10 +155,10 @@ def test_generator_gain_error_scales_the_drive_alone(
     assert twin.felt([playback(), None], [0.0]) == pytest.approx(factor * plain.felt([playback(), None], [0.0]))
 
 
-def test_true_amplifier_has_values_of_its_own(
+def test_the_twin_may_have_its_own_amplifier_values(
     playback: Callable[..., Playback], with_twin: Callable[..., Apparatus], apparatus: Apparatus
 ) -> None:
-    """Gain and limit in the twin's section count for the twin, and what is left out is as identified."""
+    """Gain and limit in the twin's section apply to the twin; omitted values are as identified."""
     other = Twin(with_twin(apparatus, amplifier=TrueAmplifier(gain_V_per_V=30.0, limit_V=100.0)), 1)
     (held,) = other.held_of([playback(4.0), None])
     assert np.abs(held.voltage[0]).max() == pytest.approx(60, rel=1e-3)

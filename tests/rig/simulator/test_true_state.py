@@ -1,4 +1,4 @@
-"""What the simulated beam and its amplifier really do over time, against exact states and closed forms."""
+"""The true motion of the simulated beam and its amplifier over time, against exact states and closed forms."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from modaltouch.stimulus.stimulus import design_stimulus
 from modaltouch.stimulus.target_field import TargetField
 
 
-def test_twin_without_differences_does_what_the_design_predicts(
+def test_a_twin_without_mismatch_reaches_the_design_targets(
     with_twin: Callable[..., Apparatus], apparatus: Apparatus, shipped_burst: list[Playback]
 ) -> None:
-    """True state at the focusing instant: the targets and w eta = 0, to the 1e-3 mm/s that 14 bits leave."""
+    """True state at the focusing instant: the targets and w eta = 0, to the 1e-3 mm/s that 14 bits permit."""
     design = design_stimulus(
         apparatus.modal_model(), TargetField(), Timing(AFG3022B.converter), apparatus.amplifier_values()
     )
@@ -32,7 +32,9 @@ def test_twin_without_differences_does_what_the_design_predicts(
     np.testing.assert_allclose(state.displacement, 0.0, atol=1e-6)
 
 
-def test_shipped_twin_misses_like_the_paper(apparatus: Apparatus, shipped_burst: list[Playback]) -> None:
+def test_the_shipped_twin_has_errors_like_those_in_the_paper(
+    apparatus: Apparatus, shipped_burst: list[Playback]
+) -> None:
     """Section IV of the paper: worst modal coefficient off by 6 mm/s; here 1 to 12 mm/s of 200 over five seeds."""
     design = design_stimulus(
         apparatus.modal_model(), TargetField(), Timing(AFG3022B.converter), apparatus.amplifier_values()
@@ -44,10 +46,10 @@ def test_shipped_twin_misses_like_the_paper(apparatus: Apparatus, shipped_burst:
         assert 1e-3 < miss < 12e-3
 
 
-def test_delay_of_the_amplifier_shifts_the_true_state(
+def test_the_delay_of_the_amplifier_shifts_the_true_state(
     with_twin: Callable[..., Apparatus], apparatus: Apparatus, shipped_burst: list[Playback]
 ) -> None:
-    """The same state as without a delay, later by it."""
+    """The state is that without a delay, later by the delay."""
     late = Twin(with_twin(apparatus, amplifier=TrueAmplifier(delay_us=5.0)), 1)
     prompt = Twin(with_twin(apparatus), 1)
     shifted, plain = late.true_state(shipped_burst, 0.025 + 5e-6), prompt.true_state(shipped_burst, 0.025)
@@ -55,10 +57,10 @@ def test_delay_of_the_amplifier_shifts_the_true_state(
     np.testing.assert_allclose(shifted.displacement, plain.displacement, atol=1e-9)
 
 
-def test_repeated_bursts_leave_a_residue_that_the_first_has_not(
+def test_repeated_bursts_start_from_a_residual_motion(
     playback: Callable[..., Playback], with_twin: Callable[..., Apparatus], apparatus: Apparatus
 ) -> None:
-    """Undamped by silence: a burst every 50 ms finds mode 1 still moving by e^(-a T) of its speed (closed form)."""
+    """Bursts every 50 ms without a pause: mode 1 keeps e^(-a T) of its motion from one to the next (closed form)."""
     mode = next(mode for mode in apparatus.modes if mode.label == 1)
     twin = Twin(with_twin(apparatus).model_copy(update={"modes": (mode,)}), 1)
     drive = replace(playback(), period=0.05)
@@ -75,14 +77,14 @@ def test_repeated_bursts_leave_a_residue_that_the_first_has_not(
 
 
 @pytest.mark.parametrize("bandwidth", [None, 300e3])
-def test_motion_between_samples_is_the_exact_state(
+def test_motion_between_samples_agrees_with_the_exact_state(
     with_twin: Callable[..., Apparatus],
     apparatus: Apparatus,
     shipped_burst: list[Playback],
     bandwidth: float | None,
     rng: np.random.Generator,
 ) -> None:
-    """Cubics against the exact states at 60 random instants of burst and decay: within 1e-5 of the peak."""
+    """Cubics against exact states at 60 random instants of burst and decay: within 1e-5 of the peak."""
     known = with_twin(apparatus, amplifier=TrueAmplifier(bandwidth_kHz=bandwidth and bandwidth * 1e-3))
     twin = Twin(known, 1)
     (motion,) = motions_of(twin, shipped_burst, 0.0, offset=0.0, bandwidth=None, touched=(), span=(0.0, 1.0))
@@ -94,8 +96,10 @@ def test_motion_between_samples_is_the_exact_state(
     np.testing.assert_allclose(motion.at(instants + held.period), exact, atol=1e-5 * 0.2)
 
 
-def test_low_pass_of_the_vibrometer_is_first_order(with_twin: Callable[..., Apparatus], apparatus: Apparatus) -> None:
-    """In a steady sine at its corner: 1/sqrt(2) of the amplitude, an eighth of a period later."""
+def test_the_low_pass_of_the_vibrometer_is_first_order(
+    with_twin: Callable[..., Apparatus], apparatus: Apparatus
+) -> None:
+    """Steady sine at its corner: 1/sqrt(2) of the amplitude, an eighth of a period later."""
     mode = next(mode for mode in apparatus.modes if mode.label == 3)
     twin = Twin(with_twin(apparatus).model_copy(update={"modes": (mode,)}), 1)
     n, cycles, hertz = 50_000, 100, 2000.0
@@ -109,10 +113,10 @@ def test_low_pass_of_the_vibrometer_is_first_order(with_twin: Callable[..., Appa
     assert tones[1] / tones[0] == pytest.approx(1 / (1 + 1j), rel=1e-4)
 
 
-def test_equal_poles_of_amplifier_and_vibrometer_are_no_failure(
+def test_amplifier_and_vibrometer_may_have_equal_poles(
     playback: Callable[..., Playback], with_twin: Callable[..., Apparatus], apparatus: Apparatus
 ) -> None:
-    """A corner at that of the amplifier differs from one 0.1 % beside it by no more than that."""
+    """The result differs from that for a corner 0.1 % higher by no more than 0.1 %."""
     twin = Twin(with_twin(apparatus, amplifier=TrueAmplifier(bandwidth_kHz=250.0)), 1)
     time = np.linspace(0.01, 0.04, 500)
     courses: list[Motion] = []
@@ -124,10 +128,10 @@ def test_equal_poles_of_amplifier_and_vibrometer_are_no_failure(
     np.testing.assert_allclose(same, beside, atol=1e-3 * np.abs(beside).max())
 
 
-def test_drive_is_held_or_follows_with_the_pole(
+def test_the_drive_is_a_staircase_or_filtered_by_the_pole(
     playback: Callable[..., Playback], with_twin: Callable[..., Apparatus], apparatus: Apparatus
 ) -> None:
-    """Without a pole a staircase; with one, the step's closed form V (1 - e^(-p t)) above the level of rest."""
+    """Without a pole a staircase; with one, the closed form of the step V (1 - e^(-p t)) from the idle level."""
     step = replace(playback(), record=(16382).to_bytes(2, "big") * 100, idle_code=8191)
     time = np.array([0.0, 1e-6, 5e-6, 0.02, 0.051, 0.1])
     volts = 2.0 * 25
@@ -142,7 +146,7 @@ def test_drive_is_held_or_follows_with_the_pole(
     np.testing.assert_allclose(slow.at(time), expected, atol=1e-9 * volts)
 
 
-def test_trigger_during_a_burst_is_lost(playback: Callable[..., Playback], twin: Twin) -> None:
-    """A timer of 30 ms under a burst of 50 ms: every second trigger counts, so that bursts come every 60 ms."""
+def test_a_timer_tick_during_a_burst_is_lost(playback: Callable[..., Playback], twin: Twin) -> None:
+    """A timer of 30 ms with bursts of 50 ms: every second tick counts, so that bursts are played every 60 ms."""
     (held,) = twin.held_of([replace(playback(), period=0.03), None])
     assert held.period == pytest.approx(0.06)

@@ -43,7 +43,7 @@ def visa(simulator: Simulator) -> Iterator[Any]:
 
 
 class RawClient:
-    """Speaks VXI-11 by hand, from the text of the standard: a stranger to PyVISA."""
+    """A VXI-11 client written from the standard alone, independent of PyVISA."""
 
     def __init__(self, address: str) -> None:
         port = int(address.partition(",")[2].partition(":")[0])
@@ -118,21 +118,21 @@ def written(link: int, data: bytes, *, end: bool = True) -> bytes:
 
 @pytest.fixture
 def raw(simulator: Simulator) -> Iterator[RawClient]:
-    """Return a client that is not PyVISA."""
+    """Return a client other than PyVISA."""
     client = RawClient(simulator.address)
     yield client
     client.close()
 
 
-def test_server_listens_on_the_loopback_interface_only(simulator: Simulator) -> None:
-    """Nobody on the network can reach the simulator: its socket is bound to 127.0.0.1."""
+def test_the_server_listens_on_the_loopback_interface_only(simulator: Simulator) -> None:
+    """The socket is bound to 127.0.0.1, so that the simulator cannot be reached from the network."""
     listener = simulator.server._listener
     assert listener is not None
     assert listener.getsockname()[0] == "127.0.0.1"
 
 
-def test_port_can_be_chosen(apparatus: Apparatus) -> None:
-    """A second program can be told the address beforehand."""
+def test_the_port_can_be_chosen(apparatus: Apparatus) -> None:
+    """The address is then known to another program beforehand."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
@@ -140,8 +140,8 @@ def test_port_can_be_chosen(apparatus: Apparatus) -> None:
         assert simulator.address == f"TCPIP::127.0.0.1,{port}::inst0::INSTR"
 
 
-def test_port_that_is_taken_is_refused_with_a_remedy(apparatus: Apparatus, simulator: Simulator) -> None:
-    """Two twins on one port: the second says so, and the first goes on."""
+def test_a_port_in_use_is_refused_with_a_remedy(apparatus: Apparatus, simulator: Simulator) -> None:
+    """Two twins on one port: the second reports it, and the first still answers."""
     with (
         pytest.raises(RigError, match=f"cannot listen on port {simulator.server.port} .*or give another --port"),
         Simulator(apparatus, port=simulator.server.port) as second,
@@ -150,8 +150,8 @@ def test_port_that_is_taken_is_refused_with_a_remedy(apparatus: Apparatus, simul
     assert simulator.front_panel("*IDN?").startswith("TEKTRONIX")
 
 
-def test_stranger_is_understood(raw: RawClient) -> None:
-    """A message in two writes and a reply in small reads, by another client (VXI-11, B.6.4 and B.6.5)."""
+def test_another_client_is_served(raw: RawClient) -> None:
+    """A message in two writes and a reply in small reads (VXI-11, B.6.4 and B.6.5)."""
     link = raw.link()
     assert raw.write(link, b"*ID", end=False) == (0, 3)
     assert raw.write(link, b"N?\n") == (0, 3)
@@ -164,8 +164,8 @@ def test_stranger_is_understood(raw: RawClient) -> None:
     assert data.endswith(b"\n")
 
 
-def test_other_programs_and_procedures_are_declined(raw: RawClient) -> None:
-    """RPC: unknown program 1 (PROG_UNAVAIL); VXI-11: unsupported operation 8; a link that is not there 4."""
+def test_unknown_programs_and_procedures_are_refused(raw: RawClient) -> None:
+    """RPC: unknown program 1 (PROG_UNAVAIL); VXI-11: unsupported operation 8; unknown link 4."""
     raw.call(1, b"", program=100_000)
     assert raw.status == 1
     assert struct.unpack(">i", raw.call(22, struct.pack(">i", 1))) == (8,)
@@ -173,7 +173,7 @@ def test_other_programs_and_procedures_are_declined(raw: RawClient) -> None:
     assert raw.call(0, b"") == b""
 
 
-def test_read_without_question_times_out_and_is_an_error(raw: RawClient) -> None:
+def test_a_read_without_a_query_times_out_and_is_an_error(raw: RawClient) -> None:
     """IEEE 488.2, 6.3.2.2: UNTERMINATED, -420; VXI-11 error 15 after the client's own timeout."""
     link = raw.link()
     started = time.monotonic()
@@ -183,16 +183,16 @@ def test_read_without_question_times_out_and_is_an_error(raw: RawClient) -> None
     assert raw.read(link)[2].startswith(b"-420")
 
 
-def test_question_before_the_last_reply_was_read_drops_it(raw: RawClient) -> None:
-    """IEEE 488.2, 6.3.2.3: INTERRUPTED, -410; the new reply comes, the old one is gone."""
+def test_a_query_discards_an_unread_reply(raw: RawClient) -> None:
+    """IEEE 488.2, 6.3.2.3: INTERRUPTED, -410; the new reply is sent, the old one discarded."""
     link = raw.link()
     raw.write(link, b"*IDN?")
     raw.write(link, b"SYST:ERR?")
     assert raw.read(link)[2].startswith(b"-410")
 
 
-def test_device_clear_drops_what_is_under_way(raw: RawClient) -> None:
-    """After a clear neither half a message nor an unread reply is left; settings stay."""
+def test_device_clear_discards_pending_data(raw: RawClient) -> None:
+    """After a clear neither half a message nor an unread reply is left; settings are kept."""
     link = raw.link()
     raw.write(link, b"SOUR1:FREQ 20")
     raw.write(link, b"*IDN?")
@@ -202,7 +202,7 @@ def test_device_clear_drops_what_is_under_way(raw: RawClient) -> None:
     assert raw.read(link)[2] == f"2.00000000000E+01;{NO_ERROR}\n".encode()
 
 
-def test_status_byte_tells_of_messages_and_errors(raw: RawClient) -> None:
+def test_the_status_byte_shows_messages_and_errors(raw: RawClient) -> None:
     """Bit 4 message available, bit 2 error queue not empty."""
     link = raw.link()
     assert struct.unpack(">iI", raw.generic(13, link)) == (0, 0)
@@ -213,22 +213,22 @@ def test_status_byte_tells_of_messages_and_errors(raw: RawClient) -> None:
     assert struct.unpack(">iI", raw.generic(13, link))[1] == 4
 
 
-def test_locks_are_declined(raw: RawClient) -> None:
-    """VXI-11 error 8: the twin has no locks, with a link or by themselves (B.6.1, B.6.11)."""
+def test_locks_are_refused(raw: RawClient) -> None:
+    """VXI-11 error 8: the twin has no locks, at the creation of a link or later (B.6.1, B.6.11)."""
     name = struct.pack(">iIII", 1, 1, 0, 5) + b"inst0" + bytes(3)
     assert struct.unpack(">i", raw.call(10, name)[:4]) == (8,)
     assert struct.unpack(">i", raw.call(18, struct.pack(">iiI", raw.link(), 0, 0))) == (8,)
 
 
-def test_trigger_is_taken(raw: RawClient, simulator: Simulator) -> None:
-    """device_trigger is *TRG: an error unless a channel is in burst."""
+def test_a_vxi_11_trigger_is_accepted(raw: RawClient, simulator: Simulator) -> None:
+    """device_trigger is *TRG: an error unless a channel is in burst mode."""
     link = raw.link()
     raw.generic(14, link)
     assert simulator.front_panel("SYST:ERR?").startswith("-211")
 
 
-def test_sessions_do_not_mix(simulator: Simulator) -> None:
-    """Four sessions ask at once, a hundred times each, and each gets its own replies."""
+def test_sessions_are_independent(simulator: Simulator) -> None:
+    """Four sessions query at the same time, a hundred times each, and each gets its own replies."""
     wrong: list[str] = []
 
     def ask(number: int) -> None:
@@ -262,23 +262,23 @@ def test_sessions_are_counted_and_freed(apparatus: Apparatus) -> None:
         second.close()
 
 
-def test_record_travels_there_and_back(visa: Any) -> None:
-    """131072 points with every byte value in them, through PyVISA's own block functions."""
+def test_a_record_is_sent_and_read_back(visa: Any) -> None:
+    """131072 points with every byte value, through PyVISA's own block functions."""
     codes = [i % 16383 for i in range(131_072)]
     visa.write_binary_values("DATA:DATA EMEM,", codes, datatype="H", is_big_endian=True)
     assert visa.query("DATA:POIN? EMEM;:SYST:ERR?").strip() == f"131072;{NO_ERROR}"
     assert visa.query_binary_values("DATA? EMEM", datatype="H", is_big_endian=True) == codes
 
 
-def test_shortened_block_is_an_error_and_not_a_wait(visa: Any) -> None:
-    """END before the announced length: -161, and the session goes on."""
+def test_a_truncated_block_is_an_error_without_a_hang(visa: Any) -> None:
+    """END before the announced length: -161, and the session continues."""
     visa.write_raw(b"DATA EMEM,#41000abc\n")
     assert visa.query("SYST:ERR?").startswith("-161")
     assert visa.query("*OPC?").strip() == "1"
 
 
-def test_late_reply_is_not_taken_for_the_next(visa: Any, simulator: Simulator) -> None:
-    """After a timeout the next question gets its own reply."""
+def test_a_late_reply_is_not_taken_for_the_next_one(visa: Any, simulator: Simulator) -> None:
+    """After a timeout the next query gets its own reply."""
     visa.timeout = 100
     simulator.faults.inject("delayed_reply", when="IDN", value=0.4)
     with pytest.raises(pyvisa.VisaIOError, match="Timeout"):
@@ -287,8 +287,8 @@ def test_late_reply_is_not_taken_for_the_next(visa: Any, simulator: Simulator) -
     assert visa.query("*OPC?").strip() == "1"
 
 
-def test_garbage_on_the_port_ends_that_connection_only(simulator: Simulator, visa: Any) -> None:
-    """A web browser that strays onto the port is cut off; sessions go on."""
+def test_garbage_on_the_port_ends_only_that_connection(simulator: Simulator, visa: Any) -> None:
+    """An HTTP request from a browser is disconnected; sessions continue."""
     port = int(simulator.address.partition(",")[2].partition(":")[0])
     with socket.create_connection(("127.0.0.1", port), timeout=5) as stray:
         stray.sendall(b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n")
@@ -297,8 +297,8 @@ def test_garbage_on_the_port_ends_that_connection_only(simulator: Simulator, vis
     assert visa.query("*OPC?").strip() == "1"
 
 
-def test_closed_simulator_refuses(apparatus: Apparatus) -> None:
-    """After close nobody listens on the port any more."""
+def test_a_closed_simulator_refuses_connections(apparatus: Apparatus) -> None:
+    """After close the port is no longer open."""
     simulator = Simulator(apparatus)
     port = int(simulator.address.partition(",")[2].partition(":")[0])
     simulator.close()
@@ -307,10 +307,10 @@ def test_closed_simulator_refuses(apparatus: Apparatus) -> None:
 
 
 @pytest.mark.parametrize(("reset", "links"), [(True, [2]), (False, [1, 2])])
-def test_frozen_twin_plays_what_a_closed_link_left_and_not_what_a_reset_one_did(
+def test_a_frozen_twin_plays_triggers_of_closed_but_not_of_reset_links(
     tmp_path: Path, reset: bool, links: list[int]
 ) -> None:
-    """Stopped, sent a trigger, left by its client, and woken; a real instrument may play both."""
+    """Stopped, triggered, left by its client, and continued; a real instrument may play both."""
     file = tmp_path / "played"
     command = [sys.executable, "-m", "modaltouch", "rig", "simulate", "--played", str(file)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
@@ -320,9 +320,9 @@ def test_frozen_twin_plays_what_a_closed_link_left_and_not_what_a_reset_one_did(
             first = RawClient(address)
             link = first.link()
             first.write(link, b"DATA:DEF EMEM,100;:DATA:COPY USER1;:TRIG:SOUR EXT;:SOUR1:FUNC USER1;FREQ 20")
-            # A burst that is as short as it can be listed: the second trigger must not be inside the first.
+            # The shortest burst that is listed: the second trigger must not fall into the first one.
             first.write(link, b"SOUR1:FREQ 1000;:SOUR1:BURS:STAT ON;NCYC 1;:OUTP1 ON")
-            time.sleep(0.1)  # the relay, by the twin's own clock
+            time.sleep(0.1)  # for the relay, by the twin's own clock
             process.send_signal(signal.SIGSTOP)
             os.waitpid(process.pid, os.WUNTRACED)
             first.ask(11, written(link, b"TRIG:SEQ:IMM"))
