@@ -1,6 +1,6 @@
-"""What the project promises of its speed and exactness, each beside what was measured.
+"""The project's promises of speed and accuracy, each with the measured value.
 
-As a script: prints the promises of every file in results/benchmarks/.
+As a script: prints the promises in every file in results/benchmarks/.
 """
 
 import json
@@ -14,7 +14,7 @@ RESULTS = Path(__file__).resolve().parents[2] / "results" / "benchmarks"
 
 
 def at_least(what: str, measured: float, bar: float, unit: str = "times") -> dict[str, Any]:
-    """Return a promise that a figure reaches a bar."""
+    """Return the promise that a figure reaches a bar."""
     return {
         "what": f"{what} [{unit or 1}], at least",
         "bar": bar,
@@ -24,7 +24,7 @@ def at_least(what: str, measured: float, bar: float, unit: str = "times") -> dic
 
 
 def at_most(what: str, measured: float, bar: float, unit: str = "times") -> dict[str, Any]:
-    """Return a promise that a figure stays within a bar."""
+    """Return the promise that a figure does not exceed a bar."""
     return {
         "what": f"{what} [{unit or 1}], at most",
         "bar": bar,
@@ -34,7 +34,7 @@ def at_most(what: str, measured: float, bar: float, unit: str = "times") -> dict
 
 
 def machine() -> dict[str, Any]:
-    """Return on what the figures were taken."""
+    """Return a description of the machine on which the figures were measured."""
     import numpy as np
     import scipy
     from threadpoolctl import threadpool_info
@@ -61,7 +61,7 @@ def _processor() -> str:
 
 
 def write(name: str, results: dict[str, Any], bars: list[dict[str, Any]]) -> int:
-    """Write what was measured to ``results/benchmarks/NAME.json`` and print its promises."""
+    """Write the results to ``results/benchmarks/NAME.json`` and print their promises."""
     RESULTS.mkdir(parents=True, exist_ok=True)
     whole = {"machine": machine(), "bars": bars, **results}
     (RESULTS / f"{name}.json").write_text(json.dumps(whole, indent=1) + "\n", encoding="utf-8")
@@ -70,14 +70,14 @@ def write(name: str, results: dict[str, Any], bars: list[dict[str, Any]]) -> int
 
 
 def show(bars: list[dict[str, Any]]) -> None:
-    """Print promises, one to a line: whether met, what was measured, the bar, of what."""
+    """Print one promise per line: whether it is met, the measured value, the bar and the subject."""
     for each in bars:
         verdict = "met    " if each["met"] else "NOT MET"
         print(f"  {verdict} {each['measured']:10.3g} {each['bar']:>10}  {each['what']}")
 
 
 def main() -> int:
-    """Print all promises; 1 where one is not met."""
+    """Print all promises; return 1 if any is not met."""
     unmet = 0
     for path in sorted(RESULTS.glob("*.json")):
         bars = json.loads(path.read_text(encoding="utf-8")).get("bars", [])

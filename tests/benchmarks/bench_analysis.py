@@ -1,7 +1,7 @@
-"""How long the analysis takes and how much memory it needs, against the number of trials.
+"""Time and memory of the analysis against the number of trials.
 
-Writes ``results/benchmarks/analysis.json``. Every run is a process of its own, imports included, on synthetic answers
-of a stated seed; trees hold sessions of the paper's design, every tenth incomplete, damaged, pilot or simulated.
+Writes ``results/benchmarks/analysis.json``. Every run is a separate process, imports included, on synthetic answers
+with a given seed; trees contain sessions of the paper's design, every tenth incomplete, damaged, pilot or simulated.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def write_table(path: Path, n_participants: int, n_repetitions: int, seed: int =
 def write_tree(root: Path, n_sessions: int, n_repetitions: int, seed: int = 1) -> None:
     """Write session logs of the paper's protocol, every tenth incomplete, damaged, pilot or simulated in turn.
 
-    Orders, amplitudes and speeds are the true ones, since the analysis leaves out what does not follow from a log's own
+    Orders, amplitudes and velocities are the true ones, since the analysis excludes trials that disagree with the log's
     start record; the answers are synthetic.
     """
     text = (ROOT / "protocols" / "differentiated_stimulation.yaml").read_text(encoding="utf-8")
@@ -122,7 +122,7 @@ def _figures(preflight: Preflight, condition: Condition) -> tuple[list[float], t
 
 
 def measure(source: Path, out: Path) -> dict[str, Any]:
-    """Return what one analysis costs in a process of its own."""
+    """Return the cost of one analysis in a separate process."""
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     started = time.perf_counter()
     done = subprocess.run(
@@ -136,7 +136,7 @@ def measure(source: Path, out: Path) -> dict[str, Any]:
 
 
 def spend(command: list[str]) -> float:
-    """Return the processor time of a process of its own [s]."""
+    """Return the processor time of a separate process [s]."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     subprocess.run(command, capture_output=True, check=True)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -144,7 +144,7 @@ def spend(command: list[str]) -> float:
 
 
 def exponent(rows: list[dict[str, Any]], of: str) -> float:
-    """Return the slope of log CPU time over log size, less the time of the smallest."""
+    """Return the slope of log CPU time over log size, after subtracting the time of the smallest."""
     base, *larger = rows
     sizes, times = [row[of] for row in larger], [row["cpu_s"] - base["cpu_s"] for row in larger]
     return float(np.polyfit(np.log(sizes), np.log(times), 1)[0])

@@ -1,8 +1,8 @@
-"""What people wait for: the processor time of commands beside that of ``import numpy`` in the same run.
+"""Processor time of commands relative to that of ``import numpy`` in the same run.
 
-Writes ``results/benchmarks/commands.json``. Every command is a process of its own in a user's environment, in turns,
-bytecode caches warm; of several runs the best counts. Processor time is hardly changed by other work on the machine,
-and its ratio to an import is about the same on another one. Where a bar is in seconds, it is processor time too.
+Writes ``results/benchmarks/commands.json``. Every command is a separate process in a user's environment, in rotation,
+with warm bytecode caches; the best of several runs counts. Processor time hardly depends on other load, and its ratio
+to that of an import is about the same on other machines. Bars in seconds are processor time as well.
 """
 
 import math
@@ -23,9 +23,9 @@ PAPER = "differentiated_stimulation.yaml"
 HEAVY = ("psychopy", "pyvisa", "pandas", "matplotlib", "scipy", "statsmodels")
 ROUNDS = 7
 USERS = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
-# As the commands set it themselves: threads of BLAS that start and wait would double the cost of the import.
+# As the commands set it themselves: starting threads of BLAS would double the cost of the import.
 USERS["OPENBLAS_NUM_THREADS"] = "1"
-"""Environment of the commands: what only developers set would have every module compiled anew each time."""
+"""Environment of the commands: settings of developers would have every module compiled each time."""
 ON_THE_TWIN = (
     ("identify", [], "identify"),
     ("validate", [str(PROTOCOLS / PAPER)], "validate"),
@@ -51,7 +51,7 @@ print("late", statistics.median(took[-200:]) / statistics.median(took[50:250]))
 
 
 def run(arguments: list[str], status: int = 0) -> tuple[float, subprocess.CompletedProcess[str]]:
-    """Return the processor time of one process [s], and what it said."""
+    """Return the processor time of one process [s], and its output."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     done = subprocess.run([sys.executable, *arguments], capture_output=True, text=True, check=False, env=USERS)
     if done.returncode != status:
@@ -61,7 +61,7 @@ def run(arguments: list[str], status: int = 0) -> tuple[float, subprocess.Comple
 
 
 def written_with(folder: Path, line: str, other: str) -> str:
-    """Write the paper's protocol with one line other than it is, and return its path."""
+    """Write the paper's protocol with one line changed, and return its path."""
     text = (PROTOCOLS / PAPER).read_text(encoding="utf-8").replace(": apparatus/", f": {PROTOCOLS}/apparatus/")
     assert line in text
     text = text.replace(": texts/", f": {PROTOCOLS}/texts/").replace(line, other)

@@ -1,11 +1,11 @@
-"""Bound of what the current of an actuator set, in place of the vibrometer, can tell about fingers on the beam.
+"""Bounds for estimates of fingers from the current of an actuator set instead of the vibrometer.
 
 Writes ``results/benchmarks/current.json``. A set draws the current of its capacitance and, by reciprocity, that of the
-motion: ``I = k m_b G_s^T Y G + s C``. For twelve placements on each of three pairs, the Cramer-Rao bound states how
-exactly any unbiased estimator could know the level at C from the velocity of a point, and from the current of either
-set, seen by a scope of 8, 12 or 14 bits. The current is recorded in five bands of frequency, each in a range of its
-own. Fingers are estimated from the difference that they make to it, so that a constant capacitance cancels; it changes
-by 0.1 % meanwhile. A capacitance of 10 nF is assumed, and that nothing but it and the motion draws a current.
+motion: ``I = k m_b G_s^T Y G + s C``. For twelve placements on each of three pairs, the Cramer-Rao bound limits how
+precisely any unbiased estimator could find the level at C from the velocity of a point, and from the current of either
+set, recorded by a scope of 8, 12 or 14 bits. The current is recorded in five frequency bands, each in a separate range.
+Fingers are estimated from the change of the current, so that a constant capacitance cancels; it changes by 0.1 %
+meanwhile. It is assumed that the capacitance is 10 nF and that only it and the motion draw current.
 """
 
 import sys
@@ -24,27 +24,27 @@ from modaltouch.protocol import Apparatus
 from modaltouch.stimulus import Finger, ModalModel
 
 CAPACITANCE, DRIFT, N_TERMS = 10e-9, 1e-3, 5
-"""Capacitance of a set [F], its relative change between two probes [1], terms of its course over log frequency."""
+"""Capacitance of a set [F], its relative change between two probes [1], terms of its dependence on log frequency."""
 
 N_DRAWS, N_BANDS = 12, 5
-"""Placements on each pair; bands of frequency that are recorded one by one."""
+"""Placements on each pair; frequency bands that are recorded one by one."""
 
 BITS = (8, 12, 14)
 HEADROOM, STEPS, RATE = 1.5, 0.7, 2e6
 """Range over the peak of the current, noise of a converter in its steps, samples per second."""
 
 PRIOR = {"frequency": 0.005, "damping": 0.1, "gain": 0.02, "coupling": 0.1}
-"""Standard deviations of what is known of the beam beforehand: logarithms, but gains over their mode's largest."""
+"""Prior standard deviations of the beam's parameters: of logarithms, but of gains over the largest of the mode."""
 
 FINGER_PRIOR = np.array([1.0, 1.0, 1.5, 2.5])
-"""Standard deviations of the logarithms of mass, damping and stiffness, and of the place [mm]."""
+"""Standard deviations of the logarithms of mass, damping and stiffness, and of the position [mm]."""
 
 _STEP = 1e-4
 
 
 @dataclass(frozen=True)
 class Placement:
-    """Two fingers on a true beam, with what is estimated as a vector of steps away from the truth."""
+    """Two fingers on a true beam, with the estimated quantities as a vector of steps away from the truth."""
 
     bench: Bench
     beam: ModalModel
@@ -91,18 +91,18 @@ class Placement:
         return np.array([np.linalg.solve(each, force)[:, :, 0] @ read for each in (dynamics, loaded)])
 
     def level(self, step: np.ndarray, drive: Callable[[ModalModel], float]) -> float:
-        """Return the level at C that a drive reaches."""
+        """Return the level at C that a drive produces."""
         return drive(self.moved(step)[0])
 
     def bounds(self, sensed: int | None, drive: Callable[[ModalModel], float]) -> dict[int, float]:
-        """Return the least relative standard deviation of the level that a probe allows, by the scope's bits."""
+        """Return the least relative standard deviation of the level from a probe, by the scope's bits."""
         slopes, level = self._slopes(sensed, drive)
         truth, weight, size = self.response(np.zeros(self.prior.size), sensed), self.prior, 1.0
         rows = [slopes[0], slopes[1]]
         if sensed is not None:
             charging = self._charging(sensed)
             both, size = np.concatenate([charging, 1j * charging], axis=1), np.sqrt(2)
-            # Untouched: the capacitance is unknown. Fingers: the difference, with what the capacitance has changed.
+            # Untouched: the capacitance is unknown. Fingers: the difference, including the change of the capacitance.
             rows = [np.concatenate([slopes[0], both, 0 * both], axis=1)]
             rows += [np.concatenate([slopes[1] - slopes[0], 0 * both, both], axis=1)]
             weight = np.concatenate([weight, [1e3 * CAPACITANCE] * 2 * N_TERMS, [DRIFT * CAPACITANCE] * 2 * N_TERMS])
@@ -130,7 +130,7 @@ class Placement:
         return 2j * np.pi * (frequency * own)[:, None] * np.polynomial.chebyshev.chebvander(2 * place - 1, N_TERMS - 1)
 
     def _noise(self, response: np.ndarray, sensed: int | None, bits: int) -> np.ndarray:
-        """Return the standard deviation of the noise of each response per volt, real and imaginary part alike."""
+        """Return the standard deviation of the noise of each response per volt, equal for real and imaginary part."""
         line, bins, density = self.bench.line, self.bench.excitation.bins, np.full(self.bench.line.size, DENSITY)
         if sensed is not None:
             whole = (response + CAPACITANCE * self._charging(sensed)[:, 0]) * line
@@ -145,7 +145,7 @@ class Placement:
 
 
 def judged(bench: Bench, pair: str) -> dict[str, list[float]]:
-    """Return the bound of every placement of a pair, by what is measured [% of the level]."""
+    """Return the bound for every placement of a pair, by the measured quantity [% of the level]."""
     rng, found = np.random.default_rng(16), dict[str, list[float]]()
     for _ in range(N_DRAWS):
         placement = Placement(bench, true_beam(bench.table, rng), draw_fingers(PAIRS[pair], rng))

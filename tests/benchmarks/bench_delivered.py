@@ -1,8 +1,8 @@
-"""What a burst delivered under fingers that have drifted since their probe: how near its record tells, and how surely.
+"""The level of a burst under fingers that have drifted since their probe: accuracy and coverage of its estimate.
 
 Writes ``results/benchmarks/delivered.json``. Forty placements of two fingers on A and C, and the beam, as in
 ``bench_probe.py``. Until the burst is played, mass, damping and stiffness change by 20 %, the place by 0.3 mm, and each
-channel's gain by 2 %; the vibrometer's noise is that of the twin. The truth is the peak speed of the coupled beam.
+channel's gain by 2 %; the vibrometer's noise is that of the twin. The truth is the peak velocity of the coupled beam.
 """
 
 import sys
@@ -23,7 +23,7 @@ from modaltouch.stimulus import BlockKernel, DiagonalSystem, Finger, ModalModel,
 from modaltouch.stimulus.probe import ProbedBeam
 
 LEVEL, EVERY, NORMAL_95 = 0.05, 2, 1.96
-"""Level [m/s], samples of the generator for one of the scope, and half a 95 % interval [standard deviations]."""
+"""Level [m/s], samples of the generator per sample of the scope, half a 95 % interval [standard deviations]."""
 
 
 def later(finger: Finger, rng: np.random.Generator) -> Finger:
@@ -39,7 +39,7 @@ def later(finger: Finger, rng: np.random.Generator) -> Finger:
 
 
 def recorded(beam: ModalModel, stimulus: Stimulus, laser: float, rng: np.random.Generator) -> Recording:
-    """Return what the vibrometer sees of a burst and of most of the silence after it."""
+    """Return the vibrometer's record of a burst and of most of the silence after it."""
     system, timing = DiagonalSystem.of(beam, stimulus.amplifier), stimulus.timing
     voltage = stimulus.voltage_played(LEVEL)
     n_samples = round(0.95 * timing.sampling_rate / timing.repetition_rate)
@@ -53,7 +53,7 @@ def recorded(beam: ModalModel, stimulus: Stimulus, laser: float, rng: np.random.
 
 
 def judged(bench: Bench, rng: np.random.Generator) -> dict[str, np.ndarray]:
-    """Return what comes of a placement, for both fingers, over the true peak speeds [1]; and the time taken [s]."""
+    """Return the estimates for both fingers of a placement, over the true peak velocities [1]; and the time [s]."""
     places = tuple(finger.position for finger in bench.expected)
     beam, fingers = true_beam(bench.table, rng), draw_fingers(places, rng)
     found = bench.probe(beam.touched(fingers), rng).touched(

@@ -1,4 +1,4 @@
-"""Designs for the beam under fingers: how near the level comes, at what voltage, how exactly and at what cost.
+"""Designs for the beam with fingers: error of the level, voltage, numerical error and cost.
 
 Writes ``results/benchmarks/fingers.json`` and ``fingers.png``. Forty placements of two fingers, drawn from the wide
 range of the literature, on each of three pairs of zones; the beam has even modes and cross gains that its table lacks,
@@ -48,7 +48,7 @@ def whole_table(apparatus: Apparatus) -> ModalModel:
 
 
 def true_beam(table: ModalModel, rng: np.random.Generator) -> ModalModel:
-    """Return a beam whose values are off those of the table."""
+    """Return a beam whose values deviate from those of the table."""
     off = np.exp(rng.standard_normal((4, table.n_modes)) * np.array([[1e-3], [0.02], [0.02], [0.02]]))
     return replace(
         table,
@@ -59,7 +59,7 @@ def true_beam(table: ModalModel, rng: np.random.Generator) -> ModalModel:
 
 
 def draw_fingers(pair: tuple[float, float], rng: np.random.Generator) -> tuple[Finger, ...]:
-    """Return two fingers alike to 20 %, their places off by 2 mm."""
+    """Return two fingers that are alike within 20 %, displaced by 2 mm."""
     mass, damping = np.exp(rng.uniform(np.log([2e-5, 0.1]), np.log([3e-4, 2.0])))
     base = np.array([mass, damping, rng.uniform(0.0, 2000.0)])
     return tuple(
@@ -73,7 +73,7 @@ def design(stimulus: Stimulus, model: ModalModel, fingers: tuple[Finger, ...], *
 
 
 def judge(designed: Stimulus, beam: ModalModel, fingers: tuple[Finger, ...]) -> dict[str, float]:
-    """Return what a design does to the true beam under fingers, over the level, and the voltage that it takes [V]."""
+    """Return the results of a design on the true beam with fingers, over the level, and its voltage [V]."""
     played = replace(designed.touched(()), model=beam.touched(fingers))
     unit, target = designed.volts_per_code(LEVEL), designed.projection.field(np.array([-0.04, -0.02, 0, 0.02, 0.04]))
     reached = played.velocity_at_focus([-0.04, -0.02, 0.0, 0.02, 0.04], unit)
@@ -85,7 +85,7 @@ def judge(designed: Stimulus, beam: ModalModel, fingers: tuple[Finger, ...]) -> 
 
 
 def summary(rows: list[dict[str, float]]) -> dict[str, float]:
-    """Return what forty placements come to, in per cent of the level."""
+    """Return the summary of forty placements, in per cent of the level."""
     level, zones, volts = (np.array([row[key] for row in rows]) for key in ("at_C", "worst_zone", "peak_V"))
     return {
         "level_mean_percent": 100 * level.mean(),
@@ -99,7 +99,7 @@ def summary(rows: list[dict[str, float]]) -> dict[str, float]:
 
 
 def placements(stimulus: Stimulus, apparatus: Apparatus) -> dict[str, dict[str, list[dict[str, float]]]]:
-    """Return what each design does in each of forty placements, by pair."""
+    """Return the results of each design in each of forty placements, by pair."""
     found: dict[str, dict[str, list[dict[str, float]]]] = {}
     table, complete = apparatus.modal_model(), whole_table(apparatus)
     for pair, places in PAIRS.items():
@@ -113,7 +113,7 @@ def placements(stimulus: Stimulus, apparatus: Apparatus) -> dict[str, dict[str, 
         rows: dict[str, list[dict[str, float]]] = {}
         for _ in range(N_DRAWS):
             beam, fingers = true_beam(complete, rng), draw_fingers(places, rng)
-            # A beam that is known takes all its modes into the design, even ones included.
+            # For a known beam all its modes enter the design, including even ones.
             known = {
                 "known": design(stimulus, beam, fingers),
                 "known, level first": design(stimulus, beam, fingers, priority="level"),
@@ -125,7 +125,7 @@ def placements(stimulus: Stimulus, apparatus: Apparatus) -> dict[str, dict[str, 
 
 
 def critical_damping(table: ModalModel) -> float:
-    """Return the damping of two fingers, on A and C, at which a pair of exponents meets [N s/m]."""
+    """Return the damping of two fingers, on A and C, at which a pair of exponents coincides [N s/m]."""
 
     def n_real(damping: float) -> int:
         model = table.touched(tuple(Finger(place, CRITICAL, damping) for place in PAIRS["A-C"]))
@@ -140,7 +140,7 @@ def critical_damping(table: ModalModel) -> float:
 
 
 def exactness(stimulus: Stimulus, table: ModalModel) -> dict[str, dict[str, float]]:
-    """Return what the loaded plant's target is missed by, float and codes, and the cost beside the free design."""
+    """Return the error of the loaded plant's target, with floats and codes, and the cost over that without fingers."""
     critical = critical_damping(table)
     plants = {
         "typical": TYPICAL,
@@ -176,7 +176,7 @@ def exactness(stimulus: Stimulus, table: ModalModel) -> dict[str, dict[str, floa
 def main() -> int:
     """Measure, draw and write."""
     _, stimulus = examine("differentiated_stimulation").sound
-    # What the preflight passes on knows nothing of the twin's true beam.
+    # The preflight's values are independent of the twin's true beam.
     apparatus = Apparatus.read(Source.find("apparatus", "beam_100x6x2").path)
     table = apparatus.modal_model()
     with threadpool_limits(1):

@@ -1,9 +1,9 @@
-"""How long planning takes: thousands of experiments at once, against pandas and SciPy one experiment at a time.
+"""Time of planning: thousands of experiments together, against pandas and SciPy one experiment at a time.
 
-Writes ``results/benchmarks/planning.json``. Both ways simulate the paper's protocol with the observer `paper` and
-do the same 21 exact tests with Holm's correction; the other way is what one writes with the libraries alone: groupby
+Writes ``results/benchmarks/planning.json``. Both simulate the paper's protocol with the observer `paper` and
+do the same 21 exact tests with Holm's correction; the second uses only the libraries: groupby
 and pivot, `scipy.stats.permutation_test` with a vectorised statistic (all 2^N sign flips, or 9999 shuffles of the
-levels within participants), `statsmodels` for Holm. One thread, CPU time, best of several runs. The two must agree
+levels within participants), `statsmodels` for Holm. One thread, CPU time, best of several runs. They must agree
 on the sign-flip tests, which are exact in both.
 """
 
@@ -88,7 +88,7 @@ def level_shuffle(chosen: np.ndarray, levels: np.ndarray, rng: np.random.Generat
 
 
 def analyse_by_libraries(table: pd.DataFrame, rng: np.random.Generator) -> dict[str, list[float]]:
-    """Return the 24 p of one experiment, family by family, and correct them by Holm."""
+    """Return the 24 p of one experiment, family by family, corrected by Holm's method."""
     hands, pairs = sorted(table["hand"].unique()), sorted(table["pair"].unique())
     sums = table.groupby(["hand", "pair", "participant"])[["dominant", "other", "both"]].sum()
     found: dict[str, list[float]] = {"a2": [], "b": [], "c": [], "d": []}
@@ -111,7 +111,7 @@ def analyse_by_libraries(table: pd.DataFrame, rng: np.random.Generator) -> dict[
 
 
 def largest_difference(answers: AnswerCounts, by_libraries: list[dict[str, list[float]]]) -> float:
-    """Return the largest difference of the sign-flip p between the two ways."""
+    """Return the largest difference of the sign-flip p between the two implementations."""
     return max(
         float(np.abs(STATISTICS[family].compute(answers).test.quick_p[experiment] - found[family]).max())
         for family in ("a2", "c", "d")
@@ -120,7 +120,7 @@ def largest_difference(answers: AnswerCounts, by_libraries: list[dict[str, list[
 
 
 def main() -> None:
-    """Time both ways and write the figures."""
+    """Time both implementations and write the figures."""
     observer = Observer.read("paper")
     preflight = examine(ROOT / "protocols" / "differentiated_stimulation.yaml").require()
     study = Study(designs_for(preflight, observer)[""], observer, CONFIRMED, null=False, seed=1)

@@ -1,4 +1,4 @@
-"""Probes of fingers on the beam: how near the level comes, how far its interval can be trusted, and what a probe costs.
+"""Probes of fingers on the beam: error of the level, coverage of its interval, and cost of a probe.
 
 Writes ``results/benchmarks/probe.json``. Forty placements of two fingers, drawn from the wide range of the literature
 and off their zones by 2 mm, on each of three pairs; the beam is off its table by 0.1 % in frequency, 2 % in damping and
@@ -28,17 +28,17 @@ from modaltouch.stimulus.fingers import CoupledModes
 
 EXPECTED = (8e-5, 0.5, 500.0)
 SPEED, FROM_END, DELAY = 15e-3, 1e-3, 4e-6
-"""Highest speed of a probe [m/s], the vibrometer's spot [m from the end], its delay [s]."""
+"""Highest velocity of a probe [m/s], the vibrometer's spot [m from the end], its delay [s]."""
 
 DENSITY = 0.5e-6 * np.sqrt(1.5)
-"""Noise of the twin's vibrometer, and what a window makes of it [m/s per root Hz]."""
+"""Noise of the twin's vibrometer, and its value after windowing [m/s per root Hz]."""
 
 N_OTHERS = 5
-"""Placements on each pair of fingers that are no mass, damper and spring."""
+"""Placements on each pair for fingers other than mass, damper and spring."""
 
 
 def as_spring_pot(finger: Finger, power: float = 0.5) -> Finger:
-    """Return the finger with its damper and spring exchanged for Z = K / s**power, by fourteen Maxwell terms."""
+    """Return the finger with damper and spring replaced by Z = K / s**power, by fourteen Maxwell terms."""
     rate = np.geomspace(30.0, 1e7, 14)
     size = finger.damping * (2e3 * np.pi) ** power * np.sin(np.pi * power) / np.pi * np.log(rate[1] / rate[0])
     terms = tuple(zip((size * rate ** (1 - power)).tolist(), (1 / rate).tolist(), strict=True))
@@ -51,18 +51,18 @@ class TwoMasses(Finger):
 
     @property
     def behind(self) -> tuple[float, float, float]:
-        """Mass [kg], damping [N s/m] and stiffness [N/m] of what swings behind the skin."""
+        """Mass [kg], damping [N s/m] and stiffness [N/m] of the part behind the skin."""
         omega = 2 * np.pi * 1500
         return self.mass, 0.4 * self.mass * omega, self.mass * omega**2
 
     @classmethod
     def of(cls, finger: Finger) -> "TwoMasses":
-        """Return the finger with its mass parted in two."""
+        """Return the finger with its mass divided in two."""
         return cls(finger.position, finger.mass / 2, finger.damping, finger.stiffness, finger.width)
 
 
 def real_system(model: ModalModel, stimulus: Stimulus) -> CoupledModes:
-    """Return the coupled equations, those of masses behind springs assembled here."""
+    """Return the coupled equations, with masses behind springs assembled here."""
     if not any(isinstance(finger, TwoMasses) for finger in model.fingers):
         given = model.angular_frequency, model.damping_ratio, model.modal_gain, model.loads
         return CoupledModes.of(*given).behind(stimulus.amplifier.bandwidth, stimulus.amplifier.delay)
@@ -80,7 +80,7 @@ def real_system(model: ModalModel, stimulus: Stimulus) -> CoupledModes:
         mass, damping, stiffness = (np.pad(each, pad) for each in (mass, damping, stiffness))
         mass[-along.shape[1] :, -along.shape[1] :] = second * np.eye(along.shape[1])
         damping, stiffness = damping + damper * tied @ tied.T, stiffness + spring * tied @ tied.T
-    # Displacements times a frequency of their own, as the engine has them.
+    # Displacements are scaled by their own frequency, as in the engine.
     scale = np.concatenate([omega, np.full(len(mass) - n, 1e4)])
     gain = np.pad(model.modal_gain, ((0, len(mass) - n), (0, 0)))
     lower = np.linalg.solve(mass, np.concatenate([-stiffness / scale, -damping, gain], axis=1))
@@ -92,7 +92,7 @@ def real_system(model: ModalModel, stimulus: Stimulus) -> CoupledModes:
 
 @dataclass(frozen=True)
 class Bench:
-    """A pair of zones on the beam, and how it is probed."""
+    """A pair of zones on the beam, and the method of probing it."""
 
     stimulus: Stimulus
     table: ModalModel
@@ -115,7 +115,7 @@ class Bench:
         return cls(stimulus, table, excitation, line, laser, expected)
 
     def probe(self, beam: ModalModel, rng: np.random.Generator) -> Probe:
-        """Return a probe of a beam, its responses by the real equations."""
+        """Return a probe of a beam, with responses by the true equations."""
         system = real_system(beam, self.stimulus)
         frequency, channel = self.excitation.bins * SPACING, self.excitation.channel
         read = np.zeros(len(system.matrix))
@@ -138,7 +138,7 @@ class Bench:
     def row(
         self, beam: ModalModel, fingers: tuple[Finger, ...], later: tuple[Finger, ...], seed: int
     ) -> dict[str, Any]:
-        """Return what a probe and the design for it come to, under fingers that may differ by then."""
+        """Return the results of a probe and of the design for it, with fingers that may have changed since."""
         rng = np.random.default_rng(seed)
         free, touched = self.probe(beam, rng), self.probe(beam.touched(fingers), rng)
         begun = time.perf_counter()
@@ -172,7 +172,7 @@ class Bench:
 
 
 def placements(bench: Bench, kind: str) -> Iterator[dict[str, Any]]:
-    """Yield what comes of each placement of a kind of fingers."""
+    """Yield the results of each placement of a kind of fingers."""
     places, rng = tuple(finger.position for finger in bench.expected), np.random.default_rng(16)
     for number in range(N_DRAWS if kind == "mass, damper, spring" else N_OTHERS):
         beam, fingers = true_beam(bench.table, rng), draw_fingers(places, rng)
@@ -189,7 +189,7 @@ def placements(bench: Bench, kind: str) -> Iterator[dict[str, Any]]:
 
 
 def summary(rows: list[dict[str, Any]]) -> dict[str, float]:
-    """Return what placements come to, in per cent of the level."""
+    """Return the summary of the placements, in per cent of the level."""
     taken = [row for row in rows if "refused" not in row]
     miss, later, deviation = (
         np.array([row[key] for row in taken]) - one for key, one in (("level", 1), ("level_later", 1), ("deviation", 0))
@@ -211,7 +211,7 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, float]:
 
 
 def on_the_twin(bench: Bench, apparatus: Apparatus) -> dict[str, float]:
-    """Return what a probe takes on the twin, step by step [s]: it computes the beam's motion as well."""
+    """Return the duration of a probe on the twin, step by step [s]: the twin also computes the motion of the beam."""
     with open_laboratory(apparatus, repetition="continuous") as laboratory:
         laboratory.load(bench.excitation.burst)
         bandwidth = apparatus.acquisition.vibrometer_bandwidth_kHz
@@ -234,7 +234,7 @@ def on_the_twin(bench: Bench, apparatus: Apparatus) -> dict[str, float]:
             instants.append(time.perf_counter())
             runs.append([*np.diff(instants).tolist(), instants[-1] - instants[0], found.misfit])
             laboratory.load(bench.excitation.burst)
-    # Beside other work the best of three is what the steps themselves take.
+    # Under other load the best of three is closest to the time of the steps themselves.
     best = min(runs, key=lambda run: run[4])
     return dict(zip(("record_s", "fit_s", "design_s", "upload_s", "together_s", "misfit"), best, strict=True))
 
@@ -243,7 +243,7 @@ KINDS = ("mass, damper, spring", "spring-pot", "second mass")
 
 
 def judged(pair: str) -> dict[str, list[dict[str, Any]]]:
-    """Return what comes of every placement on a pair, by the kind of its fingers."""
+    """Return the results of every placement on a pair, by the kind of its fingers."""
     _, stimulus = examine("differentiated_stimulation").sound
     with threadpool_limits(1):
         bench = Bench.of(stimulus, Apparatus.read("beam_100x6x2"), PAIRS[pair])

@@ -1,6 +1,6 @@
-"""The beam forward: nine modes under 65,536 arbitrary samples, beside lsim, forced_response and lfilter; errors too.
+"""Forward response: nine modes with 65,536 arbitrary samples, against lsim, forced_response and lfilter; and errors.
 
-Writes ``results/benchmarks/response.json``. One BLAS thread; times are the best of their repetitions, taken in turns.
+Writes ``results/benchmarks/response.json``. One BLAS thread; times are the best of their repetitions, run in rotation.
 Errors are those of each mode over its own peak, against one-poles stepped in 80-bit numbers.
 """
 
@@ -35,7 +35,7 @@ from modaltouch.stimulus.modes import ModalModel
 
 N_SAMPLES = 65_536
 TIMING = Timing(replace(AFG3022B.converter, clock_rate=N_SAMPLES * 20 * 190), n_samples=N_SAMPLES)
-"""A clock that holds every sample equally long, as the peers assume."""
+"""A clock with equal durations of all samples, as the peers assume."""
 
 
 def speed(model: ModalModel, voltage: Any) -> dict[str, float]:
@@ -68,7 +68,7 @@ def speed(model: ModalModel, voltage: Any) -> dict[str, float]:
 
 
 def errors(model: ModalModel, voltage: Any) -> dict[str, float]:
-    """Return the largest error of any mode over its own peak, of the engine and of its peers."""
+    """Return the largest error of any mode over its own peak, for the engine and its peers."""
     exact, hold = eighty_bits(model, voltage, TIMING.hold), TIMING.hold
     peak = np.abs(exact).max(axis=1, keepdims=True)
     found = {

@@ -1,4 +1,4 @@
-"""How long the rig takes: queries, uploads, a change of level, a whole session, beside bare PyVISA in the same run.
+"""Times of the rig: queries, uploads, a change of level and a whole session, against bare PyVISA in the same run.
 
 Writes ``results/benchmarks/rig.json``. Promises are ratios to bare PyVISA on the same simulator in the same run. The
 driver reaches the simulator as a session does: through the watchdog's process, which holds the VISA session.
@@ -40,11 +40,11 @@ BOUNDS = {
     (OFF, QUERY): 10.0,
     ("heartbeat", QUERY): 0.01,
 }
-"""Most that one median may be of another, taken in the same run [1]."""
+"""Largest ratio of one median to another from the same run [1]."""
 
 
 def median_ms(action: Callable[[], object], n: int) -> tuple[float, float]:
-    """Return the median and the 95th percentile of an action's time [ms]."""
+    """Return the median and the 95th percentile of the duration of an action [ms]."""
     took = []
     for _ in range(n):
         started = time.perf_counter()
@@ -61,7 +61,7 @@ def make_burst(seed: int, n_samples: int = 131_072) -> Burst:
 
 
 def measure_pyvisa(simulator: Simulator) -> dict[str, tuple[float, float]]:
-    """Return what PyVISA alone takes, without a word about whether it worked but in the set-up."""
+    """Return the durations of PyVISA alone, without verification except in the set-up."""
     resource: Any = pyvisa.ResourceManager("@py").open_resource(simulator.address)
     resource.chunk_size = 1 << 20
     block = make_burst(0).codes[0].astype(">u2").tobytes()
@@ -101,7 +101,7 @@ def measure_pyvisa(simulator: Simulator) -> dict[str, tuple[float, float]]:
 
 
 def measure_driver(simulator: Simulator, rig: Generator) -> dict[str, tuple[float, float]]:
-    """Return what the driver takes, with everything that it verifies."""
+    """Return the durations of the driver, including everything that it verifies."""
     bursts = iter([make_burst(seed) for seed in range(1, 11)])
     results = {SETUP: median_ms(lambda: rig.load(next(bursts)), 10)}
     link = rig._connection.controls
@@ -125,7 +125,7 @@ def measure_driver(simulator: Simulator, rig: Generator) -> dict[str, tuple[floa
 
 
 def measure_felt(simulator: Simulator, rig: Generator) -> tuple[float, float]:
-    """Return what it takes to know what two fingers feel at another level."""
+    """Return the time to compute the velocity under two fingers at another level."""
     took = []
     for trial in range(24):
         rig.fire((0.08, 0.1, 0.15, 0.2)[trial % 4])
@@ -150,7 +150,7 @@ def measure_session(simulator: Simulator, apparatus: Any) -> float:
 
 
 def measure_end(simulator: Simulator) -> tuple[float, float]:
-    """Return how long outputs stay on when the session's process is gone and its pipe ends [ms]."""
+    """Return how long outputs stay on after the session's process is gone and its pipe has ended [ms]."""
 
     def end() -> float:
         dog = WatchdogClient(simulator.address, AFG3022B.off)
@@ -168,7 +168,7 @@ def measure_end(simulator: Simulator) -> tuple[float, float]:
 
 
 def main() -> None:
-    """Measure, print a table and the promises, and write them down."""
+    """Measure, print a table and the promises, and write them."""
     apparatus = Apparatus.read(ROOT / "protocols" / "apparatus" / "beam_100x6x2.yaml")
     with Simulator(apparatus) as simulator:
         rows = measure_pyvisa(simulator)

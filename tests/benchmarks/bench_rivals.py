@@ -1,4 +1,4 @@
-"""Designs that are not offered: robust over a population of fingers, and the highest contrast. What they would give.
+"""Designs that are not offered: robust over a population of fingers, and of maximum contrast.
 
 Writes ``results/benchmarks/rivals.json``. The population, the placements and the true beams are those of
 `bench_fingers`; each design is scaled to the amplifier's limit, and judged by the peak over the whole burst.
@@ -22,14 +22,14 @@ from modaltouch.stimulus.vibration import BlockKernel
 ZONES = (-0.04, -0.02, 0.0, 0.02, 0.04)
 N_TRAINED, N_JUDGED = 9, 40
 SLOW = 1e3
-"""Below it lies what fingertips feel [Hz]."""
+"""Fingertips are sensitive below this frequency [Hz]."""
 
 SLOW_SHARE = 0.3
-"""Of the level, what swings slower than that under the exact law on the untouched beam [1]."""
+"""Motion below that frequency by the exact law on the untouched beam, over the level [1]."""
 
 
 def rows_of(model: ModalModel, timing: Timing, n_before: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return what each sample before the focus does to the zones, and to the slow part at C, one row to each."""
+    """Return the effect of each sample before the focus on the zones, and on the slow part at C, one row each."""
     system = DiagonalSystem.of(model)
     slow = np.abs(system.exponent) < 2 * np.pi * SLOW
     output = model.shapes(ZONES).T @ system.velocity
@@ -46,9 +46,9 @@ def rows_of(model: ModalModel, timing: Timing, n_before: int) -> tuple[np.ndarra
 
 
 def robust(beams: list[ModalModel], timing: Timing, slow_weight: float) -> np.ndarray:
-    """Return voltages of least energy that bring C to one level on every beam, the other zones as quiet as may be.
+    """Return voltages of least energy that give C the same level on every beam, with the least motion of other zones.
 
-    Where the slow part weighs, it shall be that of the exact law on every beam too.
+    With a weight, the slow part should equal that of the exact law on every beam as well.
     """
     n_before, _ = timing.samples_until(timing.focusing_instant)
     rows, goal, weight = [], [], []
@@ -68,7 +68,7 @@ def robust(beams: list[ModalModel], timing: Timing, slow_weight: float) -> np.nd
 
 
 def judge(voltage: np.ndarray, timing: Timing, stimulus: Stimulus, beams: list[ModalModel]) -> dict[str, float]:
-    """Return what a drive at the amplifier's limit does over many beams: medians, and spreads over the means."""
+    """Return the results of a drive at the amplifier's limit over many beams: medians, and spreads over the means."""
     at_limit, unit = voltage * (LIMIT / np.abs(voltage).max()), np.ones(len(voltage))
     found = []
     for beam in beams:
@@ -83,7 +83,7 @@ def judge(voltage: np.ndarray, timing: Timing, stimulus: Stimulus, beams: list[M
 
 
 def population(stimulus: Stimulus, complete: ModalModel) -> dict[str, dict[str, dict[str, float]]]:
-    """Return what each design does over forty placements of each pair."""
+    """Return the results of each design over forty placements of each pair."""
     timing, results = replace(stimulus.timing, n_samples=12_500), {}
     for pair in ("A-C", "B-D"):
         places, rng, drawn = PAIRS[pair], np.random.default_rng(16), np.random.default_rng(17)
@@ -103,7 +103,7 @@ def population(stimulus: Stimulus, complete: ModalModel) -> dict[str, dict[str, 
 
 
 def contrasts(stimulus: Stimulus, table: ModalModel, complete: ModalModel) -> dict[str, dict[str, dict[str, float]]]:
-    """Return the peak at C over that within 5 mm of A: as designed and at its highest, on beams ever less known."""
+    """Return the peak at C over that within 5 mm of A: as designed and at its maximum, on beams ever less known."""
     places = PAIRS["A-C"]
     typical = tuple(Finger(place, *TYPICAL) for place in places)
     points, results = [0.0, *np.linspace(-0.045, -0.035, 5)], {}

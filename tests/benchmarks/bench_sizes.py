@@ -1,7 +1,7 @@
-"""Cost against size, on the kernels: modes 6 to 200, samples 2^10 to 2^22, positions 1 to 10^5; memory at the end.
+"""Cost of the kernels against size: modes 6 to 200, samples 2^10 to 2^22, positions 1 to 10^5; and memory.
 
 Writes ``results/benchmarks/sizes.json``. One BLAS thread, best of the repetitions. Exponents are slopes of log time
-against log size over the upper half of the sizes. Memory is what a call takes beside its result.
+against log size over the upper half of the sizes. Memory is that of a call in addition to its result.
 """
 
 import sys
@@ -30,7 +30,7 @@ Works = dict[str, Callable[[], object]]
 
 
 def mode_works(n_modes: int) -> Works:
-    """Return what is run for so many modes, each on both channels."""
+    """Return the tasks for a number of modes, each on both channels."""
     model, timing = many_modes(n_modes), Timing(AFG3022B.converter, n_samples=65_536)
     amplitude, s = np.ones((2, n_modes), dtype=complex), undying(model.exponent)
     out, voltage = np.empty((2, 65_536)), np.ones((2, 65_536))
@@ -42,7 +42,7 @@ def mode_works(n_modes: int) -> Works:
 
 
 def sample_works(n_samples: int) -> Works:
-    """Return what is run for so many samples, of nine modes on two channels."""
+    """Return the tasks for a number of samples, of nine modes on two channels."""
     model = shipped_model()
     s, amplitude, out = undying(model.exponent), np.ones((2, 9), dtype=complex), np.ones((2, n_samples))
     zones = model.shapes([-0.04, 0.0]).T @ DiagonalSystem.of(model).velocity
@@ -61,20 +61,20 @@ def sample_works(n_samples: int) -> Works:
 
 
 def field_works(n_positions: int) -> Works:
-    """Return what is run for a field at so many positions."""
+    """Return the tasks for a field at a number of positions."""
     stimulus, place = design(shipped_model()), np.linspace(-0.05, 0.05, n_positions)
     return {"field_at_focus": lambda: stimulus.model.field(stimulus.target, place)}
 
 
 def peak_works(n_places: int) -> Works:
-    """Return what is run for the peaks of a whole burst at so many places."""
+    """Return the tasks for the peaks of a whole burst at a number of places."""
     stimulus, place = design(shipped_model()), np.linspace(-0.05, 0.05, n_places)
     voltage = stimulus.voltage_played(0.2)
     return {"peaks": lambda: peak_velocity(stimulus.model, voltage, stimulus.timing, place)}
 
 
 def sweep(sizes: tuple[int, ...], works: Callable[[int], Works]) -> dict[int, dict[str, float]]:
-    """Return the run time of everything at every size [ms]."""
+    """Return the run time of every task at every size [ms]."""
     return {n: {f"{k}_ms": milliseconds(work, 0.15, 1) for k, work in works(n).items()} for n in sizes}
 
 
@@ -88,7 +88,7 @@ def exponents(rows: dict[int, dict[str, float]]) -> dict[str, float]:
 
 
 def memory(works: Callable[[int], Works], sizes: tuple[int, int], result: int) -> dict[str, list[float]]:
-    """Return the most memory taken beside results of so many bytes to each, at two sizes [bytes]."""
+    """Return the peak memory beyond results of a given number of bytes per element, at two sizes [bytes]."""
     taken: dict[str, list[float]] = {}
     for size in sizes:
         for name, work in works(size).items():

@@ -1,7 +1,7 @@
-"""What each thing that a scene does not need spares: with it beside without it, in turns; and that it changes nothing.
+"""Time saved by omitting each unnecessary computation: run with and without it in rotation; results must not change.
 
-Writes ``results/benchmarks/skips.json``. One BLAS thread, best of the repetitions. Both ways must come to the same
-result, but for the last digits; fewer samples are chosen by what they change, which is no bar.
+Writes ``results/benchmarks/skips.json``. One BLAS thread, best of the repetitions. Both must give the same
+result except for the last digits; fewer samples are chosen by the change that they cause, for which there is no bar.
 """
 
 import sys
@@ -34,7 +34,7 @@ Work = Callable[[], object]
 
 
 def synthesis_skips(stimulus: Stimulus) -> dict[str, tuple[Work, Work]]:
-    """Return what synthesis leaves out: without and with the skip."""
+    """Return what synthesis omits, as pairs without and with the skip."""
     s, hold = stimulus.model.exponent, stimulus.timing.hold
     exact, out = exact_amplitudes(), np.zeros((2, stimulus.timing.n_samples))
     one = exact * [[1.0], [0.0]]
@@ -54,12 +54,12 @@ def synthesis_skips(stimulus: Stimulus) -> dict[str, tuple[Work, Work]]:
 
 
 def prediction_skips(stimulus: Stimulus) -> dict[str, tuple[Work, Work]]:
-    """Return what predictions leave out: without and with the skip."""
+    """Return what predictions omit, as pairs without and with the skip."""
     model, timing, voltage = stimulus.model, stimulus.timing, stimulus.voltage_played(0.2)
     along, drive, projection = np.linspace(-0.05, 0.05, 41), stimulus.drive, stimulus.projection
 
     def anew() -> object:
-        # A copy has computed nothing yet but its voltages.
+        # A copy has only computed its voltages so far.
         fresh = replace(stimulus)
         vars(fresh).update(drive=drive, projection=projection)
         return fresh.peak_velocity(ZONES, 0.15)
@@ -82,7 +82,7 @@ def prediction_skips(stimulus: Stimulus) -> dict[str, tuple[Work, Work]]:
 
 
 def sample_skip(stimulus: Stimulus) -> tuple[SampleCount, tuple[Work, Work]]:
-    """Return the cheapest count of samples for a tolerance, and designs with all and with as many."""
+    """Return the cheapest number of samples for a tolerance, and designs with all and with that number."""
     economy = cheapest_samples(stimulus, TOLERANCE, ZONES)
     few = Timing(AFG3022B.converter, n_samples=economy.n_samples)
     return economy, (lambda: design(stimulus.model).burst, lambda: design(stimulus.model, timing=few).burst)
@@ -99,7 +99,7 @@ def rotated(burst: Burst, n: int) -> list[Burst]:
 
 
 def loads(bursts: list[Burst], rig: Generator, simulator: Simulator) -> dict[str, float]:
-    """Return how long the rig takes to load records that it does not hold, and one that it does [ms]."""
+    """Return how long the rig takes to load records that are not in its memories, and one that is [ms]."""
     other = cycle(bursts)
     new = milliseconds(lambda: rig.load(next(other)), 1.0, 8)
     rig.load(bursts[0])

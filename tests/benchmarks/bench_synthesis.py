@@ -1,8 +1,8 @@
-"""Two channels synthesised, beside the straight NumPy expression and a copy of the output; its error, its memory.
+"""Synthesis of two channels, against the direct NumPy expression and a copy of the output; its error and memory.
 
-Writes ``results/benchmarks/synthesis.json``. One BLAS thread; every time is the best of its repetitions, taken in
-turns with what it is compared with. The amplitudes are those of the exact law on the shipped rig, and random ones of
-every mode on both channels, which no channel of the shipped rig has to play.
+Writes ``results/benchmarks/synthesis.json``. One BLAS thread; every time is the best of its repetitions, run in
+rotation with its peers. The amplitudes are those of the exact law on the shipped rig, and random ones of every mode on
+both channels, which do not occur on the shipped rig.
 """
 
 import math
@@ -30,7 +30,7 @@ def exact_amplitudes() -> Any:
 
 
 def undying(exponent: Any) -> Any:
-    """Return exponents of modes so lightly damped that no block is dead."""
+    """Return exponents of modes damped so lightly that no block is negligible."""
     return exponent.imag * 1j - 50.0
 
 
@@ -100,7 +100,7 @@ def errors() -> dict[str, float]:
 
 
 def memory() -> dict[int, int]:
-    """Return the most memory that a call takes beside its output, by samples [bytes]."""
+    """Return the peak memory of a call in addition to its output, by samples [bytes]."""
     taken = {}
     for power in (14, 17, 20, 22):
         out, amplitude = np.empty((2, 2**power)), np.ones((2, 9), dtype=complex)
@@ -122,7 +122,7 @@ def main() -> int:
         for name, what in (("exact_law", "exact law"), ("every_mode_on_both", "every mode on both channels")):
             faster, in_copies = rows[n][f"{name}_times_faster_than_plain"], rows[n][f"{name}_in_copies"]
             bars.append(at_least(f"synthesis of 2 x {n}, {what}: faster than plain NumPy", faster, 40))
-            # Where a processor takes longer for the bare matrix product of this size, that is the bar.
+            # If a processor takes longer for the bare matrix product of this size, that is the bar.
             most = max(copies, rows[n]["bare_product_in_copies"])
             bars.append(at_most(f"synthesis of 2 x {n}, {what}: in copies of the output", in_copies, most))
     table_i = max(error for name, error in wrong.items() if name != "ten_seconds_over_eps_b_t")

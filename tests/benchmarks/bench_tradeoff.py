@@ -1,10 +1,10 @@
-"""Run time against error at the focusing instant: samples x modes x bits x law, this engine beside its peers.
+"""Run time against error at the focusing instant: samples x modes x bits x law, this engine and its peers.
 
 Writes ``results/benchmarks/tradeoff.json`` and ``time_against_error.png``. One BLAS thread, best of the repetitions,
-taken in turns. An error is the largest of any modelled mode over the wished peak: for making a stimulus of its velocity
-and of its displacement (as w eta) from their targets, for predicting one of its velocity from 80-bit steps of the same
-voltages. For whole commands it is the change that `check --tolerance` bounds: the largest of the field at the zones
-within 1 ms of the focusing instant, here from the field of 500,000 samples.
+run in rotation. An error is the largest of any modelled mode over the target peak: for making a stimulus that of
+velocity and displacement (as w eta) from their targets, for predicting one that of velocity from 80-bit steps of the
+same voltages. For whole commands it is the change that `check --tolerance` bounds: the largest of the field at the
+zones within 1 ms of the focusing instant, here from the field of 500,000 samples.
 """
 
 import math
@@ -47,20 +47,20 @@ BITS = ("10 bits", "12 bits", "14 bits", "14 bits, settled", "before rounding")
 PEAK = 0.2
 ZONES = (-0.04, -0.02, 0.0, 0.02, 0.04)
 FINEST = 500_000
-"""More samples than any generator here plays: the field of whole commands is compared with theirs."""
+"""More samples than any supported generator plays: the reference for the field of whole commands."""
 
 Point = dict[str, Any]
 
 
 def made(model: ModalModel, n_samples: int, n_modes: int, law: str, bits: str) -> Stimulus:
-    """Return a stimulus, of which nothing but its design is computed yet."""
+    """Return a stimulus of which only the design has been computed."""
     rounding = "settled" if bits == "14 bits, settled" else "plain"
     timing, target_field = Timing(AFG3022B.converter, n_samples=n_samples), TargetField(selection=n_modes)
     return design(model, timing=timing, target_field=target_field, law=law, rounding=rounding)
 
 
 def finish(stimulus: Stimulus, bits: str) -> Any:
-    """Compute the voltages of a stimulus, rounded to so many bits; return those of 10 and 12 bits."""
+    """Compute the voltages of a stimulus, rounded to a number of bits; return those of 10 and 12 bits."""
     if bits == "before rounding":
         return stimulus.drive
     if bits.startswith("14"):
@@ -81,7 +81,7 @@ def making_error(stimulus: Stimulus, bits: str) -> float:
 
 
 def making(model: ModalModel) -> list[Point]:
-    """Return time and error of making the voltages of a stimulus, or its codes."""
+    """Return time and error of computing the voltages of a stimulus, or its codes."""
     cases = [
         (n_samples, n_modes, law, bits)
         for n_samples in SAMPLES
@@ -106,11 +106,11 @@ def making(model: ModalModel) -> list[Point]:
 
 
 def predicting(model: ModalModel, n_samples: int) -> list[Point]:
-    """Return time and error of predicting the modal velocities at t_F from the voltages, by every means."""
+    """Return time and error of predicting the modal velocities at t_F from the voltages, by every method."""
     timing, whole = Timing(AFG3022B.converter, n_samples=n_samples), state_space(model)
     whole_system, stimulus = control.ss(*whole), design(model, timing=timing)
     system, hold = stimulus.system, timing.hold
-    # A sample more, whose start is the focusing instant: histories are read there.
+    # One more sample, whose start is the focusing instant: histories are read there.
     voltage = np.ascontiguousarray(stimulus.voltage[:, : stimulus.drive.n_before + 1])
     quick: dict[str, Callable[[], Any]] = {
         "engine, state at t_F": lambda: (

@@ -1,8 +1,8 @@
-"""What a session costs in time: start of the window, the runner between an answer and the next burst, the console.
+"""Times of a session: start of the window, the runner between an answer and the next burst, the console.
 
-Run by hand: ``python tests/benchmarks/bench_window.py``. Writes results/benchmarks/window.json, each bar with what was
-measured and whether it is met. On a machine without a display it runs on a virtual one and says so; frames then wait
-for no monitor.
+Run by hand: ``python tests/benchmarks/bench_window.py``. Writes results/benchmarks/window.json, each bar with the
+measured value and whether it is met. On a machine without a display it uses a virtual one, and the results state it;
+frames then do not wait for a monitor.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from bars import at_most, write
 ROOT = Path(__file__).resolve().parents[2]
 N_TRIALS = 40
 IDLE = 2.0
-"""How long a picture stays on the screen [s]."""
+"""Duration of a frame on the screen [s]."""
 SETTLED = 0.75
-"""Until then a window that has just appeared may be exposed and drawn again [s]."""
+"""Time during which a window that has just appeared may be exposed and redrawn [s]."""
 
 OPEN = """
 import time
@@ -53,7 +53,7 @@ window.close()
 
 
 def measure_start(n_starts: int = 5) -> tuple[list[float], list[float]]:
-    """Return the times from the start of the interpreter to the first screen, and the processor's part of them [s]."""
+    """Return the times from the start of the interpreter to the first screen, and the processor time of them [s]."""
     walls, processor = [], []
     for _ in range(n_starts):
         began = time.time()
@@ -65,7 +65,7 @@ def measure_start(n_starts: int = 5) -> tuple[list[float], list[float]]:
 
 
 def write_protocol(folder: Path) -> Path:
-    """Write a protocol of one pair, so that nothing but runner and pause stand between two trials."""
+    """Write a protocol with one pair, so that only runner and pause are between two trials."""
     text = (ROOT / "protocols" / "demo.yaml").read_text(encoding="utf-8")
     for old, new in (
         ("apparatus: apparatus", f"apparatus: {ROOT}/protocols/apparatus"),
@@ -86,7 +86,7 @@ def write_protocol(folder: Path) -> Path:
 
 
 def measure_trials(folder: Path, *, with_console: bool) -> dict[str, np.ndarray[Any, Any]]:
-    """Return, for each trial of a session answered through the real window, its times [s]."""
+    """Return the times of each trial of a session answered through the real window [s]."""
     from modaltouch.preflight import examine
     from modaltouch.session.setup import begin
     from modaltouch.session.wiring import wire_run
@@ -110,7 +110,7 @@ def measure_trials(folder: Path, *, with_console: bool) -> dict[str, np.ndarray[
 
 @contextmanager
 def console_on_a_terminal() -> Iterator[Any]:
-    """Give the live console on a terminal of its own, which is read all the time."""
+    """Yield the live console on a separate terminal, which is read continuously."""
     import threading
 
     from modaltouch.session.console.consoles import TerminalConsole
@@ -136,7 +136,7 @@ def console_on_a_terminal() -> Iterator[Any]:
 
 @contextmanager
 def silence() -> Iterator[Any]:
-    """Give no console."""
+    """Yield no console."""
     from modaltouch.session.console import Console
 
     yield Console()
@@ -174,7 +174,7 @@ def count_idle_frames() -> int:
 
 
 def summarise(values: Any) -> dict[str, float]:
-    """Return median, 95th percentile and maximum [ms], and every figure."""
+    """Return median, 95th percentile and maximum [ms], and every value."""
     values = np.asarray(values) * 1e3
     return {
         "median_ms": round(float(np.median(values)), 2),
@@ -196,7 +196,7 @@ def main() -> int:
         watched = measure_trials(Path(folder), with_console=True)
         idle = count_idle_frames()
     start, overhead = summarise(starts), summarise(alone["end_of_pause_to_next_burst_armed"])
-    # Two screens of instructions, where the fingers go, and "start": what reading them takes is the participant's.
+    # Two screens of instructions, finger placement, and "start": the time for reading them is the participant's.
     reading = 4 * signature(Robot).parameters["patience"].default
     first = summarise(alone["start_to_first_burst"] - reading)["median_ms"]
     beside = summarise(watched["time_uncertainty"])

@@ -1,4 +1,4 @@
-"""The picture of the beam under fingers: the field with and without them, and the level by placement."""
+"""The figure of the beam with fingers: the field with and without them, and the level by placement."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -21,7 +21,7 @@ LEVEL = 0.2
 
 
 def draw(stimulus: Stimulus, table: ModalModel, rows: dict[str, dict[str, list[dict[str, float]]]], file: Path) -> None:
-    """Write the picture: left the field at the focusing instant, right the level at C in forty placements a pair."""
+    """Write the figure: left the field at the focusing instant, right the level at C in forty placements per pair."""
     with house_style():
         figure = Figure(figsize=(9.6, 3.9))
         field, level = figure.subplots(1, 2, width_ratios=(1.15, 1.0))

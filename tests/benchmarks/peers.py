@@ -1,4 +1,4 @@
-"""What the stimulus engine is measured beside, and how: peers, models and stop-watches of the benchmarks."""
+"""Implementations that the stimulus engine is compared with, and the models and timers of the benchmarks."""
 
 import math
 import time
@@ -41,7 +41,7 @@ def many_modes(n_modes: int) -> ModalModel:
 
 
 def design(model: ModalModel, **options: Any) -> Stimulus:
-    """Return the shipped stimulus but for the options."""
+    """Return the shipped stimulus with changed options."""
     timing = options.pop("timing", Timing(AFG3022B.converter))
     return design_stimulus(
         model, options.pop("target_field", TargetField()), timing, AMPLIFIER, levels=LEVELS, **options
@@ -49,19 +49,19 @@ def design(model: ModalModel, **options: Any) -> Stimulus:
 
 
 def modal_history(model: ModalModel, voltage: Any, timing: Timing) -> Any:
-    """Return the modal velocities as each sample arrives."""
+    """Return the modal velocities at the start of each sample."""
     system = DiagonalSystem.of(model)
     return history(system, system.velocity, voltage, timing)
 
 
 def velocity_history(model: ModalModel, voltage: Any, timing: Timing, positions: Any) -> Any:
-    """Return the velocity at points of the beam as each sample arrives."""
+    """Return the velocity at points of the beam at the start of each sample."""
     system = DiagonalSystem.of(model)
     return history(system, model.shapes(positions).T @ system.velocity, voltage, timing)
 
 
 def peak_velocity(model: ModalModel, voltage: Any, timing: Timing, positions: Any) -> Any:
-    """Return the highest speed at points of the beam until the next burst would begin."""
+    """Return the peak velocity at points of the beam until the next burst would begin."""
     system = DiagonalSystem.of(model)
     return BlockStates.of(system, voltage, timing).peak(model.shapes(positions).T @ system.velocity)
 
@@ -72,7 +72,7 @@ def race(
     least: int = 5,
     clock: Callable[[], float] = time.perf_counter,
 ) -> dict[str, float]:
-    """Return the best time of each work [ms], run in turns so that all meet the same disturbances."""
+    """Return the best time of each task [ms]; tasks run in rotation, so that disturbances affect all of them."""
     best = dict.fromkeys(works, math.inf)
     for work in works.values():
         work()
@@ -80,7 +80,7 @@ def race(
     while rounds < least or time.perf_counter() - start < seconds:
         rounds += 1
         for who, work in works.items():
-            # A few in a row: the first finds the caches as the one before left them.
+            # A few in a row: the first one meets the caches of the task before.
             turn = time.perf_counter()
             for _ in range(10):
                 before = clock()
@@ -92,12 +92,12 @@ def race(
 
 
 def milliseconds(work: Callable[[], object], seconds: float = 0.4, least: int = 5) -> float:
-    """Return the best time of some work, repeated for a while [ms]."""
+    """Return the best time of a task that is repeated for a while [ms]."""
     return race({"work": work}, seconds, least)["work"]
 
 
 def plain_synthesis(amplitude: Any, exponent: Any, ago: Any, out: Any) -> None:
-    """Write the sums by the straight vectorised expression."""
+    """Write the sums by the direct vectorised expression."""
     envelope = np.exp(exponent.real[:, None] * ago)
     phase = exponent.imag[:, None] * ago
     np.matmul(amplitude.real, envelope * np.cos(phase), out=out)
@@ -105,7 +105,7 @@ def plain_synthesis(amplitude: Any, exponent: Any, ago: Any, out: Any) -> None:
 
 
 def plain_prediction(model: ModalModel, voltage: Any, hold: float) -> Any:
-    """Return the modal velocities after the last sample by the plain convolution sum."""
+    """Return the modal velocities after the last sample by direct convolution."""
     s = model.exponent
     powers = np.exp(s[:, None] * (hold * np.arange(voltage.shape[1] - 1, -1, -1)))
     state = ((model.modal_gain @ voltage) * powers).sum(axis=1) * np.expm1(s * hold) / s
@@ -113,7 +113,7 @@ def plain_prediction(model: ModalModel, voltage: Any, hold: float) -> Any:
 
 
 def state_space(model: ModalModel) -> tuple[Any, Any, Any, Any]:
-    """Return (A, B, C, D) of the whole system in the states (w eta, eta'), read as eta'."""
+    """Return (A, B, C, D) of the whole system in the states (w eta, eta'), with output eta'."""
     n = model.n_modes
     A, B, C = np.zeros((2 * n, 2 * n)), np.zeros((2 * n, 2)), np.zeros((n, 2 * n))
     for k, (w, ratio) in enumerate(zip(model.angular_frequency, model.damping_ratio, strict=True)):
@@ -124,22 +124,22 @@ def state_space(model: ModalModel) -> tuple[Any, Any, Any, Any]:
 
 
 def one_by_one(model: ModalModel) -> list[ModalModel]:
-    """Return each mode as a model of its own."""
+    """Return each mode as a separate model."""
     rows = zip(model.label, model.natural_frequency, model.damping_ratio, model.modal_gain, strict=True)
     return [ModalModel((k,), np.array([f]), np.array([r]), g[None, :], model.length) for k, f, r, g in rows]
 
 
 def lsim(systems: list[Any], voltage: Any, hold: float) -> Any:
-    """Return the modal velocities by one `scipy.signal.lsim` call to each system."""
+    """Return the modal velocities by one `scipy.signal.lsim` call per system."""
     instants, inputs = np.arange(voltage.shape[1]) * hold, np.ascontiguousarray(voltage.T)
     outputs = [signal.lsim(system, inputs, instants, interp=False)[1] for system in systems]
     return np.hstack([each.reshape(len(inputs), -1) for each in outputs]).T
 
 
 def forced_response(systems: list[Any], voltage: Any, hold: float) -> Any:
-    """Return the modal velocities by one `control.forced_response` call to each system.
+    """Return the modal velocities by one `control.forced_response` call per system.
 
-    It takes the input as straight lines between the samples, the generator holds them.
+    It interpolates the input linearly between the samples, while the generator holds them.
     """
     instants = np.arange(voltage.shape[1]) * hold
     outputs = [control.forced_response(system, instants, voltage).outputs for system in systems]
@@ -147,7 +147,7 @@ def forced_response(systems: list[Any], voltage: Any, hold: float) -> Any:
 
 
 def nine_lfilters(model: ModalModel, voltage: Any, hold: float) -> Any:
-    """Return the modal velocities by one second-order section to each mode."""
+    """Return the modal velocities by one second-order section per mode."""
     s = model.exponent
     ratio, held = np.exp(s * hold), np.expm1(s * hold) / s * (1 - 1j * s.real / s.imag)
     force = model.modal_gain @ voltage
@@ -159,8 +159,8 @@ def nine_lfilters(model: ModalModel, voltage: Any, hold: float) -> Any:
 
 
 def compiled_recursion(model: ModalModel, hold: float) -> Callable[[Any], Any]:
-    """Return a recursion of every mode, sample by sample, that numba has compiled; it takes voltages."""
-    # Slow to import, and there only where the benchmarks are run.
+    """Return a recursion over the samples for every mode, compiled by numba; its argument is the voltages."""
+    # Slow to import, and installed only where benchmarks are run.
     import numba
 
     system = DiagonalSystem.of(model)

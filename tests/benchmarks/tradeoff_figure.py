@@ -1,4 +1,4 @@
-"""The picture of run time against error: making a stimulus, predicting what one does, and whole commands."""
+"""The figure of run time against error: making a stimulus, predicting its effect, and whole commands."""
 
 from typing import Any
 
@@ -11,7 +11,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 from modaltouch.report.page import INK, house_style
 
 SIZES = {12_500: 18, 25_000: 36, 62_500: 64, 125_000: 110}
-"""Area of the mark of each number of samples [pt^2]."""
+"""Area of the marker for each number of samples [pt^2]."""
 
 MAKING = {
     ("paper", "14 bits"): ("the paper's law", "#c2541b", "X"),
@@ -34,11 +34,11 @@ COMMANDS = {
 """Label, colour and marker of each series."""
 
 LEAST = 1e-17
-"""Errors of nothing at all are shown here."""
+"""Errors of zero are shown at this value."""
 
 Points = list[dict[str, Any]]
 Label = tuple[int, tuple[float, float], str]
-"""Point beside which the label of a series stands, by increasing number of samples; offset [pt] and alignment."""
+"""Point next to the label of a series, by increasing number of samples; offset [pt] and alignment."""
 
 
 def _dress(axis: Axes, title: str, errors: tuple[float, float], times: tuple[float, float]) -> None:

@@ -1,10 +1,10 @@
-"""Runs models.R of every design, and holds the statistics against R's own: ``make models-r``.
+"""Run models.R of every design, and compare the statistics with R's own: ``make models-r``.
 
-Of each protocol at fixed levels a few participants are simulated and analysed; R must fit what can be fitted, say why
-of what cannot, and find the same p, intervals and estimates as `reference.R` tells them.
+For each protocol at fixed levels a few participants are simulated and analysed; R must fit every model that can be
+fitted, give the reason for the others, and find the same p, intervals and estimates as in `reference.R`.
 
 On Debian brms needs r-cran-brms, r-cran-rcppeigen, r-cran-rcppparallel and r-cran-bh, and a link that rstan looks for:
-``ln -s /usr/include /usr/lib/R/site-library/BH/include``. A model takes it minutes; without it, it is skipped.
+``ln -s /usr/include /usr/lib/R/site-library/BH/include``. A model takes minutes with it; without it, it is skipped.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ PROTOCOLS = [
 
 
 def run(*words: str | Path, folder: Path = ROOT) -> str:
-    """Return what a command writes; its whole output where it fails.
+    """Return the output of a command; exit with all of its output if it fails.
 
     Raises
     ------

@@ -1,8 +1,8 @@
-# Statistics of an analysis against R's own, from the same answers.csv. In the folder of an analysis: Rscript reference.R
-# Each line tells how many numbers were held against R, and the largest difference; a difference above its limit is fatal.
+# Compare the statistics of an analysis with R's own, from the same answers.csv. In its folder: Rscript reference.R
+# Each line gives how many numbers were compared and the largest difference; a difference above its limit is fatal.
 answers <- read.csv("answers.csv", stringsAsFactors = TRUE)
 tests <- read.csv("tests.csv")
-if ("part" %in% names(tests)) quit() # of a design that is not crossed each part has tests of its own
+if ("part" %in% names(tests)) quit() # in a design that is not crossed each part has separate tests
 measures <- if (file.exists("measures.csv")) read.csv("measures.csv") else NULL
 alike <- TRUE
 
@@ -15,7 +15,7 @@ compare <- function(what, ours, reference, limit) {
 rows_of <- function(name) tests[grepl(name, tests$name, fixed = TRUE) & !is.na(tests$p), ]
 scope_of <- function(table) paste(table$finger_condition, table$pair)
 
-# Cells against chance, and the share that chose the dominant zone: outcomes counted one by one, and binom.test.
+# Cells against chance, and the proportion that chose the dominant zone: outcomes enumerated, and binom.test.
 cells <- rows_of("exact multinomial test of all answers against chance")
 if (nrow(cells) && "zone" %in% names(answers)) {
   likelihood <- function(k) 2 * sum(ifelse(k > 0, k * log(k * length(k) / sum(k)), 0))
@@ -41,7 +41,7 @@ if (nrow(flips) && "zone" %in% names(answers) && requireNamespace("exactRankTest
   compare("sign flips, perm.test: p", flips$p, p, 1e-9)
 }
 
-# A trend over levels: the conditional test of coin within participants, whose p is drawn.
+# A trend over levels: the conditional test of coin within participants, whose p is simulated.
 trends <- rows_of("exact trend test")
 if (nrow(trends) && "zone" %in% names(answers) && length(unique(answers$velocity_mm_s)) > 1 && requireNamespace("coin", quietly = TRUE)) {
   set.seed(1)
@@ -56,7 +56,7 @@ if (nrow(trends) && "zone" %in% names(answers) && length(unique(answers$velocity
   compare("trend within participants, independence_test: p (drawn)", trends$p, p, 0.02)
 }
 
-# Friedman's statistic and Kendall's W, and p from shuffles of coin's own.
+# Friedman's statistic and Kendall's W, and p from permutations by coin.
 for (i in which(grepl("Friedman", tests$name))) {
   name <- sub(" over levels.*", "", tests$name[i])
   own <- measures[measures$measure == name & scope_of(measures) == tests$scope[i], ]
