@@ -124,7 +124,7 @@ def test_amplitudes_are_stepped_within_any_limit(apparatus: Apparatus, monkeypat
     assert re.match(r"changes took 0\.04 Vpp [\d.]+ ms$", row["answer"])
 
 
-def test_absent_instrument_is_an_error(apparatus: Apparatus) -> None:
+def test_an_absent_instrument_is_an_error(apparatus: Apparatus) -> None:
     """The error is the one that every command gives."""
     with pytest.raises(RigError, match="no generator answers"):
         check_rig("TCPIP::127.0.0.1,1::inst0::INSTR", apparatus, patience=PATIENCE)

@@ -99,7 +99,7 @@ KINDS = ("power cut", "power cycle", "cable out", "freeze")
 
 @dataclass(frozen=True)
 class End:
-    """The outcome of a stimulus: whether the instrument failed before the end was confirmed, and the messages."""
+    """The outcome of a stimulus: whether the instrument failed before its end was confirmed, and the firing."""
 
     seed: int
     kind: str

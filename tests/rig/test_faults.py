@@ -151,7 +151,7 @@ def test_the_readmes_table_of_faults_matches_these_tests() -> None:
     for fault, phase, seen in LINKS:
         proved.setdefault((fault, phase), set()).add(words[seen])
     for fault, phase, seen, test in ELSEWHERE:
-        assert test in globals(), f"{test} is gone: say what proves {fault} at {phase}"
+        assert test in globals(), f"{test} does not exist: give the test of {fault} at {phase}"
         proved.setdefault((fault, phase), set()).add(words[seen])
     lines = README.read_text(encoding="utf-8").partition("| fault |")[2].splitlines()
     phases = [name.strip() for name in lines[0].split("|")[:-1]]

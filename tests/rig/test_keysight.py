@@ -415,9 +415,7 @@ def test_checklist_notices_an_amplitude_of_another_meaning(
     assert "EVERY LEVEL WOULD BE WRONG" in row["advice"]
 
 
-def test_what_the_twin_plays_is_the_stimulus_to_its_prediction(
-    apparatus: Apparatus, guard: Any, clock: VirtualClock
-) -> None:
+def test_the_twin_plays_the_predicted_stimulus(apparatus: Apparatus, guard: Any, clock: VirtualClock) -> None:
     """On the identified beam each mode at the focus is as predicted from 16-bit codes, within 1e-6.
 
     The prediction includes the rounding of amplitudes to four digits, which scales all modes by one factor: the full

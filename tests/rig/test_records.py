@@ -16,8 +16,8 @@ from modaltouch.rig.simulator import Simulator
 from modaltouch.stimulus.burst import Burst
 
 
-def test_memories_hold_the_codes(loaded: Generator, simulator: Simulator, burst: Burst) -> None:
-    """USER1 and USER2 hold the burst's codes, two bytes each, big-endian."""
+def test_memories_contain_the_codes(loaded: Generator, simulator: Simulator, burst: Burst) -> None:
+    """USER1 and USER2 contain the burst's codes, two bytes each, big-endian."""
     for number, codes in enumerate(burst.codes, start=1):
         assert simulator.afg.user[number] == codes.astype(">u2").tobytes()
 
@@ -35,7 +35,7 @@ def test_a_record_already_in_memory_is_not_sent_again(
     assert len(heard.of("record_found")) == 2
 
 
-def test_record_with_one_wrong_code_is_sent_again(
+def test_a_record_with_one_wrong_code_is_sent_again(
     open_generator: Callable[..., Generator], simulator: Simulator, burst: Burst, heard: Any
 ) -> None:
     """A memory that differs in a single code is overwritten with the right record."""

@@ -48,7 +48,7 @@ def test_importing_the_package_loads_no_heavy_library() -> None:
     assert not loaded_modules("import modaltouch.rig, modaltouch.rig.watchdog_process") & heavy
 
 
-def test_interface_does_not_load_pyvisa() -> None:
+def test_the_interface_does_not_load_pyvisa() -> None:
     """The session imports the interface; PyVISA is loaded with the instrument."""
     assert "pyvisa" not in loaded_modules("import modaltouch.rig.interface")
 

@@ -75,7 +75,7 @@ def test_a_trigger_into_a_dead_raw_socket_is_an_error(simulator: Simulator) -> N
         try:
             assert session.exchange(b"TRIG:SEQ:IMM\n", timeout=1.0, reply=False) == b""
             assert session.exchange(b"*IDN?\n", timeout=1.0, reply=True).startswith(b"TEKTRONIX"), (
-                "nothing is left over"
+                "no reply is left over"
             )
             cable.cut(new=False)
             with pytest.raises(pyvisa.VisaIOError, match="VI_ERROR_TMO"):

@@ -137,7 +137,7 @@ def ask(number: int, message: bytes) -> bytes:
         ([OPEN, ARM, CLEAN], False),
     ],
 )
-def test_end_of_the_pipe_without_a_clean_end_switches_off(requests: list[bytes], pressed: bool) -> None:
+def test_the_end_of_the_pipe_without_a_clean_end_switches_off(requests: list[bytes], pressed: bool) -> None:
     """A session that opened the instrument and did not announce a clean end counts as dead (module docstring)."""
     instrument = Instrument()
     serve(instrument, *map(request, requests))
@@ -521,7 +521,7 @@ def test_a_failed_trigger_is_reported_with_the_next_heartbeat() -> None:
     assert number == 4, "the next stimulus is being prepared"
     master.pipe.write(frame(BEAT, 3))
     ((done, _, lost),) = read_frames(io.BytesIO(master.answers.get(timeout=60)))
-    assert (done, lost) == (DONE, b""), "it is not lost before it has begun"
+    assert (done, lost) == (DONE, b""), "a stimulus that has not begun cannot be lost"
     assert master.ask(PLAY, order(5))["ended"] == ""
     master.pipe.write(frame(BEAT, 3))
     ((done, _, lost),) = read_frames(io.BytesIO(master.answers.get(timeout=60)))

@@ -173,14 +173,14 @@ def seconds_until_off(simulator: Simulator) -> float:
 
 
 @pytest.mark.parametrize("phase", list(PHASES))
-def test_killed_session_leaves_outputs_off(start: Start, single_link: Simulator, phase: str) -> None:
+def test_a_killed_session_leaves_outputs_off(start: Start, single_link: Simulator, phase: str) -> None:
     """SIGKILL bypasses every finally; end of file on the pipe makes the watchdog switch off after a pending message."""
     start(phase).signal(signal.SIGKILL)
     seconds_until_off(single_link)
 
 
 @pytest.mark.parametrize("phase", list(PHASES))
-def test_stopped_session_leaves_outputs_off(start: Start, single_link: Simulator, phase: str) -> None:
+def test_a_stopped_session_leaves_outputs_off(start: Start, single_link: Simulator, phase: str) -> None:
     """After SIGSTOP there is no heartbeat: outputs are off soon after the limit of 1 s."""
     session = start(phase)
     session.signal(signal.SIGSTOP)
@@ -190,7 +190,9 @@ def test_stopped_session_leaves_outputs_off(start: Start, single_link: Simulator
 
 
 @pytest.mark.parametrize("phase", list(PHASES))
-def test_exception_leaves_outputs_off_before_the_process_ends(start: Start, single_link: Simulator, phase: str) -> None:
+def test_an_exception_leaves_outputs_off_before_the_process_ends(
+    start: Start, single_link: Simulator, phase: str
+) -> None:
     """Raised during an exchange, in every phase: it propagates, and the with statement switches the outputs off."""
     session = start(phase)
     session.signal(signal.SIGUSR1)
@@ -222,13 +224,13 @@ def test_the_watchdog_reconnects_after_a_pulled_cable(start: Start, single_link:
     )
 
 
-def test_hanging_session_leaves_outputs_off(start: Start, single_link: Simulator) -> None:
+def test_a_hanging_session_leaves_outputs_off(start: Start, single_link: Simulator) -> None:
     """A session that runs but sends no heartbeat counts as stalled."""
     start("trial", hangs=True)
     seconds_until_off(single_link)
 
 
-def test_terminated_session_leaves_outputs_off(start: Start, single_link: Simulator) -> None:
+def test_a_terminated_session_leaves_outputs_off(start: Start, single_link: Simulator) -> None:
     """Without a handler SIGTERM ends the process immediately and bypasses every finally."""
     start("trial").signal(signal.SIGTERM)
     seconds_until_off(single_link)

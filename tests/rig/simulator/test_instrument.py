@@ -240,7 +240,7 @@ def test_an_output_plays_only_when_everything_is_set(bench: Bench) -> None:
     assert bench.afg.playback(1) is None
 
 
-def test_external_triggers_are_described_until_the_outputs_are_off(bench: Bench) -> None:
+def test_forced_triggers_count_until_the_outputs_are_off(bench: Bench) -> None:
     """With EXT and no wire *TRG is the only trigger, for both channels; the period is the latest interval."""
     bench.upload([8191, 9000, 8000, 8191])
     for n in (1, 2):

@@ -70,7 +70,7 @@ def chirp_burst(n: int = 131_072, rate: float = 500e3, highest: float = 110e3, v
     return Burst(codes, duration, 1 / duration, 0.1, (volts, 0.02), AFG3022B.converter)
 
 
-def test_chirp_through_the_driver_gives_the_true_transfer_function(
+def test_a_chirp_through_the_driver_gives_the_true_transfer_function(
     apparatus: Apparatus, guard: Any, patience: Any
 ) -> None:
     """Output over drive spectrum at the nine peaks agrees with the modes' closed form, within 1 % in the complex plane.
@@ -100,7 +100,7 @@ def test_chirp_through_the_driver_gives_the_true_transfer_function(
         assert measured[nearest] == pytest.approx(exact, rel=0.01)
 
 
-def test_scan_of_the_burst_finds_the_field_at_the_focusing_instant(apparatus: Apparatus, burst: Burst) -> None:
+def test_a_scan_of_the_burst_gives_the_field_at_the_focusing_instant(apparatus: Apparatus, burst: Burst) -> None:
     """At five positions the velocity at an instant is the true one: shapes times true modal velocities.
 
     Within half a step of 24 bits, 30 nm/s, and 2e-5 of the peak.
@@ -266,7 +266,7 @@ def test_trigger_jitter_shifts_whole_records(at: Callable[..., Recording]) -> No
 
 
 def test_small_jitter_is_approximated_along_the_slope(apparatus: Apparatus) -> None:
-    """Against records computed one by one: a 105 kHz sine shifted in phase by 7e-3, within 3e-5 of the peak."""
+    """Against records computed one by one: up to 108 kHz, with a phase shift of 7e-3, within 3e-5 of the peak."""
     simulator = Simulator(lab(apparatus))
     with simulator:
         drive = sine(105e3, cycles=100, n=5000)
