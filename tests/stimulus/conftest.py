@@ -30,7 +30,7 @@ LEVELS = (0.08, 0.1, 0.15, 0.2)
 
 
 def shipped_model(cross_gain: float = 0.0) -> ModalModel:
-    """Return Table I on two channels, each mode also driven by the other one at a fraction of its gain."""
+    """Return Table I on two channels; the other channel drives each mode at a fraction of its gain."""
     gain = np.zeros((9, 2))
     for row, (_, _, _, value, channel) in zip(gain, TABLE_I, strict=True):
         row[channel], row[1 - channel] = value * 1e-3, cross_gain * value * 1e-3
@@ -63,7 +63,7 @@ def zones() -> tuple[float, ...]:
 
 @pytest.fixture(scope="session")
 def design() -> Callable[..., Stimulus]:
-    """Return a function that designs the shipped stimulus but for what it is given."""
+    """Return a function that designs the shipped stimulus, except for the parts that it is given."""
 
     def design_shipped(
         model: ModalModel | None = None,
@@ -98,5 +98,5 @@ def shipped_paper(design: Callable[..., Stimulus]) -> Stimulus:
 
 @pytest.fixture
 def rng() -> np.random.Generator:
-    """Return a generator of a fixed seed."""
+    """Return a random generator with a fixed seed."""
     return np.random.default_rng(20_190_709)

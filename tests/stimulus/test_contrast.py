@@ -1,4 +1,4 @@
-"""The drive of the highest contrast: against another solver of linear programmes, and on the beam."""
+"""The drive of highest contrast, against another solver of linear programmes and on the beam."""
 
 from dataclasses import replace
 
@@ -16,8 +16,8 @@ from modaltouch.stimulus.target_field import TargetField
 LEVEL, LIMIT = 0.2, 250.0
 
 
-def test_the_programme_is_the_linear_one(rng):
-    """Least s under |b + A x| <= s in forty rows and <= 1 in thirty: HiGHS between the bound and what is reached."""
+def test_the_bound_agrees_with_another_solver(rng):
+    """Least s with |b + A x| <= s in forty rows and <= 1 in thirty: HiGHS lies between our bound and our solution."""
     rows, offset = rng.standard_normal((70, 8)), 0.3 * rng.standard_normal(70)
     slack = np.repeat([1.0, 0.0], [40, 30])
     weight, bound = least_bound(offset, rows, slack)
@@ -31,7 +31,7 @@ def test_the_programme_is_the_linear_one(rng):
 
 
 def test_a_focus_beside_a_quiet_zone(design, model):
-    """Four modes under fingers, 20 us late: the level within the limit, at 2.5 times the contrast of the exact law."""
+    """Four modes, two fingers, a delay of 20 us: the level is met at 2.5 times the contrast of the exact law."""
     fingers = tuple(Finger(place, 1e-4, 0.5, 500.0) for place in (-0.04, 0.0))
     names = ("natural_frequency", "damping_ratio", "modal_gain")
     low = replace(model, label=(1, 3, 5, 7), mass=3.3e-3, **{name: getattr(model, name)[:4] for name in names})

@@ -1,4 +1,4 @@
-"""A calibration's targets and trims at the levels they were and were not measured for."""
+"""Corrections of a calibration, at measured levels and between them."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from modaltouch.stimulus.burst import Correction, corrected
 
 
 def test_corrected_targets_hold_in_proportion_at_other_levels():
-    """The beam is linear: half the level, half of what is aimed at."""
+    """The beam is linear: at half the level the targets are halved."""
     correction = Correction(np.array([0.1, -0.02]), np.array([0.004, 0.0]), reference=0.2)
     velocity, displacement = correction.at(0.1)
     assert velocity == pytest.approx([0.05, -0.01])
@@ -17,8 +17,8 @@ def test_corrected_targets_hold_in_proportion_at_other_levels():
     assert (displacement == correction.displacement).all()
 
 
-def test_a_trim_is_for_its_own_level_and_between_two_in_proportion():
-    """Levels agree to the rounding of mm/s; one that was not measured is set as it is."""
+def test_level_corrections_are_interpolated():
+    """A level between two measured ones has the geometric interpolation; levels outside stay uncorrected."""
     corrections = ((0.08, 1.02), (0.2, 0.99))
     assert corrected(0.08, corrections) == pytest.approx(0.0816)
     assert corrected(200 * 1e-3, corrections) == pytest.approx(0.198)

@@ -1,4 +1,4 @@
-"""The facade on the shipped numbers: what the other packages rely on."""
+"""The stimulus of the shipped beam, as the other packages use it."""
 
 from dataclasses import replace
 
@@ -30,13 +30,13 @@ def test_shipped_field_is_fourteen_millimetres_wide_at_80_per_cent(shipped):
 
 
 def test_rounded_codes_meet_every_modal_target_at_every_level(shipped):
-    """At all four levels, with the amplitude grid counted in, at most 1e-4 of the peak."""
+    """Within 1e-4 of the peak at all four levels, including the rounding of the amplitude."""
     for level in shipped.levels:
         assert shipped.worst_modal_error(level) < 1e-4 * level
 
 
 def test_paper_law_misses_what_the_exact_law_meets(shipped, shipped_paper):
-    """Erratum 3: begun from rest mode 1 ends exp(-2 a t_F) = 4.3 % short under the paper's law."""
+    """Erratum 3: starting from rest, mode 1 falls short by exp(-2 a t_F) = 4.3 % under the paper's law."""
     reached, _ = shipped_paper.achieved(0.2)
     a = 0.0437 * 2 * np.pi * 229
     assert reached[0] / shipped_paper.target[0] - 1 == pytest.approx(-np.exp(-2 * a * 0.025), abs=2e-3)
@@ -44,13 +44,13 @@ def test_paper_law_misses_what_the_exact_law_meets(shipped, shipped_paper):
 
 
 def test_speed_at_the_focus_does_not_overshoot(shipped):
-    """The largest speed at the focus over all time lies within 1 % of the level."""
+    """The highest speed at the focus over the whole burst lies within 1 % of the level."""
     for level in shipped.levels:
         assert shipped.peak_velocity([0.0], level)[0] == pytest.approx(level, rel=0.01)
 
 
 def test_burst_begins_and_ends_at_rest(shipped, shipped_paper):
-    """The generator idles at the first or the last code, unknown which: both are mid-scale."""
+    """The generator idles at the first or the last code; both are mid-scale."""
     for stimulus in (shipped, shipped_paper):
         assert (stimulus.burst.codes[:, [0, -1]] == 8191).all()
         assert stimulus.burst.codes.min() >= 0
@@ -58,7 +58,7 @@ def test_burst_begins_and_ends_at_rest(shipped, shipped_paper):
 
 
 def test_all_levels_lie_on_the_amplitude_grid(shipped):
-    """Four digits of amplitude: 80 : 100 : 150 : 200 must come out exactly."""
+    """With four digits of amplitude, the ratios 80 : 100 : 150 : 200 are exact."""
     for level in shipped.levels:
         exact = np.asarray(shipped.burst.amplitude) * (level / 0.2)
         assert shipped.burst.amplitude_for(level) == pytest.approx(exact, rel=1e-12)
@@ -92,7 +92,7 @@ def test_load_of_50_ohm_doubles_the_open_circuit_amplitude(design):
     assert matched.achieved(0.2)[0] == pytest.approx(open_circuit.achieved(0.2)[0], abs=1e-5)
 
 
-def test_pole_and_delay_of_the_amplifier_are_made_up_for(design):
+def test_pole_and_delay_of_the_amplifier_are_compensated(design):
     """An unmodelled 100 kHz pole costs 3 mm/s; a modelled one costs nothing."""
     amplifier = Amplifier(gain=25.0, limit=250.0, bandwidth=100e3, delay=4.6e-6)
     assert design(amplifier=amplifier).worst_modal_error(0.2) < 1e-4 * 0.2
@@ -114,7 +114,7 @@ def test_pole_and_delay_of_the_amplifier_are_made_up_for(design):
     ],
 )
 def test_impossible_modes_are_refused(change, message):
-    """Value, bound and remedy, naming the mode."""
+    """The message has the mode, the value and the bound."""
     sound = {
         "label": (3,),
         "natural_frequency": [2553.0],
@@ -160,7 +160,7 @@ def test_impossible_timings_are_refused(change, message):
         ({"selection": ()}, r"give at least one label"),
     ],
 )
-def test_impossible_wishes_are_refused(change, message):
+def test_impossible_target_fields_are_refused(change, message):
     """Value, bound and remedy."""
     with pytest.raises(ValueError, match=message):
         TargetField(**change)
@@ -183,14 +183,14 @@ def test_impossible_wishes_are_refused(change, message):
         ),
     ],
 )
-def test_wishes_beyond_the_model_are_refused(model, target_field, message):
+def test_target_fields_beyond_the_model_are_refused(model, target_field, message):
     """Value, bound and remedy."""
     with pytest.raises(ValueError, match=message):
         design_stimulus(model, target_field, Timing(AFG3022B.converter), Amplifier(gain=25.0, limit=250.0))
 
 
-def test_mode_without_a_gain_is_refused_only_where_it_is_asked_for(model, design):
-    """A zero gain is an uncontrollable mode; unselected it rests by itself."""
+def test_a_mode_without_gain_is_refused_only_if_selected(model, design):
+    """A mode with zero gain cannot be controlled; if it is not selected, it stays at rest."""
     gain = model.modal_gain.copy()
     gain[4] = 0.0
     assert design(replace(model, modal_gain=gain)).worst_modal_error(0.2) < 1e-4 * 0.2
@@ -206,14 +206,14 @@ def test_mode_above_half_the_sampling_rate_is_refused(design):
 
 
 def test_fewer_samples_than_conditions_are_refused(design):
-    """Nine modes have 18 conditions, ten of them on channel 2 alone; two samples of a stretch are not free."""
+    """Nine modes have 18 conditions, ten of them on channel 2 alone; the first and last samples are not free."""
     timing = Timing(AFG3022B.converter, n_samples=125_000, focusing_instant=11 * 4e-7)
     with pytest.raises(ValueError, match=r"11 samples are fewer than 18 conditions .* at least 12"):
         _ = design(timing=timing).voltage
 
 
 def test_level_above_the_reference_is_refused(design):
-    """The codes fill the range at the reference level: nothing lies above it."""
+    """At the reference level the codes fill the range, so no higher level can be played."""
     with pytest.raises(ValueError, match=r"level of 250 mm/s exceeds the reference of 200 mm/s"):
         design(levels=(0.25,))
     with pytest.raises(ValueError, match=r"velocity level is 0\.0 m/s"):

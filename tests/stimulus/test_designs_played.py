@@ -1,4 +1,4 @@
-"""Designs of less peak voltage, as they are played: codes, brake and repeated bursts."""
+"""Designs of lower peak voltage as played: codes, braking and repeated bursts."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def protocol(edit: Edit, design: str, law: str = "exact") -> Path:
 
 @pytest.mark.parametrize("design", ["least_energy", "norm_4", "norm_8", "least_peak"])
 def test_every_design_meets_every_mode_in_the_first_and_in_every_later_burst(edit: Edit, design: str) -> None:
-    """Worst modal error of the rounded codes below 1e-4 of the peak, from rest and after many bursts."""
+    """The worst modal error of the rounded codes is below 1e-4 of the peak, from rest and after many bursts."""
     stimulus = examine(protocol(edit, design)).stimulus
     assert stimulus.worst_modal_error(0.1) < 1e-5
     first, steady = stimulus.achieved(0.1), stimulus.achieved(0.1, steady=True)
@@ -37,8 +37,8 @@ def test_every_design_begins_and_ends_at_mid_scale(edit: Edit, design: str) -> N
     assert set(burst.codes[:, [0, -1]].ravel()) == {burst.converter.mid_code}
 
 
-def test_peaks_fall_as_the_table_of_designs_says(edit: Edit) -> None:
-    """The fourth norm has about half the peak voltage, the eighth and the least peak less."""
+def test_higher_norms_have_lower_peak_voltages(edit: Edit) -> None:
+    """The peak falls from least energy to least peak; the fourth norm has less than 0.65 of the first."""
     shipped = examine(edit("differentiated_stimulation.yaml")).stimulus
     highest = [
         float(replace(shipped, design=design).peak_voltage.max())
@@ -48,7 +48,7 @@ def test_peaks_fall_as_the_table_of_designs_says(edit: Edit) -> None:
     assert highest[1] < 0.65 * highest[0]
 
 
-def test_the_papers_law_has_no_designs(edit: Edit) -> None:
-    """Told at the key, with what to do."""
+def test_the_papers_law_accepts_no_other_design(edit: Edit) -> None:
+    """The problem is reported at the key `stimulus.design`."""
     (problem,) = examine(protocol(edit, "norm_4", law="paper")).problems
     assert "stimulus.design: given norm_4, which the paper's law does not support" in str(problem)

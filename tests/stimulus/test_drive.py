@@ -1,4 +1,4 @@
-"""Both drive laws, judged by an extended-precision integration that shares no code with the engine."""
+"""Both drive laws, checked by an extended-precision integration that shares no code with the engine."""
 
 from dataclasses import replace
 
@@ -49,7 +49,7 @@ def driven(model: ModalModel, timing: Timing, target: np.ndarray, release: Relea
 
 @pytest.mark.parametrize("n_samples", [125_000, 62_500, 25_000])
 def test_exact_law_meets_every_state_to_rounding(design, n_samples):
-    """All states at t_F within 1e-13 of the peak against an extended-precision reference."""
+    """All states at t_F are within 1e-13 of the peak, by an extended-precision reference."""
     stimulus = design(timing=Timing(AFG3022B.converter, n_samples=n_samples))
     n_before, hold = stimulus.drive.n_before, stimulus.timing.hold
     velocity, displacement = states_at(stimulus.model, stimulus.voltage, hold, n_before)
@@ -58,7 +58,7 @@ def test_exact_law_meets_every_state_to_rounding(design, n_samples):
 
 
 def test_exact_law_meets_every_state_with_all_channels_driving_all_modes(design, crossed_model):
-    """All channels drive all modes."""
+    """The states at t_F are within 1e-13 of the peak if both channels drive all modes."""
     stimulus = design(crossed_model)
     n_before, hold = stimulus.drive.n_before, stimulus.timing.hold
     velocity, displacement = states_at(crossed_model, stimulus.voltage, hold, n_before)
@@ -72,7 +72,7 @@ def test_exact_law_is_well_conditioned(shipped):
 
 
 def test_braked_burst_ends_at_rest(shipped):
-    """Release `braked`: the same problem towards rest at 50 ms, with far less than the focus needs."""
+    """Release `braked`: all modes are at rest at 50 ms, with less than a quarter of the peak voltage."""
     velocity, displacement = states_at(shipped.model, shipped.voltage, shipped.timing.hold, 125_000)
     assert np.abs(velocity).max() <= 1e-13 * 0.2
     assert np.abs(displacement).max() <= 1e-13 * 0.2
@@ -82,7 +82,7 @@ def test_braked_burst_ends_at_rest(shipped):
 
 @pytest.mark.parametrize("delay", [4e-6, 7.1e-6])
 def test_braked_burst_ends_at_rest_behind_a_delay(design, delay):
-    """What the amplifier plays late is braked late: by its last sample, on the grid and off it, the modes rest."""
+    """With a delay on or off the sample grid, the modes are at rest by the last delayed sample."""
     stimulus = design(amplifier=Amplifier(gain=25.0, limit=250.0, delay=delay))
     velocity, displacement = states_at(stimulus.model, stimulus.voltage, stimulus.timing.hold, 125_000)
     assert np.abs(velocity).max() <= 1e-12 * 0.2
@@ -91,7 +91,7 @@ def test_braked_burst_ends_at_rest_behind_a_delay(design, delay):
 
 @pytest.mark.parametrize(("focus", "delay"), [(0.025, 0.0), (0.0123456, 0.0), (0.025, 7.1e-6)])
 def test_braking_begins_with_the_first_sample_after_the_focus(model, focus, delay):
-    """The first that begins, behind the delay, at the focusing instant or after it."""
+    """Braking starts with the first sample that, delayed, begins at the focusing instant or later."""
     timing = Timing(AFG3022B.converter, focusing_instant=focus)
     system = DiagonalSystem.of(model, Amplifier(gain=25.0, limit=250.0, delay=delay))
     steering = Steering(model, system, timing, "braked", np.full(9, 0.01), np.zeros(9))
@@ -100,7 +100,7 @@ def test_braking_begins_with_the_first_sample_after_the_focus(model, focus, dela
 
 
 def test_samples_are_counted_against_conditions_and_channels(crossed_model):
-    """Two channels drive nine modes: eighteen conditions take nine free samples, and the ends are not free."""
+    """Eighteen conditions on two channels need nine free samples; the first and last samples are not free."""
     for count in (10, 4):
         timing = Timing(AFG3022B.converter, focusing_instant=count * 4e-7)
         words = f"{count} samples are fewer than 18 conditions on 2 channels need; at least 11 must lie before"
@@ -154,15 +154,15 @@ def test_energy_balance_holds(shipped):
 
 
 def test_peak_voltage_and_energy_trade_as_derived(design, shipped):
-    """184 V for the triangle with the taper."""
+    """The peak is 184 V for the tapered triangle and 167 V for a half cosine of 40 mm."""
     assert shipped.peak_voltage.max() == pytest.approx(184, abs=1)
     assert design(target_field=TargetField(shape="half_cosine", base=0.04)).peak_voltage.max() == pytest.approx(
         167, abs=2
     )
 
 
-def test_scaling_the_wish_by_two_scales_every_voltage_exactly(design):
-    """Linear in the level; a power of two changes no rounding."""
+def test_scaling_the_target_by_two_scales_every_voltage_exactly(design):
+    """The law is linear in the level, and a power of two changes no rounding."""
     one, two = design(target_field=TargetField(velocity=0.125)), design(target_field=TargetField(velocity=0.25))
     assert (two.voltage == 2 * one.voltage).all()
 
@@ -175,14 +175,14 @@ def test_scaling_the_wish_by_two_scales_every_voltage_exactly(design):
     focus=st.floats(1e-4, 0.05),
     n_samples=st.sampled_from([12_500, 62_500, 125_000]),
 )
-def test_a_single_mode_is_met_wherever_it_can_be(ratio, frequency, gain, focus, n_samples):
-    """Damping 1e-6 to 0.99, gains over 1e12, t_F anywhere."""
+def test_a_single_mode_is_met_over_the_range_of_parameters(ratio, frequency, gain, focus, n_samples):
+    """Damping ratios from 1e-6 to 0.99, gains over twelve decades, any t_F."""
     model = ModalModel((1,), [frequency], [ratio], [[gain]], 0.1)
     timing = Timing(AFG3022B.converter, n_samples=n_samples, focusing_instant=focus)
     drive = driven(model, timing, np.array([0.2]), "free")
     whole, remainder = timing.samples_until(focus)
     assert np.isfinite(drive.voltage).all()
-    # Where the weight leaves out the last samples of a fast decay, what is left must still be enough.
+    # If the taper removes the last samples, a fast mode must still be reached with the others.
     assert drive.residual <= 1e-13 * max(1.0, drive.condition_number) * 0.2
     if not remainder:
         velocity, displacement = states_at(model, drive.voltage, timing.hold, whole)
@@ -193,8 +193,8 @@ def test_a_single_mode_is_met_wherever_it_can_be(ratio, frequency, gain, focus, 
 
 
 @pytest.mark.parametrize("apart", [1e-2, 1e-4, 1e-6])
-def test_nearly_repeated_modes_are_met_and_their_condition_told(apart):
-    """Modes 1e-6 apart; with condition number c the bar is 10 eps c."""
+def test_nearly_repeated_modes_are_met_within_their_condition_number(apart):
+    """Modes down to 1e-6 apart: the residual is at most 10 eps times the condition number."""
     model = ModalModel((1, 3), [2553.0, 2553.0 * (1 + apart)], [0.0165, 0.0165], [[0.654], [0.7]], 0.1)
     timing = Timing(AFG3022B.converter, n_samples=12_500)
     drive = driven(model, timing, np.array([0.1, 0.1]), "free")
@@ -203,14 +203,14 @@ def test_nearly_repeated_modes_are_met_and_their_condition_told(apart):
 
 
 def test_gains_spanning_twelve_decades_are_met():
-    """Gains spanning 1e12."""
+    """The residual stays below 1e-13 with gains from 1e-9 to 1e3."""
     model = ModalModel((1, 3), [229.0, 2553.0], [0.0437, 0.0165], [[1e-9, 0], [1e-9, 1e3]], 0.1)
     drive = driven(model, Timing(AFG3022B.converter, n_samples=25_000), np.array([0.1, 0.1]), "braked")
     assert drive.residual <= 1e-13
 
 
-def test_identical_modes_on_one_channel_leave_a_residual_that_is_told():
-    """Two modes of the same poles on one channel move as one: what cannot be is solved as well as it can be."""
+def test_identical_modes_on_one_channel_leave_a_residual():
+    """Two modes with equal poles on one channel move alike; least squares misses both targets by half."""
     model = ModalModel((1, 3), [2553.0, 2553.0], [0.0165, 0.0165], [[1.0], [1.0]], 0.1)
     drive = driven(model, Timing(AFG3022B.converter, n_samples=12_500), np.array([0.1, 0.0]), "free")
     assert drive.condition_number > 1e12
@@ -219,7 +219,7 @@ def test_identical_modes_on_one_channel_leave_a_residual_that_is_told():
 
 
 def test_paper_law_is_equation_7_with_the_errata(shipped_paper):
-    """The voltage is the sum of 4 a_k eta'_k(t) / G_k at the middle of each hold, in thirty digits."""
+    """The voltage is the sum of 4 a_k eta'_k(t) / G_k at the middle of each hold, by thirty-digit arithmetic."""
     mpmath.mp.dps = 30
     model, timing = shipped_paper.model, shipped_paper.timing
     for n in (1, 30_000, 62_000, 62_499):
@@ -237,8 +237,8 @@ def test_paper_law_is_equation_7_with_the_errata(shipped_paper):
         assert shipped_paper.voltage[:, n] == pytest.approx([float(e) for e in expected], abs=2e-12)
 
 
-def test_amplifier_pole_is_counted_in(design):
-    """Integrating pole and modes step by step (matrix exponential) gives the wished states."""
+def test_the_amplifier_pole_is_modelled(design):
+    """Stepping the pole and the modes with matrix exponentials gives the target states."""
     amplifier = Amplifier(gain=25.0, limit=250.0, bandwidth=20e3)
     stimulus = design(
         timing=Timing(AFG3022B.converter, n_samples=12_500),
@@ -263,7 +263,7 @@ def test_amplifier_pole_is_counted_in(design):
 
 
 def test_focus_on_the_last_sample_cannot_be_braked(design):
-    """No sample is left to brake with: the remedy is `free`."""
+    """No sample is left for braking; the message suggests `free`."""
     timing = Timing(AFG3022B.converter, focusing_instant=0.05)
     with pytest.raises(ValueError, match=r"0 samples are fewer than 18 conditions .* or release it `free`"):
         _ = design(timing=timing).voltage
@@ -271,7 +271,7 @@ def test_focus_on_the_last_sample_cannot_be_braked(design):
 
 
 def test_unknown_law_and_release_are_refused(model):
-    """Two of each are on offer."""
+    """The messages list the allowed laws, releases and designs."""
     arguments = (model, TargetField(), Timing(AFG3022B.converter), Amplifier(gain=25.0, limit=250.0))
     with pytest.raises(ValueError, match=r"drive law 'best' is unknown; allowed: exact, paper"):
         design_stimulus(*arguments, law="best")
@@ -283,7 +283,7 @@ def test_unknown_law_and_release_are_refused(model):
 
 @pytest.mark.parametrize("duration", [0.05, 12.0])
 def test_long_focus_does_not_overflow(duration):
-    """A focus at up to 10 s, where e^(a t_F) overflows."""
+    """A focus at 10 s, where e^(a t_F) would overflow, is met within 1e-13."""
     model = ModalModel((1, 3), [229.0, 2553.0], [0.0437, 0.0165], [[0.114], [0.654]], 0.1)
     timing = Timing(
         AFG3022B.converter,
@@ -298,7 +298,7 @@ def test_long_focus_does_not_overflow(duration):
 
 
 def test_sixty_modes_are_met_within_their_condition(rng):
-    """Many modes on two channels: the residual stays within 10 eps of the condition number told."""
+    """Sixty modes on two channels: the residual is at most 10 eps times the condition number."""
     n = 60
     frequency = np.geomspace(200.0, 90e3, n)
     model = ModalModel(tuple(range(1, n + 1)), frequency, np.full(n, 0.01), rng.normal(size=(n, 2)), 0.1)
@@ -313,8 +313,8 @@ def test_delay_longer_than_the_focus_leaves_no_sample(design):
         _ = design(amplifier=Amplifier(gain=25.0, limit=250.0, delay=0.03)).voltage
 
 
-def test_the_steady_state_is_what_all_earlier_bursts_have_left(design, model):
-    """Reference: one burst followed for forty periods, at a rate at which the slowest mode does not come to rest."""
+def test_the_steady_state_includes_all_earlier_bursts(design, model):
+    """Reference: one burst followed for forty periods, at a rate at which the slowest mode never comes to rest."""
     timing = Timing(AFG3022B.converter, n_samples=12_500, repetition_rate=19.0)
     stimulus = design(model, timing=timing, release="free")
     voltage, system = stimulus.voltage_played(0.2), stimulus.system

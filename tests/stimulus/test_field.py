@@ -1,4 +1,4 @@
-"""Wishes of every kind, their projection, and what stays out of reach."""
+"""Target fields of every shape, their projection, and the part that the modes cannot reach."""
 
 import itertools
 
@@ -21,7 +21,7 @@ SHAPES = ("triangle", "box", "half_cosine", "raised_cosine", "gaussian")
 
 @pytest.fixture(scope="module")
 def full_model():
-    """Return a beam of which the first forty modes are modelled, even ones too."""
+    """Return a beam with its first forty modes, even ones included."""
     n = 40
     return ModalModel(tuple(range(1, n + 1)), np.linspace(200.0, 90e3, n), np.full(n, 0.02), np.ones((n, 2)), 0.1)
 
@@ -30,7 +30,7 @@ def full_model():
 @settings(max_examples=6, deadline=None)
 @given(base=st.floats(0.008, 0.09), centre=st.floats(-0.045, 0.045))
 def test_coefficients_match_a_fine_sum(shape, base, centre, full_model):
-    """Mean of field times shape by the midpoint rule on 20,001 points, for any width and place."""
+    """The mean of field times mode shape, by the midpoint rule on 20,001 points, for any width and centre."""
     target_field = TargetField(shape=shape, base=base, centre=centre, selection=40)
     place = (np.arange(20_001) + 0.5) / 20_001 * 0.1 - 0.05
     labels = [1, 2, 3, 6, 17, 40]
@@ -40,22 +40,22 @@ def test_coefficients_match_a_fine_sum(shape, base, centre, full_model):
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_many_modes_recover_the_wish(full_model, shape):
-    """The modes are complete: with forty of them the field follows the target, box edges apart."""
+def test_many_modes_recover_the_target_field(full_model, shape):
+    """The modes are complete: forty of them follow the target, except at the edges of a box."""
     projection = Projection(full_model, TargetField(shape=shape, centre=0.01, selection=40))
     assert projection.reconstruction_error < (0.2 if shape == "box" else 0.03)
     assert projection.field([0.01])[0] == pytest.approx(0.2, rel=1e-12)
 
 
 def test_widths_at_half_height_agree_among_the_shapes():
-    """A triangle and a raised cosine are as wide as half their base at half height."""
+    """At half height a triangle and a raised cosine are half as wide as their base."""
     for shape in ("triangle", "raised_cosine"):
         assert TargetField(shape=shape, base=0.04).profile([0.01, -0.01]) == pytest.approx(0.5, abs=1e-12)
 
 
 @pytest.mark.parametrize("level", [0.1, 0.2])
 def test_the_reconstruction_error_is_that_of_a_fine_sum(model, level):
-    """Root mean square of target less field over that of the target, on 20,001 points; the level cancels."""
+    """Root mean square of target minus field over that of the target, on 20,001 points; the level cancels."""
     projection = Projection(model, TargetField(velocity=level))
     place = (np.arange(20_001) + 0.5) / 20_001 * 0.1 - 0.05
     wished = level * projection.target_field.profile(place)
@@ -64,7 +64,7 @@ def test_the_reconstruction_error_is_that_of_a_fine_sum(model, level):
 
 
 def test_a_width_is_where_the_field_has_fallen_to_the_fraction(model):
-    """Between the two places nearest the centre; refused at the centre's own value and at none."""
+    """The width lies between the crossings nearest the centre; fractions outside 0 to 1 are refused."""
     projection = Projection(model, TargetField())
     place = np.linspace(-0.05, 0.05, 100_001)
     for fraction in (0.3, 0.5, 0.9):
@@ -77,8 +77,8 @@ def test_a_width_is_where_the_field_has_fallen_to_the_fraction(model):
             projection.width(fraction)
 
 
-def test_the_shipped_wish_is_the_papers():
-    """Section III: a triangle of 56 mm at mid-beam, fifty modes, the six strongest."""
+def test_the_default_target_field_is_that_of_the_paper():
+    """Section III: a triangle of 56 mm at mid-beam, decomposed on fifty modes, of which the six strongest count."""
     target_field = TargetField()
     assert (
         target_field.shape,
@@ -90,14 +90,14 @@ def test_the_shipped_wish_is_the_papers():
 
 
 @pytest.mark.parametrize("points", [(), ((0.0, 1.0),), ((0.0, 1.0, 2.0), (0.1, 1.0, 2.0))])
-def test_points_that_are_no_lines_are_refused(points):
-    """Two points at least, each with its velocity."""
+def test_too_few_or_malformed_points_are_refused(points):
+    """A sampled field needs at least two points, each with a velocity."""
     with pytest.raises(ValueError, match=f"has {len(points)} points; give at least 2, each with a velocity"):
         TargetField("sampled", points=points)
 
 
-def test_symmetric_wiring_mirrors_the_field_and_says_so(model):
-    """With odd labels alone a focus at 20 mm appears at -20 mm too; the even modes it lacks are named."""
+def test_symmetric_wiring_mirrors_the_field(model):
+    """With odd modes alone a focus at 20 mm also appears at -20 mm; the missing even modes are listed."""
     projection = Projection(model, TargetField(centre=0.02))
     left, right = projection.field([-0.02, 0.02])
     assert left == pytest.approx(right, rel=1e-12)
@@ -110,7 +110,7 @@ def test_symmetric_wiring_mirrors_the_field_and_says_so(model):
 
 
 def test_two_shapes_that_overlap_meet_midway(model):
-    """The decomposition is the integral of each side by itself: the field has an edge where they cross."""
+    """The field has an edge where the two shapes cross, so each side is integrated separately."""
     field = TargetField(centre=-0.01, further_centres=(0.015,))
 
     def shapes(place: float) -> float:
@@ -122,7 +122,7 @@ def test_two_shapes_that_overlap_meet_midway(model):
 
 
 def test_two_zones_at_once_are_reached_by_symmetric_wiring(model):
-    """B and D together are a symmetric field: both reach the level, and every state is met."""
+    """B and D together form a symmetric field: both reach the level, and every state is met."""
     target_field = TargetField(base=0.03, centre=-0.02, further_centres=(0.02,), selection=7)
     stimulus = design_stimulus(
         model, target_field, Timing(AFG3022B.converter, n_samples=25_000), Amplifier(gain=25.0, limit=1e3)
@@ -133,13 +133,13 @@ def test_two_zones_at_once_are_reached_by_symmetric_wiring(model):
 
 
 def test_overlapping_shapes_do_not_add_up():
-    """Where two wished shapes overlap the higher counts."""
+    """Where two shapes overlap, the higher one counts."""
     target_field = TargetField(base=0.06, centre=-0.01, further_centres=(0.01,))
     assert target_field.profile([-0.01, 0.0, 0.01]) == pytest.approx([1, 2 / 3, 1])
 
 
-def test_sampled_wish_of_three_points_is_the_triangle(model):
-    """A triangle given as three points, in any unit, is the triangle."""
+def test_a_sampled_field_of_three_points_is_the_triangle(model):
+    """Three points, in any unit of velocity, give the same projection as the triangle."""
     sampled = TargetField("sampled", points=((-0.028, 0.0), (0.0, 350.0), (0.028, 0.0)))
     expected = Projection(model, TargetField())
     assert Projection(model, sampled).target == pytest.approx(expected.target, abs=1e-15)
@@ -155,20 +155,20 @@ def test_sampled_wish_of_three_points_is_the_triangle(model):
         (((0.0, -1.0), (0.005, -2.0)), r"relative velocity -1 at its centre of 0 mm"),
     ],
 )
-def test_points_that_make_no_field_are_refused(points, message):
-    """NaN, a single point, doubles and a centre that stands still."""
+def test_invalid_points_of_a_sampled_field_are_refused(points, message):
+    """NaN, a single point, a repeated position, and a centre that moves backwards."""
     with pytest.raises(ValueError, match=message):
         TargetField("sampled", points=points)
 
 
-def test_width_is_asked_between_nothing_and_the_peak(model):
-    """A width at 0 or 100 % means nothing."""
+def test_a_width_at_the_full_height_is_refused(model):
+    """At 100 % of the centre a width is undefined."""
     with pytest.raises(ValueError, match=r"a width is asked for at 1\.0 of the centre"):
         Projection(model, TargetField()).width(1.0)
 
 
 def test_field_wider_than_the_beam_is_as_wide_as_the_beam(model):
-    """Rigid translation alone nowhere falls to half: the width ends at the beam's ends."""
+    """A rigid translation never falls to half, so the width is that of the beam."""
     assert Projection(model, TargetField(selection=(1,))).width(0.5) == pytest.approx(0.1)
 
 

@@ -1,4 +1,4 @@
-"""Fingertips on the beam, judged by matrix exponentials in extended precision that share no code with the engine."""
+"""Fingertips on the beam, checked by extended-precision matrix exponentials that share no code with the engine."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -27,14 +27,14 @@ SLOW = Amplifier(gain=25.0, limit=250.0, bandwidth=300e3, delay=1e-6)
 FINE, COARSE = Timing(AFG3022B.converter), Timing(AFG3022B.converter, n_samples=12_500)
 
 FINGERS = [(0.15, 0.7, 0.5), (0.08, 0.45, 0.8), (0.3, 2.0, 2.0), (0.15, 10.0, 0.0), (0.15, 30.0, 0.0)]
-"""Mass [g], damping [N s/m], stiffness [N/mm]; the last two stop mode 1 from swinging."""
+"""Mass [g], damping [N s/m], stiffness [N/mm]; the last two overdamp mode 1."""
 
 RELAXING = ((800.0, 1e-3), (3000.0, 2e-5))
 """Two Maxwell terms, stiffness [N/m] and relaxation time [s]."""
 
 
 def pair(zones, mass_g, damping, stiffness, **options):
-    """Return two alike fingers on two zones."""
+    """Return two identical fingers on two zones."""
     return tuple(Finger(ZONE[zone], mass_g * 1e-3, damping, stiffness * 1e3, **options) for zone in zones)
 
 
@@ -118,7 +118,7 @@ class Coupled:
         self.n, self.matrix, self.force, self.delay = n, matrix, force, LONG(amplifier.delay)
 
     def held(self, time):
-        """Decay over a time, and what a volt held for it leaves."""
+        """Transition matrix over a time, and the response to one volt held during it."""
         n, n_channels = self.force.shape
         whole = np.zeros((n + n_channels,) * 2, dtype=LONG)
         whole[:n, :n], whole[:n, n:] = self.matrix * time, self.force * time
@@ -140,7 +140,7 @@ class Coupled:
         return state[self.n : 2 * self.n].astype(float), state[: self.n].astype(float)
 
     def on_clock(self, voltage, timing, instant):
-        """The same where each sample begins with the first edge of the clock at or after its time."""
+        """The same if each sample begins at the first clock edge at or after its time."""
         period, n_samples = 1 / LONG(timing.converter.clock_rate), timing.n_samples
         n_clocks = round(timing.duration * timing.converter.clock_rate)
         begins = [-(-n * n_clocks // n_samples) for n in range(n_samples + 1)]
@@ -206,7 +206,7 @@ def left_over(stimulus, fingers, amplifier=PLAIN):
 
 
 def longer(timing, n_samples):
-    """Return a burst of as many samples of the same length."""
+    """Return the timing of a burst with this number of samples and the same hold."""
     return replace(timing, n_samples=n_samples, duration=timing.hold * n_samples)
 
 
@@ -254,8 +254,8 @@ def critical(beam):
 @pytest.mark.parametrize("amplifier", [PLAIN, SLOW], ids=["plain", "slow"])
 @pytest.mark.parametrize("zones", ["AC", "BD"])
 @pytest.mark.parametrize("values", FINGERS, ids=str)
-def test_the_field_under_the_fingers_is_the_one_asked_for(design, beam, values, zones, amplifier):
-    """All modal states at the focus: voltages within 1e-12 of the level, codes within 1e-6; then at rest again."""
+def test_the_target_field_is_met_under_the_fingers(design, beam, values, zones, amplifier):
+    """Modal states at the focus are met within 1e-12 of the level (codes: 1e-6); the burst ends at rest."""
     fingers = pair(zones, *values)
     stimulus = design(beam.touched(fingers), amplifier=amplifier)
     assert stimulus.system.exact
@@ -265,25 +265,25 @@ def test_the_field_under_the_fingers_is_the_one_asked_for(design, beam, values, 
 
 
 def test_a_scaled_finger_has_its_damping_and_the_square_of_its_stiffness():
-    """As it does to a mode whose frequency is doubled at the same damping ratio; the mass stays."""
+    """Like a mode whose frequency is doubled at the same damping ratio; the mass stays."""
     assert Finger(0.01, 1e-4, 0.5, 500.0).scaled(2) == Finger(0.01, 1e-4, 1.0, 2000.0)
 
 
-def test_the_field_of_the_untouched_beam_is_another_under_fingers(design, beam):
-    """What the design for fingers is for: the same codes without it miss by more than a tenth of the level."""
+def test_fingers_change_the_field_of_the_untouched_beam(design, beam):
+    """A design for the untouched beam misses by more than a tenth of the level."""
     assert miss(design(beam), pair("AC", 0.08, 0.45, 0.8), design(beam).voltage) > 0.1 * LEVEL
 
 
 def test_overdamped_fingers_leave_two_real_exponents(beam):
-    """30 N s/m on A and C: mode 1 creeps back, and 8 modes swing."""
+    """With 30 N s/m on A and C mode 1 is overdamped, and 8 modes oscillate."""
     exponent = DiagonalSystem.of(beam.touched(pair("AC", 0.15, 30.0, 0.0))).exponent
     assert (exponent.imag == 0).sum() == 2
     assert (exponent.imag > 0).sum() == 8
 
 
 @pytest.mark.parametrize("amplifier", [PLAIN, SLOW], ids=["plain", "slow"])
-def test_critical_damping_is_met_although_the_eigenvectors_are_lost(design, beam, critical, amplifier):
-    """Two exponents meet: the law is that of fingers 1e-9 off, its miss is taken out on the equations as they are."""
+def test_the_field_is_met_at_critical_damping(design, beam, critical, amplifier):
+    """Two exponents coincide: the law for slightly different fingers is corrected with the coupled equations."""
     fingers = pair("AC", 0.15, critical, 0.0)
     stimulus = design(beam.touched(fingers), amplifier=amplifier)
     _, condition = CoupledModes.of(
@@ -298,7 +298,7 @@ def test_critical_damping_is_met_although_the_eigenvectors_are_lost(design, beam
 
 @pytest.mark.parametrize("damping", [0.7, None], ids=["light", "critical"])
 def test_an_uneven_clock_is_followed_under_fingers(design, beam, critical, damping):
-    """12,345 samples begin with the clock's edges, not with their times."""
+    """12,345 samples begin at clock edges, later than their nominal times."""
     fingers = pair("AC", 0.15, critical if damping is None else damping, 0.0)
     timing = Timing(AFG3022B.converter, n_samples=12_345)
     assert timing.clock_error is not None
@@ -312,7 +312,7 @@ def test_an_uneven_clock_is_followed_under_fingers(design, beam, critical, dampi
 
 @pytest.mark.parametrize("zones", ["AC", "BD"])
 def test_fingers_that_relax_are_met(design, beam, zones):
-    """Springs behind dampers beside mass, damper and spring."""
+    """Maxwell terms in addition to mass, damper and spring."""
     fingers = pair(zones, 0.1, 0.5, 0.3, maxwell=RELAXING)
     stimulus = design(beam.touched(fingers))
     assert miss(stimulus, fingers, stimulus.voltage) <= 1e-12 * LEVEL
@@ -322,7 +322,7 @@ def test_fingers_that_relax_are_met(design, beam, zones):
 
 @pytest.mark.parametrize("values", FINGERS[:3], ids=str)
 def test_every_mode_is_steered_on_a_beam_with_even_modes(design, uneven_beam, values):
-    """Fingers at A and C move even modes too: all 19 end where they shall, those not asked for at rest."""
+    """Fingers at A and C couple even modes: all 19 meet their targets, unselected ones at rest."""
     fingers = pair("AC", *values)
     stimulus = design(uneven_beam.touched(fingers))
     assert (stimulus.target == 0).any()
@@ -332,7 +332,7 @@ def test_every_mode_is_steered_on_a_beam_with_even_modes(design, uneven_beam, va
 
 
 def test_a_mode_that_only_fingers_move_is_steered(design, uneven_beam):
-    """Even modes without any gain: driven through fingers at A and C, left alone by those at B and D."""
+    """Even modes without gain are driven through fingers at A and C, but not through those at B and D."""
     gain = np.where(np.array(uneven_beam.label)[:, None] % 2, uneven_beam.modal_gain, 0.0)
     silent = replace(uneven_beam, modal_gain=gain)
     assert (gain == 0).all(axis=1).sum() == 9
@@ -346,7 +346,7 @@ def test_a_mode_that_only_fingers_move_is_steered(design, uneven_beam):
 
 @pytest.mark.parametrize("name", ["norm_4", "least_peak"])
 def test_designs_of_less_peak_voltage_meet_the_field_too(design, beam, name):
-    """Whatever is asked of the voltages, the states at the focus are the same."""
+    """Other designs meet the same states at the focus, with at least a tenth less peak voltage."""
     fingers = pair("AC", 0.15, 0.7, 0.5)
     stimulus = design(beam.touched(fingers), timing=COARSE, design=name)
     assert miss(stimulus, fingers, stimulus.voltage) <= 1e-11 * LEVEL
@@ -362,7 +362,7 @@ def test_designs_of_less_peak_voltage_meet_the_field_too(design, beam, name):
     right=st.floats(0.0, 0.045),
 )
 def test_light_fingers_anywhere_are_met(design, beam, mass_g, damping, stiffness, left, right):
-    """Any two fingertips below 3 N s/m, wherever they lie."""
+    """Any two fingertips up to 3 N s/m, at any two places."""
     fingers = tuple(Finger(place, mass_g * 1e-3, damping, stiffness * 1e3) for place in (left, right))
     stimulus = design(beam.touched(fingers), timing=COARSE)
     bound = max(1e-12, 10 * np.finfo(float).eps * stimulus.drive.condition_number)
@@ -423,7 +423,7 @@ def test_derivatives_are_those_of_the_coupled_beam(design, beam, critical, value
 
 @pytest.mark.parametrize("stays", [(), (0,)], ids=["none", "left"])
 def test_fingers_taken_away_at_the_worst_instant(design, beam, stays):
-    """200 bursts, each on the heavier beam until an instant before the focus, and on the lighter one from its state."""
+    """200 bursts, each with fingers lifted at another instant near the focus, stepped sample by sample."""
     timing = Timing(AFG3022B.converter, n_samples=31_250)
     fingers = pair("AC", 0.25, 1.5, 1.5)
     left = tuple(fingers[which] for which in stays)
@@ -451,7 +451,7 @@ def test_fingers_taken_away_at_the_worst_instant(design, beam, stays):
 @pytest.mark.parametrize("amplifier", [PLAIN, SLOW], ids=["plain", "slow"])
 @pytest.mark.parametrize("maxwell", [(), RELAXING], ids=["plain", "relaxing"])
 def test_the_pull_is_the_force_on_each_finger(design, beam, maxwell, amplifier):
-    """|m a + c v + k x| and what the Maxwell terms add, of the mean velocity over the contact, by differences."""
+    """|m a + c v + k x| plus the Maxwell terms, for the mean velocity over the contact, by finite differences."""
     fingers = (Finger(-0.04, 0.1e-3, 0.5, 800.0, maxwell=maxwell), Finger(0.0, 0.3e-3, 2.0, 2000.0, maxwell=maxwell))
     stimulus = design(beam, timing=FINE, amplifier=amplifier)
     history = Coupled(beam, fingers, amplifier).history(stimulus.voltage_played(LEVEL), FINE)[9:18]
@@ -474,8 +474,8 @@ def test_the_pull_is_the_force_on_each_finger(design, beam, maxwell, amplifier):
     np.testing.assert_allclose(found, pulls, rtol=5e-3)
 
 
-def test_nobody_pulls_at_an_untouched_beam(shipped):
-    """No finger, no force."""
+def test_an_untouched_beam_has_no_contact_forces(shipped):
+    """The array of forces is empty."""
     assert shipped.touched(()).pull(shipped.volts_per_code(LEVEL)).size == 0
 
 
@@ -487,7 +487,7 @@ def test_nobody_pulls_at_an_untouched_beam(shipped):
     stiffness=st.floats(0.0, 1e4),
 )
 def test_one_rigid_mode_under_a_finger_is_an_oscillator(frequency, ratio, mass, damping, stiffness):
-    """At phi = 1 the product of the exponents is (w^2 + k/m_b)/(1 + m/m_b), their sum -(2 xi w + c/m_b)/(1 + m/m_b)."""
+    """With phi = 1 the exponents have product (w^2 + k/m_b)/(1 + m/m_b), sum -(2 xi w + c/m_b)/(1 + m/m_b)."""
     w, load = 2 * np.pi * frequency, 1 + mass / MASS
     square, rate = (w**2 + stiffness / MASS) / load, (2 * ratio * w + damping / MASS) / load
     assume(abs(rate**2 / 4 - square) > 1e-3 * square)
@@ -502,7 +502,7 @@ def test_one_rigid_mode_under_a_finger_is_an_oscillator(frequency, ratio, mass, 
 
 
 def test_exponents_under_fingers_are_right_to_the_last_digits(beam):
-    """Against eigenvalues in thirty digits: 1e-15 of each one, also of mode 1, 400 times slower than mode 17."""
+    """Within 1e-15 of thirty-digit eigenvalues, including mode 1, which is 400 times slower than mode 17."""
     fingers = pair("BD", 0.15, 0.7, 0.5)
     matrix = Coupled(beam, fingers).matrix
     with mpmath.workdps(30):
@@ -518,7 +518,7 @@ def test_exponents_under_fingers_are_right_to_the_last_digits(beam):
 
 @given(place=st.floats(-0.05, 0.05), mass=st.floats(1e-6, 1e-3), stiffness=st.floats(1.0, 5e3))
 def test_a_mass_lowers_every_frequency_and_a_spring_raises_it(beam, place, mass, stiffness):
-    """Rayleigh's theorem, on modes that are all but undamped."""
+    """Rayleigh's theorem, on modes with negligible damping."""
     bare = replace(beam, damping_ratio=np.full(9, 1e-7))
     free = np.sort(bare.angular_frequency)
     for finger, sign in ((Finger(place, mass=mass), -1), (Finger(place, stiffness=stiffness), 1)):
@@ -533,15 +533,15 @@ def test_a_mass_lowers_every_frequency_and_a_spring_raises_it(beam, place, mass,
     places=st.tuples(st.floats(-0.05, 0.05), st.floats(-0.05, 0.05)),
     maxwell=st.lists(st.tuples(st.floats(1.0, 1e4), st.floats(1e-6, 1.0)), max_size=2),
 )
-def test_fingers_never_feed_the_beam(uneven_beam, values, places, maxwell):
-    """Passive, whatever they are made of: every motion dies out."""
+def test_fingers_are_passive(uneven_beam, values, places, maxwell):
+    """For any mass, damping, stiffness and Maxwell terms every motion decays."""
     mass, damping, stiffness = values
     fingers = tuple(Finger(at, mass * 1e-3, damping, stiffness * 1e3, maxwell=tuple(maxwell)) for at in places)
     assert (DiagonalSystem.of(uneven_beam.touched(fingers)).exponent.real < 0).all()
 
 
-def test_a_spring_that_never_gives_way_is_a_spring(design, beam, zones):
-    """A Maxwell term of 1e6 s holds a burst of 0.05 s like the spring itself."""
+def test_a_slow_maxwell_term_is_a_spring(design, beam, zones):
+    """During a burst of 0.05 s a Maxwell term with a relaxation time of 1e6 s acts like its spring."""
     stimulus = design(beam, timing=COARSE)
     slow, spring = (Finger(0.0, 1e-4, 0.5, k, maxwell=terms) for k, terms in ((0.0, ((900.0, 1e6),)), (900.0, ())))
     at = [stimulus.touched((each,)).velocity_at_focus(zones, stimulus.volts_per_code(LEVEL)) for each in (slow, spring)]
@@ -551,8 +551,8 @@ def test_a_spring_that_never_gives_way_is_a_spring(design, beam, zones):
 
 
 @pytest.mark.parametrize("time", [1e-8, 1e-9])
-def test_a_spring_that_gives_way_at_once_is_a_damper(design, beam, zones, time):
-    """A Maxwell term is a damper of stiffness times relaxation time, but for a share of w tau."""
+def test_a_fast_maxwell_term_is_a_damper(design, beam, zones, time):
+    """A fast Maxwell term is a damper of stiffness times relaxation time, within a fraction w tau."""
     stimulus = design(beam, timing=COARSE)
     quick = Finger(0.0, 1e-4, 0.5, 500.0, maxwell=((0.8 / time, time),))
     damper = Finger(0.0, 1e-4, 1.3, 500.0)
@@ -563,8 +563,8 @@ def test_a_spring_that_gives_way_at_once_is_a_damper(design, beam, zones, time):
     assert np.abs(at[1] - stimulus.touched(()).velocity_at_focus(zones, unit)).max() > 0.05 * LEVEL
 
 
-def test_a_second_mass_swings_on_its_spring(beam):
-    """Mode 1 alone, whose shape is 1: roots of the characteristic polynomial of both masses."""
+def test_a_second_mass_has_the_poles_of_two_coupled_masses(beam):
+    """Mode 1 alone, whose shape is 1, against the roots of the characteristic polynomial of both masses."""
     names = ("natural_frequency", "damping_ratio", "modal_gain")
     first = replace(beam, label=(1,), **{name: getattr(beam, name)[:1] for name in names})
     mass, spring, damper, w, ratio = 1.2e-3, 1e5, 0.8, 2 * np.pi * 229, 0.0437
@@ -582,8 +582,8 @@ def test_a_second_mass_swings_on_its_spring(beam):
     [((1e6, 900.0, 0.0), {"stiffness": 1400.0}), ((1e-4, 1e13, 0.4), {"mass": 2e-4, "damping": 0.9})],
     ids=["at rest", "moves along"],
 )
-def test_a_second_mass_between_rest_and_stiff(design, beam, zones, second, alike):
-    """Too heavy to move, it leaves a spring; on a spring too stiff to give way, a mass and a damper."""
+def test_limits_of_a_second_mass(design, beam, zones, second, alike):
+    """If too heavy to move, it acts as a spring; on a rigid spring, as a mass and a damper."""
     stimulus, values = design(beam, timing=COARSE), {"mass": 1e-4, "damping": 0.5, "stiffness": 500.0}
     unit = stimulus.volts_per_code(LEVEL)
     fingers = Finger(0.01, **values, second_mass=second), Finger(0.01, **{**values, **alike})
@@ -593,7 +593,7 @@ def test_a_second_mass_between_rest_and_stiff(design, beam, zones, second, alike
 
 
 def same_loads(one, other):
-    """Return whether fingers do the same to two beams, to the last bit: what a design is made from."""
+    """Return whether the fingers on two beams are bit-identical, so that their designs are, too."""
     return all(
         finger == like and (contact == alike).all()
         for (contact, finger), (alike, like) in zip(one.loads, other.loads, strict=True)
@@ -602,8 +602,8 @@ def same_loads(one, other):
 
 @pytest.mark.parametrize("maxwell", [(), RELAXING], ids=["plain", "relaxing"])
 @pytest.mark.parametrize("places", [(-0.04, 0.0), (-0.0371, -0.0113), (-0.045, 0.02)], ids=str)
-def test_mirrored_fingers_on_symmetric_modes_take_the_very_codes(design, beam, places, maxwell):
-    """(A, C) and (C, E), and any other two, to the bit: one design serves both."""
+def test_mirrored_fingers_on_symmetric_modes_have_identical_codes(design, beam, places, maxwell):
+    """(A, C) and (C, E), or any other mirrored pair, share one design."""
     left, right = (
         Finger(place, mass, 0.7, 500.0, maxwell=maxwell) for place, mass in zip(places, (1e-4, 2e-4), strict=True)
     )
@@ -615,8 +615,8 @@ def test_mirrored_fingers_on_symmetric_modes_take_the_very_codes(design, beam, p
     assert one.amplitude == other.amplitude
 
 
-def test_mirrored_fingers_on_even_modes_take_other_codes(design, uneven_beam):
-    """An even mode tells left from right."""
+def test_mirrored_fingers_on_even_modes_have_different_codes(design, uneven_beam):
+    """Even modes are antisymmetric, so left and right differ."""
     left, right = (
         design(uneven_beam.touched(pair(zones, 0.1, 0.7, 0.5)), timing=COARSE).burst.codes for zones in ("AC", "CE")
     )
@@ -624,7 +624,7 @@ def test_mirrored_fingers_on_even_modes_take_other_codes(design, uneven_beam):
 
 
 def test_the_order_of_the_fingers_does_not_matter(design, beam):
-    """The codes are those of the beam, whoever is named first."""
+    """The codes do not depend on which finger is listed first."""
     two = Finger(-0.04, 1e-4, 0.5, 500.0, maxwell=RELAXING), Finger(0.0, 2e-4, 0.7, 900.0, maxwell=RELAXING[:1])
     assert same_loads(beam.touched(two), beam.touched(two[::-1]))
     first, second = (design(beam.touched(fingers), timing=COARSE).burst.codes for fingers in (two, two[::-1]))
@@ -632,7 +632,7 @@ def test_the_order_of_the_fingers_does_not_matter(design, beam):
 
 
 def test_without_a_finger_the_codes_are_those_of_the_untouched_beam(design, model, beam, shipped):
-    """To the bit, whether the beam's mass is known or not, and after fingers were lifted."""
+    """Bit-identical whether or not the beam's mass is known, and after fingers were lifted."""
     lifted = beam.touched(pair("AC", 0.1, 0.7, 0.5)).touched(())
     for each in (beam, beam.touched(()), lifted):
         assert design(each).burst.content_hash == shipped.burst.content_hash
@@ -645,7 +645,7 @@ def test_without_a_finger_the_codes_are_those_of_the_untouched_beam(design, mode
 
 @pytest.mark.parametrize("width", [0.002, 0.02, 0.04])
 def test_a_contact_of_any_width_is_averaged(uneven_beam, width):
-    """Means of products of shapes by 64 Gauss points; at the beam's end the contact ends with the beam."""
+    """Against means over 64 Gauss points; a contact at the end of the beam is cut off there."""
     for place in (0.0, 0.018, 0.048):
         finger = Finger(place, width=width)
         at, weights = contact_of(uneven_beam, finger)
@@ -675,14 +675,14 @@ def test_a_contact_of_any_width_is_averaged(uneven_beam, width):
         ({"second_mass": (1e-3, 900.0, float("nan"))}, "the damping of a second mass is nan"),
     ],
 )
-def test_what_is_no_finger_is_refused(values, said):
-    """With what was given and what is allowed."""
+def test_impossible_values_of_a_finger_are_refused(values, said):
+    """The message has the given value and the allowed range."""
     with pytest.raises(ValueError, match=said):
         Finger(**{"position": 0.0, **values})
 
 
-def test_fingers_beside_the_beam_or_on_one_of_unknown_mass_are_refused(model, beam):
-    """A finger lies on the beam, and weighs on a mass."""
+def test_fingers_need_a_place_on_a_beam_of_known_mass(model, beam):
+    """Refused: a place off the beam, an unknown moving mass, and an impossible one."""
     with pytest.raises(ValueError, match="a finger lies at 51 mm, off the beam, which spans -50 to 50 mm"):
         beam.touched((Finger(0.051),))
     with pytest.raises(ValueError, match="fingers lie on a beam of unknown mass; give its moving mass"):
@@ -693,7 +693,7 @@ def test_fingers_beside_the_beam_or_on_one_of_unknown_mass_are_refused(model, be
 
 
 @pytest.mark.parametrize("n", [12, 16, 24, 120])
-def test_the_rule_of_the_contact_is_that_of_gauss_and_legendre(n):
-    """Against NumPy's, by Newton's method on the polynomial."""
+def test_the_quadrature_of_a_contact_is_gauss_legendre(n):
+    """Nodes and weights agree with NumPy's."""
     nodes, weights = np.polynomial.legendre.leggauss(n)
     np.testing.assert_allclose(gauss_legendre(n), (nodes, weights), rtol=0, atol=1e-14)

@@ -1,4 +1,4 @@
-"""The weighted sums behind the Gramian, against the sums written out; what its solver says and refuses."""
+"""The weighted sums behind the Gramian, against explicit sums; the solver and its refusals."""
 
 import numpy as np
 import pytest
@@ -25,8 +25,8 @@ def test_all_samples_but_the_ends_are_free(taper):
 
 
 @pytest.mark.parametrize("taper", TAPERS, ids=str)
-def test_transforms_are_the_sums_written_out(taper):
-    """Also where a term stands still: rate 0, and rates that turn with the cosine of a taper."""
+def test_transforms_agree_with_explicit_sums(taper):
+    """Also at rate 0, and at rates that resonate with the cosine of a taper."""
     rates = [0.0, -0.02 + 0.4j, -3.0, -1e-9 + 1e-7j]
     rates += [sign * 1j * np.pi / n for n in (taper.rise, taper.fall) if n > 1 for sign in (1, -1)]
     before_last = np.arange(taper.n_samples)[::-1]
@@ -34,16 +34,16 @@ def test_transforms_are_the_sums_written_out(taper):
     assert taper.transform(np.array(rates, dtype=complex)) == pytest.approx(np.array(expected), abs=1e-12)
 
 
-def test_ends_are_shortened_together_where_they_fill_over_half():
-    """Wished ends as they are where there is room; else both by one factor, and never below one sample."""
+def test_tapers_are_shortened_together_if_they_fill_over_half():
+    """Tapers keep their length if there is room; otherwise both shrink by one factor, to at least one sample."""
     assert Taper.fitting(100, 30.0, 20.0) == Taper(100, 30, 20)
     assert Taper.fitting(100, 60.0, 40.0) == Taper(100, 30, 20)
     assert Taper.fitting(100, 0.2, 0.0) == Taper(100, 1, 1)
     assert raised_cosine(4) == pytest.approx([0, 0.5 - 0.5**1.5, 0.5, 0.5 + 0.5**1.5])
 
 
-def test_a_solution_solves_and_leaves_out_what_is_lost():
-    """A well scaled system is solved to rounding; along a direction lost in rounding nothing is added."""
+def test_the_solver_ignores_directions_lost_in_rounding():
+    """A well-scaled system is solved to rounding; a singular one gets the solution of least norm."""
     gramian = np.array([[4.0, 1.0], [1.0, 9.0]]) * [[1.0, 1e6], [1e6, 1e12]]
     solver = GramianSolver.of(gramian, [1])
     assert gramian @ solver.solve(np.array([2.0, 3e6])) == pytest.approx([2.0, 3e6])
@@ -54,7 +54,7 @@ def test_a_solution_solves_and_leaves_out_what_is_lost():
 
 
 @pytest.mark.parametrize(("label", "named"), [((3, 7), "mode 7"), ((5,), "mode 5")])
-def test_a_condition_that_no_voltage_moves_is_named(label, named):
-    """By its mode: velocities of all modes, then their displacements."""
+def test_an_uncontrollable_condition_is_reported_with_its_mode(label, named):
+    """Conditions are the velocities of all modes, then their displacements."""
     with pytest.raises(ValueError, match=f"{named} has 0 on the diagonal of the Gramian, which must be above 0"):
         GramianSolver.of(np.diag([1.0, 0.0]), label)

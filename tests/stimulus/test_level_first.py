@@ -1,4 +1,4 @@
-"""The level at the focus exactly, the field as nearly as the amplifier allows; and the slow part of a burst."""
+"""Priority `level`: the exact level at the focus, and the nearest field within the amplifier's limit."""
 
 from dataclasses import replace
 
@@ -25,12 +25,12 @@ def whole(design, model) -> Stimulus:
 
 @pytest.fixture(scope="module")
 def first(whole) -> Stimulus:
-    """The level first, there."""
+    """The same stimulus with priority `level`."""
     return replace(whole, priority="level")
 
 
 def test_the_level_is_reached_exactly_at_the_limit(whole, first):
-    """The whole field needs four times the 250 V; 0.2 % of the ridge is a few parts in 1000 of the peak."""
+    """The whole field would need about 1,000 V; with priority `level` the peak lies just below 250 V."""
     limit = whole.amplifier.limit
     assert whole.peak_voltage.max() > 3.5 * limit
     assert 0.98 * limit < first.peak_voltage.max() <= limit
@@ -39,15 +39,15 @@ def test_the_level_is_reached_exactly_at_the_limit(whole, first):
 
 
 def test_the_level_is_reached_exactly_on_an_uneven_clock(first):
-    """312.5 clocks a sample: every other one begins late."""
+    """With 312.5 clocks per sample, every other sample begins late."""
     uneven = replace(first, timing=replace(first.timing, n_samples=40_000))
     assert uneven.timing.clock_error is not None
     unit = uneven.volts_per_code(LEVEL)
     assert uneven.touched(first.model.fingers).velocity_at_focus([0.0], unit)[0] == pytest.approx(LEVEL, rel=1e-6)
 
 
-def test_the_field_pays_for_it(whole, first):
-    """Other zones and the slow mode are off what the whole field asks for; more volts bring them nearer."""
+def test_the_field_deviates_less_with_a_higher_limit(whole, first):
+    """The other zones approach the target field as the limit rises; the slow mode moves less than with it."""
     target = whole.projection.field(ZONES)
 
     def missed(limit: float) -> float:
@@ -62,27 +62,27 @@ def test_the_field_pays_for_it(whole, first):
     assert slow[1] < 0.8 * slow[0]
 
 
-def test_where_the_amplifier_allows_the_whole_field_it_is_the_whole_field(design, model):
-    """The untouched beam takes 184 of the 250 V: to the bit the same."""
+def test_priority_level_changes_nothing_within_the_limit(design, model):
+    """The untouched beam needs 184 of the 250 V, so the codes are identical."""
     stimulus = design(model)
     np.testing.assert_array_equal(replace(stimulus, priority="level").burst.codes, stimulus.burst.codes)
 
 
 def test_the_beam_is_at_rest_at_the_end(first):
-    """Braked from whatever state the focus was left in."""
+    """Braking starts from the state actually reached at the focus."""
     reached = first.system.state_at(first.voltage, first.timing, first.timing.duration)
     assert np.abs(np.concatenate(first.system.read(reached))).max() <= 1e-11 * LEVEL
 
 
 @pytest.mark.parametrize("how", [{"law": "paper"}, {"design": "norm_4"}])
-def test_it_is_a_design_of_the_exact_law_of_least_energy(design, model, how):
-    """Other voltages have no field to let go."""
+def test_priority_level_needs_the_exact_law_of_least_energy(design, model, how):
+    """Other laws and designs are refused."""
     with pytest.raises(ValueError, match="the priority level needs the law exact and the design least_energy, not"):
         design(model, priority="level", **how)
 
 
-def test_what_swings_below_a_kilohertz_is_the_slow_mode_alone(design, model):
-    """Of Table I mode 1, at 229 Hz, a rigid translation: its velocity is that of every point."""
+def test_only_mode_1_moves_below_a_kilohertz(design, model):
+    """Mode 1 of Table I, at 229 Hz, is a rigid translation, so its velocity is the same at every point."""
     stimulus = design(model, amplifier=Amplifier(gain=25.0, limit=250.0))
     unit = stimulus.volts_per_code(LEVEL)
     slow = np.abs(modal_history(model, stimulus.voltage_played(LEVEL), stimulus.timing)[0]).max()

@@ -1,4 +1,4 @@
-"""Measured bases: projection by least squares, scaling, and what is no basis."""
+"""Measured mode shapes: projection by least squares, scaling, and refusals."""
 
 from dataclasses import replace
 
@@ -26,19 +26,19 @@ def scan(n_points, factor=1.0, noise=0.0):
 
 @pytest.mark.parametrize("n_points", [41, 101])
 def test_unit_of_the_scan_drops_out(n_points):
-    """A vibrometer's unit and sign go out: unit mean square over the beam, positive at its right end."""
+    """Shapes have unit mean square and are positive at the right end, whatever the vibrometer's unit and sign."""
     measured = scan(n_points, factor=-3.7e-6)
     assert measured.shape == pytest.approx(mode_shapes(LABELS, measured.position, 0.1), abs=1e-9)
 
 
-def test_forty_one_points_carry_label_17_between_them():
-    """41 points suffice for the shape of label 17."""
+def test_forty_one_points_suffice_for_mode_17():
+    """Interpolated between 41 points, all shapes agree with theory within 1e-8."""
     place = np.linspace(-0.05, 0.05, 333)
     assert scan(41).at(place) == pytest.approx(mode_shapes(LABELS, place, 0.1), abs=1e-8)
 
 
-def test_least_squares_projects_what_a_trapezoid_sum_does_not():
-    """On 21 points trapezoid inner products err by a fifth; least squares do not."""
+def test_least_squares_projects_better_than_a_trapezoid_sum():
+    """On 21 points trapezoid inner products err by more than 0.15; least squares are exact."""
     place = np.linspace(-0.05, 0.05, 21)
     shape = mode_shapes(LABELS, place, 0.1)
     gram = np.trapezoid(shape[:, None] * shape, place, axis=2) / 0.1
@@ -50,7 +50,7 @@ def test_least_squares_projects_what_a_trapezoid_sum_does_not():
 
 
 def test_condition_number_is_reported_and_noise_grows_by_it_at_most():
-    """Least squares magnify noise by the condition number at most."""
+    """Least squares amplify noise by at most the condition number."""
     measured = scan(41)
     assert 1 <= measured.condition_number < 10
     clean = np.ones(9) @ measured.shape
@@ -59,8 +59,8 @@ def test_condition_number_is_reported_and_noise_grows_by_it_at_most():
     assert np.linalg.norm(error) / 3 <= measured.condition_number * np.linalg.norm(noise) / np.linalg.norm(clean)
 
 
-def test_model_with_measured_shapes_designs_as_theory_does(model):
-    """On a fine scan of theoretical shapes the measured basis gives the theoretical stimulus."""
+def test_measured_shapes_give_the_design_of_theory(model):
+    """A fine scan of theoretical shapes gives the theoretical stimulus."""
     measured = replace(model, basis=scan(401))
     assert Projection(measured, TargetField()).selected == (1, 3, 5, 7, 11, 13)
     stimulus = design_stimulus(
@@ -90,8 +90,8 @@ def test_dependent_shapes_are_refused_with_the_closest_pair():
         ([0.0, 0.001], [1.0, np.inf], r"is not a finite number"),
     ],
 )
-def test_what_is_no_scan_is_refused(place, shape, message):
-    """Each fault is told with its remedy."""
+def test_impossible_scans_are_refused(place, shape, message):
+    """Each message has the fault and what is allowed."""
     with pytest.raises(ValueError, match=message):
         MeasuredShapes((1,), np.array(place), np.array([shape]), 0.1)
 

@@ -11,7 +11,7 @@ LABELS = [1, 2, 3, 4, 5, 12, 17]
 
 @pytest.mark.parametrize("derivative", [1, 2, 3])
 def test_derivatives_match_finite_differences(derivative):
-    """Central differences of the derivative below, step 1e-6 of the length."""
+    """Central differences of the next lower derivative, with a step of 1e-6 of the length."""
     place, step = np.linspace(-0.0499, 0.0499, 23), 1e-7
     low, high = (mode_shapes(LABELS, place + by, 0.1, derivative - 1) for by in (-step, step))
     numeric = (high - low) / (2 * step)
@@ -30,7 +30,7 @@ def test_bending_modes_solve_the_beam_equation():
 
 @pytest.mark.parametrize("derivative", [2, 3])
 def test_free_ends_carry_neither_moment_nor_force(derivative):
-    """Boundary conditions of a free end."""
+    """Second and third derivatives vanish at a free end."""
     at_ends = mode_shapes([3, 4, 9, 50], [-0.05, 0.05], 0.1, derivative)
     inside = np.abs(mode_shapes([3, 4, 9, 50], np.linspace(-0.05, 0.05, 99), 0.1, derivative)).max(axis=1)
     assert np.abs(at_ends / inside[:, None]).max() < 1e-12
@@ -45,8 +45,8 @@ def test_slope_difference_is_the_integral_of_the_curvature():
     assert patch_gains(LABELS, [(left, right)], 0.1) == pytest.approx(integral, rel=1e-10, abs=1e-9)
 
 
-def test_symmetric_pairs_drive_symmetric_modes_alone():
-    """Two patches wired together, mirrored at mid-beam: even labels feel nothing, nor do rigid modes."""
+def test_symmetric_pairs_drive_only_symmetric_modes():
+    """Two patches mirrored at mid-beam and wired together drive neither even nor rigid modes."""
     gain = patch_gains(range(1, 18), [(-0.03, -0.02), (0.02, 0.03)], 0.1)
     assert np.abs(gain[1::2]).max() < 1e-9 * np.abs(gain).max()
     assert gain[0] == 0
@@ -54,7 +54,7 @@ def test_symmetric_pairs_drive_symmetric_modes_alone():
 
 
 def test_impossible_patches_are_refused():
-    """A patch has a length and lies on the beam."""
+    """A patch must have a positive length and lie on the beam."""
     with pytest.raises(ValueError, match=r"a patch runs from 3 to -2 mm"):
         patch_gains([3], [(0.003, -0.002)], 0.1)
     with pytest.raises(ValueError, match=r"position 60 mm is not on the beam"):

@@ -1,4 +1,4 @@
-"""Probes of a beam under fingers whose values are known, fitted and refused."""
+"""Probes of a beam under known fingers: fits and refusals."""
 
 from dataclasses import replace
 
@@ -18,7 +18,7 @@ TRUE = (Finger(-0.0415, 1.5e-4, 0.9, 900.0), Finger(0.001, 1.1e-4, 0.7, 700.0))
 
 @pytest.fixture(scope="module")
 def table():
-    """Six modes, even ones too, each driven by both outputs."""
+    """Six modes, even ones included, each driven by both outputs."""
     gain = np.array([[0.11, 0.01], [0.02, -0.05], [0.65, 0.06], [0.2, 0.5], [0.6, 6.5], [0.4, -1.2]])
     frequency, ratio = np.array([229.0, 310, 2553, 4550, 7137, 9800]), np.array([0.044, 0.04, 0.017, 0.02, 0.026, 0.02])
     return ModalModel((1, 2, 3, 4, 5, 6), frequency, ratio, gain, 0.1, mass=3.3e-3)
@@ -26,7 +26,7 @@ def table():
 
 @pytest.fixture(scope="module")
 def beam(table):
-    """The same with values off by 0.1 % in frequency, 2 % in damping and gain."""
+    """The same modes, with random errors of 0.1 % in frequency and 2 % in damping and gain."""
     off = np.exp(np.random.default_rng(3).standard_normal((4, 6)) * np.array([[1e-3], [0.02], [0.02], [0.02]]))
     return replace(
         table,
@@ -51,7 +51,7 @@ def responses(model, delay=0.0, channels=None):
 
 
 def measured(model, seed=0, noise=0.003):
-    """A probe of a beam, with noise, behind a vibrometer that is 4 us late."""
+    """A noisy probe of a beam, by a vibrometer with a delay of 4 us."""
     exact = responses(model, 4e-6)
     deviation = noise * np.sqrt(np.abs(exact) * np.abs(exact).mean())
     rng = np.random.default_rng(seed)
@@ -72,7 +72,7 @@ def found(beam, free):
 
 
 def test_the_untouched_beam_is_found(beam, free):
-    """Natural frequencies, damping, gains and the delay, within four standard deviations each."""
+    """Natural frequencies, damping ratios, gains and delay are within four standard deviations."""
     steps = np.concatenate(
         [
             np.log(beam.natural_frequency / free.model.natural_frequency),
@@ -86,15 +86,15 @@ def test_the_untouched_beam_is_found(beam, free):
     assert 0.5 < free.misfit < 1.5
 
 
-def test_a_vibrometer_that_is_late_by_half_a_cycle_is_followed(table, beam):
-    """45 us are two thirds of a cycle at the highest frequency: from no delay at all the fit would go astray."""
+def test_a_vibrometer_delay_of_over_half_a_cycle_is_found(table, beam):
+    """45 us are two thirds of a cycle at the highest frequency; a fit started at zero would not converge."""
     late = measured(beam)
     turned = late.response * np.exp(-2j * np.pi * FREQUENCY * 41e-6)
     assert replace(late, response=turned).untouched(table).delay == pytest.approx(45e-6, abs=0.1e-6)
 
 
-def test_fingers_are_found_where_they_lie(found):
-    """Mass, damping, stiffness and place of each, by the covariance that goes with them."""
+def test_fingers_and_their_places_are_found(found):
+    """Mass, damping, stiffness and place of each finger are within four stated standard deviations."""
     deviation = np.sqrt(np.diag(found.covariance))[found.n_beam :].reshape(2, 4)
     for finger, true, spread in zip(found.model.fingers, TRUE, deviation, strict=True):
         off = [np.log(getattr(finger, name) / getattr(true, name)) for name in ("mass", "damping", "stiffness")]
@@ -103,15 +103,15 @@ def test_fingers_are_found_where_they_lie(found):
     assert 0.5 < found.misfit < 1.5
 
 
-def test_spread_of_a_figure_is_that_of_its_parameter(found):
-    """Of figures that are one parameter each, their standard deviations."""
+def test_the_spread_of_a_figure_equals_that_of_its_parameter(found):
+    """For figures that are single parameters, the spread is the standard deviation in the covariance."""
     spread = found.spread(found.slopes(lambda model: np.log([finger.mass for finger in model.fingers])))
     known = np.sqrt(np.diag(found.covariance))[[found.n_beam, found.n_beam + 4]]
     assert spread == pytest.approx(known, rel=1e-3)
 
 
-def test_a_burst_tells_how_fingers_and_gains_have_drifted(beam, found):
-    """Both outputs at once: what changed since the probe, within four standard deviations, and no more uncertain."""
+def test_drift_of_fingers_and_gains_is_found_from_a_burst(beam, found):
+    """Changes since the probe are found within four standard deviations while both outputs play together."""
     later = tuple(replace(finger, mass=1.2 * finger.mass, damping=0.8 * finger.damping) for finger in TRUE)
     gains = np.array([1.02, 0.97])
     drifted = replace(beam, modal_gain=beam.modal_gain * gains).touched(later)
@@ -134,7 +134,7 @@ def test_a_burst_tells_how_fingers_and_gains_have_drifted(beam, found):
 
 
 def test_slopes_are_differences_of_responses(beam):
-    """Every derivative, a Maxwell term's too, against central differences of responses."""
+    """Every derivative, including that of a Maxwell term, agrees with central differences of responses."""
     relaxing = replace(TRUE[0], maxwell=((2000.0, 1e-4),))
     n = 6 * 4 + 1 + 5 + 4
     known = ProbedBeam(beam.touched((relaxing, TRUE[1])), 4e-6, np.eye(n), 1.0, np.ones(120, dtype=bool))
@@ -146,8 +146,8 @@ def test_slopes_are_differences_of_responses(beam):
         assert slopes[:, number] == pytest.approx((high - low) / 2e-5, abs=2e-4 * size), number
 
 
-def test_fingers_that_relax_get_springs_behind_dampers(beam, free):
-    """A mass with two Maxwell terms: no mass, damper and spring describes it, and the responses of the fit do."""
+def test_viscoelastic_fingers_are_fitted_with_maxwell_terms(beam, free):
+    """No mass, damper and spring describes two Maxwell terms; the fit adds terms and meets the responses to 1 %."""
     relaxing = tuple(replace(each, damping=0.05, maxwell=((3000.0, 2e-4), (20e3, 2e-5))) for each in TRUE)
     under = measured(beam.touched(relaxing), seed=2).touched(free, EXPECTED)
     assert all(len(finger.maxwell) == 3 for finger in under.model.fingers)
@@ -157,7 +157,7 @@ def test_fingers_that_relax_get_springs_behind_dampers(beam, free):
 
 
 def test_table_without_even_modes_is_refused(table):
-    """Fingers couple even modes to the others: what lacks in the table would be taken for the fingers."""
+    """Fingers couple even modes to the others, so a mode missing in the table would be ascribed to the fingers."""
     odd = replace(
         table,
         label=table.label[::2],
@@ -169,14 +169,14 @@ def test_table_without_even_modes_is_refused(table):
         measured(table).untouched(odd)
 
 
-def test_beam_that_is_none_of_the_table_is_refused(table, beam):
-    """Hands that were not taken off, or another beam."""
+def test_a_beam_that_differs_from_the_table_is_refused(table, beam):
+    """Fingers left on the beam are reported as a misfit of the untouched beam."""
     with pytest.raises(ValueError, match=r"do not describe the untouched beam: misfit [\d.]+, .*; take all hands off"):
         measured(beam.touched(TRUE)).untouched(table)
 
 
 def test_weak_probe_is_refused(table, beam):
-    """Half of the responses in their noise."""
+    """A probe with half of its responses below their noise."""
     with pytest.raises(
         ValueError,
         match=r"too weak: half of its responses contain more than \d+% of noise.*or give `fingers probe` a higher",
@@ -185,22 +185,22 @@ def test_weak_probe_is_refused(table, beam):
 
 
 @pytest.mark.parametrize(("there", "absent"), [((), -40), (TRUE[:1], 0), (TRUE[1:], -40)])
-def test_finger_that_is_not_on_the_beam_is_said(beam, free, there, absent):
-    """Neither or one of the two: without the other one nothing is left but noise, whose mean square is 1."""
+def test_a_missing_finger_is_reported_with_its_place(beam, free, there, absent):
+    """One or both fingers are absent: the fit without them leaves only noise, whose mean square is 1."""
     said = rf"no finger is detected at \{absent:+d} mm .*\(misfit (0\.[89]|1\.[01])\); place the finger there"
     with pytest.raises(ValueError, match=said):
         measured(beam.touched(there), seed=4).touched(free, EXPECTED)
 
 
 def test_lightest_fingers_are_detected(beam, free):
-    """The lower end of the literature's range, 0.02 g and 0.1 N s/m without a spring."""
+    """The lower end of the literature's range: 0.02 g and 0.1 N s/m without stiffness."""
     light = tuple(replace(finger, mass=2e-5, damping=0.1, stiffness=0.0) for finger in TRUE)
     found = measured(beam.touched(light), seed=4).touched(free, EXPECTED)
     assert [finger.mass for finger in found.model.fingers] == pytest.approx([2e-5, 2e-5], rel=0.05)
 
 
-def test_finger_that_moves_is_said(beam):
-    """Two records with a millimetre between them; those of a finger that lies still are averaged."""
+def test_a_finger_that_moves_between_records_is_reported(beam):
+    """A shift of 1 mm between two records is refused; records of a still finger are averaged."""
     still = [measured(beam.touched(TRUE), seed) for seed in (5, 6)]
     assert Probe.averaged(still).deviation == pytest.approx(still[0].deviation / np.sqrt(2))
     moved = replace(TRUE[0], position=TRUE[0].position + 1e-3)
@@ -210,16 +210,16 @@ def test_finger_that_moves_is_said(beam):
         Probe.averaged([still[0], measured(beam.touched((moved, TRUE[1])), 7)])
 
 
-def test_a_vibrometer_that_is_off_is_said(beam):
-    """A signal of zeros has no noise, by which lines could be weighted."""
+def test_a_vibrometer_that_is_off_is_reported(beam):
+    """A signal of zeros has no noise to weight the lines by."""
     still = measured(beam, 5)
     silent = replace(still, response=0 * still.response, deviation=0 * still.deviation)
     with pytest.raises(ValueError, match="the velocity is zero throughout: check that the vibrometer is on"):
         Probe.averaged([silent, silent])
 
 
-def test_what_is_no_finger_is_refused(beam, free, monkeypatch):
-    """A third contact that nobody expects; few steps of each fit are enough to see it."""
+def test_an_unexpected_third_contact_is_refused(beam, free, monkeypatch):
+    """The misfit shows a contact that is not in the model; a few steps of each fit suffice."""
     monkeypatch.setattr("modaltouch.stimulus.probe._MOST_EVALUATIONS", 8)
     third = Finger(0.03, 2e-3, 9.0, 9000.0)
     with pytest.raises(

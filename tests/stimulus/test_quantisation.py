@@ -1,4 +1,4 @@
-"""Full scales on the generator's amplitude grid, and codes."""
+"""Full scales on the generator's amplitude grid, and rounding to codes."""
 
 from dataclasses import replace
 
@@ -17,9 +17,9 @@ SHIPPED_SHARES = (0.4, 0.5, 0.75, 1.0)
 
 @given(least=st.floats(0.05, 20.0))
 def test_shipped_levels_always_find_a_common_grid(least):
-    """80 : 100 : 150 : 200 of some amplitude within 5 % lie on four digits, to the last one.
+    """Some amplitude within 5 % has all of 80 : 100 : 150 : 200 on its grid of four digits.
 
-    From 50 mV on: below it the lowest level would need less than the generator's smallest amplitude, 20 mV.
+    Tested from 50 mV, where the lowest level still reaches the generator's smallest amplitude, 20 mV.
     """
     amplitude = AFG.full_scale(least, SHIPPED_SHARES)
     assert least * (1 - 1e-12) <= amplitude <= 1.051 * least + 2e-4
@@ -30,7 +30,7 @@ def test_shipped_levels_always_find_a_common_grid(least):
 @given(least=st.floats(0.02, 20.0), share=st.floats(0.05, 1.0))
 @example(least=9.921875, share=0.772456531187997)
 def test_any_level_is_met_within_the_grid(least, share):
-    """Whatever the level, the amplitude is off by half a step of four digits or of 0.1 mV at most."""
+    """For any level, the amplitude is off by at most half a step of four digits or of 0.1 mV."""
     amplitude = AFG.full_scale(least, (share, 1.0))
     assert least * (1 - 1e-12) <= amplitude <= max(1.05 * least, least + 1e-4, 1.001 * least) * (1 + 1e-12)
     miss = abs(AFG.round_amplitude(amplitude * share) - amplitude * share)
@@ -38,7 +38,7 @@ def test_any_level_is_met_within_the_grid(least, share):
 
 
 def test_silent_channel_has_no_amplitude():
-    """Nothing to hold."""
+    """Its full scale is zero."""
     assert AFG.full_scale(0.0, SHIPPED_SHARES) == 0.0
 
 
@@ -52,7 +52,7 @@ def test_codes_are_the_nearest_and_mid_scale_at_both_ends():
 
 
 def test_amplitude_of_a_record_is_a_part_of_the_full_scale():
-    """Codes from -1/4 to 1 of a range use 5/8 of it; an amplitude of all codes is the full scale, whatever they are."""
+    """Codes from -1/4 to 1 use 5/8 of the range (Keysight); the AFG3022B's amplitude is always the full scale."""
     codes = np.array([[32767, 65534, 24575], [32767, 32767, 32767]], dtype=np.uint16)
     record = KEYSIGHT_33500B.converter
     assert record.shares(codes) == pytest.approx([0.625, 1.0], rel=1e-4)
@@ -60,8 +60,8 @@ def test_amplitude_of_a_record_is_a_part_of_the_full_scale():
     assert record.amplitudes_at((16.0, 3.0), 0.1, 0.2, np.array([0.625, 1.0])) == (5.0, 1.5)
 
 
-def test_a_burst_commands_the_voltages_that_it_was_made_of():
-    """To half a code of a full scale that is their peak, at the level and, in proportion, at half of it."""
+def test_a_burst_reproduces_the_voltages_it_was_made_from():
+    """Within half a code at the reference level and, in proportion, at half of it."""
     voltage = np.array([[0.0, 33.3, -12.5, 0.0], [0.0] * 4])
     burst = Burst.holding(voltage, 25.0, 0.2, AFG, 4e-6, 20.0)
     assert burst.amplitude == (2.664, 0.0)
@@ -70,19 +70,19 @@ def test_a_burst_commands_the_voltages_that_it_was_made_of():
 
 
 def test_voltage_beyond_the_full_scale_is_refused():
-    """Never clipped."""
+    """It is never clipped."""
     with pytest.raises(ValueError, match=r"channel 1 peaks at 2 V, beyond its full scale of 1 V"):
         AFG.round_to_codes(np.array([[0.0, 2.0, 0.0]]), np.array([1 / 8191]))
 
 
 def test_every_channel_needs_its_unit():
-    """Nothing is left unrounded."""
+    """A missing unit is an error, so no channel stays unrounded."""
     with pytest.raises(ValueError, match="shorter"):
         AFG.round_to_codes(np.zeros((2, 5)), np.array([1 / 8191]))
 
 
 def test_a_clock_that_does_not_fit_begins_samples_late():
-    """Seven samples on 20 clocks: sample n at the first edge at or after 20 n / 7; of 21 clocks at the very edge."""
+    """Seven samples on 20 clocks: sample n begins at the first edge at or after 20 n / 7; 21 clocks fit exactly."""
     rate = AFG.clock_rate
     timing = Timing(AFG, n_samples=7, duration=20 / rate, focusing_instant=10 / rate)
     expected = [np.ceil(20 * n / 7) - 20 * n / 7 for n in range(8)]
@@ -91,7 +91,7 @@ def test_a_clock_that_does_not_fit_begins_samples_late():
 
 
 def test_the_ends_of_a_record_are_known(shipped):
-    """Between bursts the generator holds one of them, so the larger counts, relative to half of full scale."""
+    """The generator holds one of them between bursts; the larger is given relative to half of full scale."""
     codes = shipped.burst.codes.copy()
     assert shipped.burst.ends == (0.0, 0.0)
     codes[0, 0], codes[1, -1] = AFG.mid_code + 1000, AFG.mid_code - 2000

@@ -1,4 +1,4 @@
-"""Rounding to 14 bits, plain and settled."""
+"""Rounding to 14 bits: plain, and settled (corrected for its effect at the focus)."""
 
 from dataclasses import replace
 
@@ -19,7 +19,7 @@ def plain(design):
 
 
 def test_plain_rounding_costs_what_its_noise_predicts(plain):
-    """Uniform error of a code in every sample: variance unit^2 / 12 times the squared response, summed."""
+    """A uniform error in every sample has the variance unit^2 / 12 times the sum of squared responses."""
     system, timing = plain.system, plain.timing
     unit = plain.volts_per_code(0.2)
     read = np.concatenate([system.velocity, system.displacement])
@@ -36,7 +36,7 @@ def test_plain_rounding_costs_what_its_noise_predicts(plain):
 
 
 def test_settled_codes_differ_by_one_at_most(plain, shipped):
-    """Single-code changes."""
+    """Fewer than 2000 codes change, each by one."""
     change = shipped.burst.codes.astype(int) - plain.burst.codes.astype(int)
     assert set(np.unique(change)) == {-1, 0, 1}
     assert np.count_nonzero(change) < 2000
@@ -57,39 +57,39 @@ def test_settled_codes_differ_by_one_at_most(plain, shipped):
     ids=str,
 )
 def test_settled_rounding_costs_a_millionth_of_the_peak_at_most(design, options):
-    """Corrected rounding <= 1e-6 of the peak, codes in range."""
+    """At most 1e-6 of the peak, with codes in range."""
     stimulus = design(**options)
     assert stimulus.worst_modal_error(0.2) <= 1e-6 * 0.2
     assert stimulus.burst.codes.max() <= 16382
 
 
 def test_settled_rounding_holds_at_all_levels(shipped):
-    """Amplitudes of all four levels lie on the grid: what holds at the highest holds at each."""
+    """All four amplitudes lie on the grid, so the bound of the highest level holds for each."""
     for level in shipped.levels:
         assert shipped.worst_modal_error(level) <= 1e-6 * level
 
 
 def test_settled_rounding_holds_with_every_mode_on_both_channels(design, crossed_model):
-    """The lattice couples the channels."""
+    """Both channels are rounded jointly."""
     assert design(crossed_model).worst_modal_error(0.2) <= 1e-6 * 0.2
 
 
 def test_paper_law_misses_by_its_own_error_alone(design):
-    """The paper's law is rounded plainly: next to its miss, rounding is nothing."""
+    """The paper's law is rounded plainly; rounding is negligible beside its own error."""
     stimulus = design(law="paper")
     assert stimulus.worst_modal_error(0.2) == pytest.approx(stimulus.drive.residual, abs=1e-4 * 0.2)
 
 
 def test_unknown_rounding_is_refused(design, shipped):
-    """Two kinds are on offer."""
+    """The message lists the allowed kinds."""
     with pytest.raises(ValueError, match=r"rounding 'up' is unknown; allowed: settled, plain"):
         design(rounding="up")
     assert replace(shipped, rounding="plain").burst.amplitude == shipped.burst.amplitude
 
 
 @pytest.mark.parametrize("n_samples", [125_000, 131_072])
-def test_a_code_moves_the_states_by_what_is_reckoned(design, n_samples):
-    """Change one code, play both on an even and an uneven clock: the states at the focus differ by the move."""
+def test_the_effect_of_one_code_is_computed_correctly(design, n_samples):
+    """On an even and an uneven clock, one changed code moves the states at the focus by the computed amount."""
     stimulus = design(timing=Timing(AFG3022B.converter, n_samples=n_samples))
     system, timing, unit = stimulus.system, stimulus.timing, stimulus.volts_per_code(0.2)
     assert (timing.clock_error is None) == (n_samples == 125_000)
@@ -103,8 +103,8 @@ def test_a_code_moves_the_states_by_what_is_reckoned(design, n_samples):
         assert walk.move[visit] == pytest.approx(moved, rel=1e-6, abs=1e-9 * np.abs(moved).max())
 
 
-def test_codes_change_only_where_that_lessens_the_error():
-    """By one towards the error where it passes half of what a change does, and each counts for those after it."""
+def test_codes_change_only_if_that_reduces_the_error():
+    """A code changes by one if the error exceeds half of its effect; later codes take earlier changes into account."""
     together = np.array([[2.0, 0.0, 0.0, 1.9], [0.0, 2.0, 0.0, 0.0], [0.0, 0.0, 2.0, 0.0], [1.9, 0.0, 0.0, 2.0]])
     assert _changes(np.array([3.0, 0.4, -1.5, 2.5]), together, [1.0] * 4) == [1.0, 0.0, -1.0, 0.0]
     assert _changes(np.array([1.0, -1.0]), 2 * np.eye(2), [1.0, 1.0]) == [0.0, 0.0]

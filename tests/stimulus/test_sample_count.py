@@ -1,4 +1,4 @@
-"""The cheapest count of samples for a tolerance."""
+"""The smallest number of samples for a tolerance."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ PLACES = np.linspace(-0.05, 0.05, 21)
 
 @pytest.mark.parametrize("tolerance", [1e-1, 3e-3, 1e-3])
 def test_cheapest_count_keeps_the_tolerance_and_the_next_cheaper_does_not(shipped, tolerance):
-    """The engine picks the cheapest sample count that keeps the tolerance, and says so."""
+    """The cheapest count that keeps the tolerance is chosen and reported."""
     economy = cheapest_samples(shipped, tolerance, PLACES)
     assert economy.error <= tolerance
     cheaper = [error for count, error in economy.tried if count < economy.n_samples]
@@ -20,7 +20,7 @@ def test_cheapest_count_keeps_the_tolerance_and_the_next_cheaper_does_not(shippe
 
 
 def test_error_is_the_change_of_the_field_around_the_focus(shipped):
-    """Compared by hand at the instants that both clocks share, within 1 ms of the focus."""
+    """Recomputed at the instants that both clocks share, within 1 ms of the focus."""
     economy = cheapest_samples(shipped, 1e-9, PLACES)
     assert economy.n_samples == 125_000
     errors = dict(economy.tried)
@@ -33,25 +33,25 @@ def test_error_is_the_change_of_the_field_around_the_focus(shipped):
 
 
 def test_refinement_converges_at_the_order_of_the_hold(shipped):
-    """Held samples follow the smooth optimum to the second order between them, to the first at shared instants."""
+    """The order of convergence lies between 0.8 and 2.5, as for held samples of a smooth optimum."""
     errors = dict(cheapest_samples(shipped, 1e-9, PLACES).tried)
     order = np.log(errors[12_500] / errors[62_500]) / np.log(5)
     assert 0.8 < order < 2.5
 
 
 @pytest.mark.parametrize("tolerance", [1e-1, 5e-3, 1e-9])
-def test_every_count_tried_is_one_that_a_protocol_takes(shipped, tolerance):
-    """15,625 divides 125,000 and holds each sample for 800 clocks, but `stimulus.n_samples` must be even."""
+def test_every_count_tried_is_allowed_in_a_protocol(shipped, tolerance):
+    """`stimulus.n_samples` must be even, which excludes 15,625 although it divides 125,000."""
     assert all(count % 2 == 0 for count, _ in cheapest_samples(shipped, tolerance, PLACES).tried)
 
 
-def test_no_count_undercuts_the_highest_mode(shipped):
-    """Never below 2.5 samples per cycle of the highest mode: 87,855 Hz over 50 ms need 10,982."""
+def test_the_count_resolves_the_highest_mode(shipped):
+    """At least 2.5 samples per cycle of the highest mode: 87,855 Hz over 50 ms need 10,982."""
     economy = cheapest_samples(shipped, 10.0, PLACES)
     assert economy.n_samples == 12_500
 
 
-def test_tolerance_of_nothing_is_refused(shipped):
-    """A tolerance is above zero."""
+def test_a_tolerance_of_zero_is_refused(shipped):
+    """The message has the given value and the allowed range."""
     with pytest.raises(ValueError, match=r"tolerance on the field is 0\.0; it must be a finite number above 0: 1e-3"):
         cheapest_samples(shipped, 0.0, PLACES)

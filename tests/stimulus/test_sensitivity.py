@@ -1,4 +1,4 @@
-"""Sensitivities: their figures, and scatter; the derivatives themselves are judged in `test_fingers`."""
+"""Sensitivities and scatter; `test_fingers` checks the derivatives themselves."""
 
 import numpy as np
 import pytest
@@ -9,14 +9,14 @@ PARAMETERS = ("natural_frequency", "damping_ratio", "modal_gain")
 
 
 def test_gain_moves_its_mode_in_proportion(shipped):
-    """Linear in the gain: the relative derivative of a mode's velocity is its target."""
+    """Velocities are linear in the gain, so the relative derivative of a mode's velocity is its target."""
     found = np.array([derivative(shipped, "modal_gain", mode) for mode in range(9)])
     assert found[:, 0] == pytest.approx(np.diag(shipped.target), abs=1e-10)
     assert found[:, 1] == pytest.approx(0, abs=1e-10)
 
 
 def test_errors_of_five_per_cent_move_the_field_by_millimetres_per_second(shipped):
-    """+5 % G moves the field by about 3 mm/s, +5 % xi by 1.4, +0.1 % f by 0.5."""
+    """+5 % in gain moves the field by about 3 mm/s, +5 % in damping by 1.4 mm/s, +0.1 % in frequency by 0.5 mm/s."""
     rows = focus_sensitivity(shipped, np.linspace(-0.05, 0.05, 101))
     worst = {name: max(r["field"] for r in rows if r["parameter"] == name) for name in PARAMETERS}
     assert 2e-3 < worst["modal_gain"] < 7e-3
@@ -26,7 +26,7 @@ def test_errors_of_five_per_cent_move_the_field_by_millimetres_per_second(shippe
 
 
 def test_scatter_agrees_with_the_derivatives(shipped):
-    """First-order propagation of independent deviations against drawn beams."""
+    """First-order propagation of independent deviations agrees with 400 drawn beams within 12 %."""
     spread = {"natural_frequency": 1e-4, "damping_ratio": 5e-3, "modal_gain": 5e-3}
     drawn = scatter(shipped, [0.0, 0.02], n_draws=400, **spread)
     shapes = shipped.model.shapes([0.0, 0.02])
@@ -38,7 +38,7 @@ def test_scatter_agrees_with_the_derivatives(shipped):
 
 
 def test_senseless_spreads_are_refused(shipped):
-    """A deviation is 0 or above; a scatter has two beams or more."""
+    """A deviation must be 0 or above, and a scatter needs at least two beams."""
     with pytest.raises(ValueError, match=r"relative deviation of the gain is -0\.1; it must be 0 or above"):
         scatter(shipped, [0.0], modal_gain=-0.1)
     with pytest.raises(ValueError, match=r"1 beams are drawn; a scatter needs at least 2"):

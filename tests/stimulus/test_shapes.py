@@ -1,4 +1,4 @@
-"""Mode shapes against sixty-digit arithmetic, and orthonormal far beyond what a textbook formula survives."""
+"""Mode shapes against sixty-digit arithmetic, and orthonormal up to mode 1000."""
 
 import mpmath
 import numpy as np
@@ -11,28 +11,28 @@ from modaltouch.stimulus.target_field import quadrature
 
 
 def textbook_shape(label, y):
-    """Return the free-free shape as textbooks print it, which sixty digits and more make usable."""
+    """Return the free-free shape by the textbook formula, which needs sixty digits or more."""
     n = label - 2
     mpmath.mp.dps = 60 + int(3 * n)
     root = mpmath.findroot(lambda x: mpmath.cos(x) - mpmath.sech(x), (2 * n + 1) * mpmath.pi / 2)
     x = root * (mpmath.mpf(y) + mpmath.mpf(1) / 2)
     ratio = (mpmath.cosh(root) - mpmath.cos(root)) / (mpmath.sinh(root) - mpmath.sin(root))
     shape = mpmath.cosh(x) + mpmath.cos(x) - ratio * (mpmath.sinh(x) + mpmath.sin(x))
-    # At its left end the textbook shape is 2; the right end is positive here.
+    # The textbook shape is positive at the left end; here, at the right end.
     return shape * (1 if n % 2 else -1)
 
 
 @pytest.mark.parametrize(
     ("bending", "root"), [(1, "4.7300407448627040"), (2, "7.8532046240958376"), (5, "17.278759657399")]
 )
-def test_roots_are_those_of_the_tables(bending, root):
+def test_roots_agree_with_published_tables(bending, root):
     """Roots of cos(l) cosh(l) = 1 as tabulated by Blevins (Formulas for Natural Frequency, table 8-1)."""
     assert characteristic_root(bending) == pytest.approx(float(root), rel=1e-13)
 
 
 @pytest.mark.parametrize("label", [3, 4, 5, 8, 12, 13, 14, 17, 30, 61, 100, 150, 199, 200])
 def test_shapes_match_sixty_digits(label):
-    """The textbook formula in sixty digits and more: 2e-13 up to label 200."""
+    """Within 2e-13 of the textbook formula in at least sixty digits, up to mode 200."""
     places = [-0.5, -0.4375, -0.25, -0.1, 0.0, 0.03125, 0.375, 0.5]
     expected = [float(textbook_shape(label, y)) for y in places]
     assert mode_shapes([label], np.array(places), 1.0)[0] == pytest.approx(expected, abs=2e-13)
@@ -56,7 +56,7 @@ def test_shapes_are_orthonormal(labels):
 
 @given(label=st.integers(1, 1000), y=st.floats(-0.5, 0.5))
 def test_shapes_are_even_or_odd_and_bounded(label, y):
-    """Odd labels are symmetric, even ones antisymmetric; no shape passes its value at the ends."""
+    """Odd modes are symmetric, even ones antisymmetric; the maximum is at the ends."""
     left, right, end = mode_shapes([label], [-y, y, 0.5], 1.0)[0]
     assert left == pytest.approx(right if label % 2 else -right, abs=1e-13)
     assert abs(right) <= end + 1e-12
@@ -64,7 +64,7 @@ def test_shapes_are_even_or_odd_and_bounded(label, y):
 
 
 def test_point_off_the_beam_is_refused():
-    """A beam of 100 mm ends at 50 mm."""
+    """A beam of 100 mm spans -50 to 50 mm."""
     with pytest.raises(ValueError, match=r"position 60 mm is not on the beam, which spans -50 to 50 mm"):
         mode_shapes([1], [0.06], 0.1)
     with pytest.raises(ValueError, match=r"position nan mm is not on the beam"):
@@ -72,7 +72,7 @@ def test_point_off_the_beam_is_refused():
 
 
 def test_label_below_one_is_refused():
-    """Labels count from the rigid translation."""
+    """Mode 1 is the rigid translation."""
     with pytest.raises(ValueError, match=r"mode label 0 does not exist"):
         mode_shapes([0], [0.0], 0.1)
     with pytest.raises(ValueError, match=r"bending mode 0 does not exist"):

@@ -1,4 +1,4 @@
-"""The stress list of the physics notes (section 6), where no test of a single module holds it already."""
+"""Stress tests of the whole engine: energy balance, reciprocity, many modes, extreme values, invalid numbers."""
 
 import math
 from dataclasses import replace
@@ -27,7 +27,7 @@ NODES, WEIGHTS = np.polynomial.legendre.leggauss(24)
     seed=st.integers(0, 10_000),
 )
 def test_work_is_stored_or_dissipated(frequency, ratio, gain, seed):
-    """Work of a held force is force times path; (eta'^2 + w^2 eta^2)/2 is stored, 2 a eta'^2 dissipated."""
+    """Work is force times path over each hold; (eta'^2 + w^2 eta^2)/2 is stored and 2 a eta'^2 dissipated."""
     model = ModalModel((1,), [frequency], [ratio], [[gain]], 0.1)
     timing = Timing(AFG3022B.converter, n_samples=40, duration=40 * 4e-7, focusing_instant=4e-7)
     voltage = np.random.default_rng(seed).normal(size=(1, 40))
@@ -47,14 +47,14 @@ def test_work_is_stored_or_dissipated(frequency, ratio, gain, seed):
     )
     velocity, path = ends[-1]
     stored = (velocity**2 + (w * path) ** 2) / 2
-    # Force times path are signed: their sum may be small beside its terms.
+    # The terms are signed, so their sum may be much smaller than they are.
     assert work == pytest.approx(stored + lost, abs=1e-9 * (np.abs(gain * voltage[0] * paths).sum() + lost))
 
 
 @settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 10_000), n_samples=st.integers(3, 700))
 def test_time_reversal_swaps_drive_and_reading(seed, n_samples, crossed_model):
-    """The velocity at the end is the impulse response against the drive reversed in time, for any drive."""
+    """For any drive, the final velocity is the impulse response times the time-reversed drive."""
     duration = n_samples * 4e-7
     timing = Timing(AFG3022B.converter, n_samples=n_samples, duration=duration, focusing_instant=duration)
     one, impulse = np.zeros((2, 2, n_samples))
@@ -66,8 +66,8 @@ def test_time_reversal_swaps_drive_and_reading(seed, n_samples, crossed_model):
     assert (np.abs(response @ one[1, :-1][::-1] - found) <= 1e-12 * terms).all()
 
 
-def test_a_thousand_modes_keep_to_their_own_peak(rng):
-    """Frequencies up to just below half the sampling rate, gains over twelve decades, against 80-bit steps."""
+def test_a_thousand_modes_are_right_to_their_own_peak(rng):
+    """Frequencies up to half the sampling rate, gains over twelve decades: 1e-11 of the peak by 80-bit steps."""
     n_modes, hold = 1000, 4e-7
     frequency = np.geomspace(20.0, 1.2e6, n_modes)
     ratio = 10 ** rng.uniform(-6, math.log10(0.99), n_modes)
@@ -91,7 +91,7 @@ def test_a_thousand_modes_keep_to_their_own_peak(rng):
 @settings(max_examples=20, deadline=None)
 @given(apart=st.floats(-1e-6, 1e-6).filter(lambda x: abs(x) > 1e-9), ratio=st.floats(1e-3, 0.1))
 def test_nearly_repeated_modes_are_met_within_their_condition(apart, ratio):
-    """Two modes up to a millionth apart on two channels, each on both: as well as the condition number allows."""
+    """Two modes at most 1e-6 apart, both driven by both channels: residual within 10 eps times the condition number."""
     gain = np.array([[5.0, 1.0], [1.0, 5.0]])
     model = ModalModel((1, 3), [4000.0, 4000.0 * (1 + apart)], [ratio, ratio], gain, 0.1)
     stimulus = design_stimulus(
@@ -108,7 +108,7 @@ def test_nearly_repeated_modes_are_met_within_their_condition(apart, ratio):
 @settings(max_examples=15, deadline=None)
 @given(levels=st.lists(st.sampled_from([0.01, 0.05, 0.08, 0.1, 0.125, 0.15, 0.2]), min_size=1, max_size=4, unique=True))
 def test_one_record_serves_every_level(levels, design):
-    """Codes are the same bits whichever levels are asked about, in whichever order; only amplitudes differ."""
+    """The codes do not depend on the levels used or on their order; only amplitudes differ."""
     stimulus = design(timing=Timing(AFG3022B.converter, n_samples=12_500), levels=(0.2,))
     first = stimulus.burst.codes.tobytes()
     for level in levels:
@@ -120,7 +120,7 @@ def test_one_record_serves_every_level(levels, design):
 
 @pytest.mark.parametrize("n_samples", [131_072, 65_536, 100_000, 44_100])
 def test_any_clock_is_met_at_the_focus(design, n_samples):
-    """Held unequally long or not, every state is met within 1e-6 of the peak by the codes, first and steady burst."""
+    """On even and uneven clocks the codes meet every state within 1e-6 of the peak (1e-5 in the steady state)."""
     stimulus = design(timing=Timing(AFG3022B.converter, n_samples=n_samples))
     assert stimulus.worst_modal_error(0.2) <= 1e-6 * 0.2
     steady, displacement = stimulus.achieved(0.2, steady=True)
@@ -139,8 +139,8 @@ PARTS = {
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
 @pytest.mark.parametrize(("part", "name"), [(part, name) for part, names in PARTS.items() for name in names])
-def test_no_number_that_is_none_gets_into_the_engine(model, part, name, bad):
-    """NaN or infinite, anywhere: a ValueError that shows the value, and nothing is computed."""
+def test_nan_and_infinity_are_refused(model, part, name, bad):
+    """In any parameter they raise a ValueError that shows the value."""
     parts = {
         "model": model,
         "target_field": TargetField(),
@@ -179,8 +179,8 @@ def mostly(usual):
 
 @settings(max_examples=400, deadline=None)
 @given(data=st.data(), law=st.sampled_from(["exact", "paper"]), release=st.sampled_from(["braked", "free"]))
-def test_whatever_is_asked_is_finite_or_a_clear_error(data, law, release):
-    """No NaN ever leaves the engine; what it cannot do is a ValueError in words, not one of a library."""
+def test_results_are_finite_or_a_clear_error_is_raised(data, law, release):
+    """The engine returns no NaN; an impossible design raises a ValueError of our own, not one of a library."""
     several = [data.draw(mostly(each)) for each in (229.0, 2553.0, 7137.0, 0.02, 0.02, 0.02, 0.1, -0.2, 0.3)]
     beam = {"length": data.draw(mostly(0.1)), "modal_gain": [[each, 0.5] for each in several[6:]]}
     times = {"duration": 0.05, "focusing_instant": 0.025, "repetition_rate": 7.0}
@@ -206,12 +206,12 @@ def test_whatever_is_asked_is_finite_or_a_clear_error(data, law, release):
         refusal = None
         assert all(np.isfinite(each).all() for each in found)
     assert not isinstance(refusal, np.linalg.LinAlgError)
-    # What was given and what is allowed: in numbers, or a number that is none and has to be finite.
+    # The message has the given value, or says that it must be finite.
     assert refusal is None or any(letter.isdigit() for letter in str(refusal)) or "finite" in str(refusal)
 
 
-def test_a_gain_lost_in_rounding_is_named():
-    """A mode so slow and weak that its motion is rounding: the message names it, its value and the remedy."""
+def test_a_mode_lost_in_rounding_is_reported():
+    """The message identifies a mode whose motion would be lost in rounding, its value and the allowed range."""
     with pytest.raises(ValueError, match=r"modal gain of mode 3 is 1e-40 m/s\^2 per V; its magnitude must lie between"):
         ModalModel((1, 3), [229.0, 2553.0], [0.02, 0.02], [[0.1], [1e-40]], 0.1)
     model = ModalModel((1, 3), [1e-20, 2553.0], [0.02, 0.02], [[0.1], [0.1]], 0.1)
@@ -223,7 +223,7 @@ def test_a_gain_lost_in_rounding_is_named():
 
 @pytest.mark.parametrize("factor", [0.5, 2.0, 1024.0])
 def test_scaling_a_field_by_two_scales_every_state_exactly(design, factor):
-    """Powers of two pass through every product and sum without rounding."""
+    """Multiplying by a power of two causes no rounding."""
     one = design(timing=Timing(AFG3022B.converter, n_samples=12_500))
     other = design(timing=Timing(AFG3022B.converter, n_samples=12_500), target_field=TargetField(velocity=0.2 * factor))
     assert (other.voltage == factor * one.voltage).all()

@@ -34,7 +34,7 @@ def reference(amplitude, exponent, hold, n_samples, places):
 
 
 def test_table_i_is_synthesised_to_rounding(model, rng):
-    """Error <= 1e-14 of the peak against mpmath for Table I."""
+    """For Table I the error against mpmath is at most 1e-14 of the peak."""
     amplitude = rng.normal(size=(2, 9)) + 1j * rng.normal(size=(2, 9))
     n_samples, hold = 125_000, 4e-7
     out = np.empty((2, n_samples))
@@ -53,7 +53,7 @@ def test_table_i_is_synthesised_to_rounding(model, rng):
     seed=st.integers(0, 2**31),
 )
 def test_error_grows_with_the_phase_alone(n_samples, ratio, frequency, seed):
-    """<= 4 eps b|t| where the phase is longer than a few turns; damping ratio 1e-6 to 0.99."""
+    """At most 4 eps b|t| for phases beyond a few cycles; damping ratios from 1e-6 to 0.99."""
     rng = np.random.default_rng(seed)
     exponent = exponents([frequency, frequency * (1 + 1e-6)], [ratio, ratio])
     amplitude = rng.normal(size=(1, 2)) + 1j * rng.normal(size=(1, 2))
@@ -85,8 +85,8 @@ def test_ten_seconds_do_not_overflow():
     assert decayed[0].tolist() == [1, 0]
 
 
-def test_silence_costs_nothing_and_is_exactly_silent(model):
-    """A channel without amplitude is zero volts to the bit."""
+def test_a_channel_without_amplitude_is_exactly_zero(model):
+    """Its samples are 0.0, and the other channel is unaffected."""
     out = np.full((2, 1000), np.nan)
     amplitude = np.zeros((2, 9), dtype=complex)
     amplitude[1, 0] = 1.0
@@ -98,7 +98,7 @@ def test_silence_costs_nothing_and_is_exactly_silent(model):
 @given(factor=st.sampled_from([2.0, 0.5, 1024.0, 2.0**-20]), seed=st.integers(0, 1000))
 @settings(max_examples=10, deadline=None)
 def test_scaling_by_two_is_exact(factor, seed, model):
-    """Powers of two change no rounding: the samples scale to the bit."""
+    """Powers of two cause no rounding, so the samples scale exactly."""
     rng = np.random.default_rng(seed)
     amplitude = rng.normal(size=(1, 9)) + 1j * rng.normal(size=(1, 9))
     one, other = np.empty((1, 5000)), np.empty((1, 5000))
@@ -108,7 +108,7 @@ def test_scaling_by_two_is_exact(factor, seed, model):
 
 
 def test_no_memory_grows_with_the_samples(model):
-    """No allocation that grows with N; a chunk holds the generator's longest record."""
+    """Eight times the samples need less than 1.1 times the temporary memory."""
     amplitude = np.ones((2, 9), dtype=complex)
     peaks = []
     for n_samples in (BLOCK * CHUNK, 8 * BLOCK * CHUNK):

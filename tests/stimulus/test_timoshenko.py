@@ -72,7 +72,7 @@ def free_free_determinant(beam, b):
 @pytest.mark.parametrize("bending", [1, 2, 3, 5, 8, 13, 20])
 @pytest.mark.parametrize("beam", [SHIPPED, THICK], ids=["2 mm", "20 mm"])
 def test_frequencies_are_roots_of_the_exact_determinant(beam, bending):
-    """Between 1e-12 below and above a frequency the determinant of the free ends changes its sign."""
+    """The determinant of the free ends changes sign within a relative 1e-12 of each frequency."""
     b = beam._root(bending)
     below, above = free_free_determinant(beam, b * (1 - 1e-12)), free_free_determinant(beam, b * (1 + 1e-12))
     assert (below / above).real < 0
@@ -90,7 +90,7 @@ def standard_frequency(beam):
 @pytest.mark.parametrize("thickness", [0.002, 0.005, 0.01])
 @pytest.mark.parametrize("ratio", [0.0, 0.33])
 def test_fundamental_agrees_with_the_standard_for_free_bars(thickness, ratio):
-    """ASTM E1876 prints a fit to the solution for free bars: met within 0.03 % up to a thickness of a tenth."""
+    """Within 0.03 % of the fit in ASTM E1876 up to a thickness of a tenth of the length."""
     beam = TimoshenkoBeam(length=0.1, thickness=thickness, poissons_ratio=ratio)
     assert beam.natural_frequency(1) == pytest.approx(standard_frequency(beam), rel=3e-4)
 
@@ -124,7 +124,7 @@ def test_wave_numbers_follow_the_published_hinged_frequencies():
 
 
 def test_slender_beam_is_euler_bernoulli():
-    """Without thickness shear and rotary inertia vanish: roots squared, and the same shapes."""
+    """For a very thin beam frequencies are the squared Euler-Bernoulli roots, and the shapes agree."""
     slender = TimoshenkoBeam(length=0.1, thickness=1e-6)
     place = np.linspace(-0.05, 0.05, 21)
     for n in (1, 2, 5):
@@ -135,7 +135,7 @@ def test_slender_beam_is_euler_bernoulli():
 
 
 def test_shear_lowers_the_shipped_beam_as_derived():
-    """-2 % at the 5th and -10 % at the 13th bending mode of a bare beam of this size."""
+    """Shear lowers the 5th bending mode of a bare beam of this size by 2 % and the 13th by 10 %."""
     scale = np.sqrt(SHIPPED.rotary * 70e9 / 2700) / (2 * np.pi * 0.1)
     change = {n: SHIPPED.natural_frequency(n) / (characteristic_root(n) ** 2 * scale) - 1 for n in (5, 13)}
     assert change[5] == pytest.approx(-0.02, abs=0.005)
@@ -143,7 +143,7 @@ def test_shear_lowers_the_shipped_beam_as_derived():
 
 
 def test_shapes_are_even_or_odd_with_unit_mean_square():
-    """Odd numbers are symmetric; the end on the right is positive."""
+    """Odd modes are symmetric, and the right end is positive."""
     node, weight = np.polynomial.legendre.leggauss(200)
     shapes = THICK.shapes([1, 2, 3, 8], node * 0.05)
     assert shapes[[0, 2]] == pytest.approx(shapes[[0, 2], ::-1], abs=1e-9)
@@ -153,7 +153,7 @@ def test_shapes_are_even_or_odd_with_unit_mean_square():
 
 
 def test_impossible_beams_are_refused():
-    """Values with bounds."""
+    """The messages have the given values."""
     with pytest.raises(ValueError, match=r"thickness of the beam is 0\.0 m"):
         TimoshenkoBeam(length=0.1, thickness=0.0)
     with pytest.raises(ValueError, match=r"Poisson's ratio is 0\.7"):
@@ -163,7 +163,7 @@ def test_impossible_beams_are_refused():
 
 
 def test_model_takes_timoshenko_shapes(model):
-    """On the slender shipped beam the design hardly moves, but it moves; every state is met."""
+    """On the slender shipped beam the targets change by less than 5 mm/s; every state is met."""
     bent = replace(model, beam=SHIPPED)
     stimulus = design_stimulus(
         bent, TargetField(), Timing(AFG3022B.converter, n_samples=25_000), Amplifier(gain=25.0, limit=250.0)
@@ -176,6 +176,6 @@ def test_model_takes_timoshenko_shapes(model):
 
 
 def test_model_and_beam_are_of_one_length(model):
-    """Two lengths would be two beams."""
+    """Different lengths are refused."""
     with pytest.raises(ValueError, match=r"Timoshenko beam is 0\.2 m long, the model 0\.1 m"):
         replace(model, beam=TimoshenkoBeam(length=0.2, thickness=0.002))

@@ -1,4 +1,4 @@
-"""The beam forward, against 80-bit steps and the invariants of a linear system."""
+"""Forward response of the beam, against 80-bit steps and invariants of a linear system."""
 
 import math
 import tracemalloc
@@ -19,7 +19,7 @@ PI = np.longdouble("3.14159265358979323846264338327950288")
 
 
 def clocked(rate: float) -> Converter:
-    """Return a converter of another clock [Hz]."""
+    """Return a converter with another clock rate [Hz]."""
     return replace(AFG3022B.converter, clock_rate=rate)
 
 
@@ -41,7 +41,7 @@ def stepped(model, voltage, hold):
 
 @pytest.mark.parametrize("n_samples", [1, 31, 32, 33, 1056, 65_536])
 def test_every_mode_is_right_to_its_own_peak(model, rng, n_samples):
-    """Error of each mode relative to its own peak <= 1e-12 for Table I, on arbitrary samples."""
+    """For Table I and random samples, each mode is within 1e-12 of its own peak."""
     length = max(2, n_samples) * 7.6e-7
     timing = Timing(AFG3022B.converter, n_samples=max(2, n_samples), duration=length, focusing_instant=length)
     voltage = rng.normal(size=(2, n_samples))
@@ -51,7 +51,7 @@ def test_every_mode_is_right_to_its_own_peak(model, rng, n_samples):
 
 
 def test_light_damping_keeps_its_phase(model, rng):
-    """<= 1e-11 of each mode's own peak at damping 1e-6."""
+    """At a damping ratio of 1e-6 each mode is within 1e-11 of its own peak."""
     light = replace(model, damping_ratio=np.full(9, 1e-6))
     timing = Timing(clocked(65_536 * 20 * 190), n_samples=65_536)
     voltage = rng.normal(size=(2, 65_536))
@@ -68,7 +68,7 @@ def test_light_damping_keeps_its_phase(model, rng):
     seed=st.integers(0, 10_000),
 )
 def test_any_mode_is_right(frequency, ratio, n_samples, seed):
-    """Damping ratio from 1e-6 to 0.99, against 80-bit steps."""
+    """Damping ratios from 1e-6 to 0.99, against 80-bit steps."""
     model = ModalModel((1,), [frequency], [ratio], [[1.0]], 0.1)
     timing = Timing(AFG3022B.converter, n_samples=n_samples, duration=n_samples * 4e-7, focusing_instant=4e-7)
     voltage = np.random.default_rng(seed).normal(size=(1, n_samples))
@@ -92,7 +92,7 @@ def test_velocity_is_the_sum_of_the_modes(crossed_model, rng):
 @settings(max_examples=15, deadline=None)
 @given(seed=st.integers(0, 10_000), shift=st.integers(1, 500))
 def test_superposition_and_delay_hold(seed, shift, crossed_model):
-    """A linear system that does not age: sums respond in sums, and later voltages later."""
+    """The system is linear and time-invariant."""
     rng = np.random.default_rng(seed)
     timing = Timing(AFG3022B.converter, n_samples=1500, duration=0.0006, focusing_instant=0.0003)
     one, two = rng.normal(size=(2, 2, 1500))
@@ -107,7 +107,7 @@ def test_superposition_and_delay_hold(seed, shift, crossed_model):
 
 
 def test_time_reversal_swaps_drive_and_reading(crossed_model, rng):
-    """The velocity at the end is the impulse response against the drive reversed in time."""
+    """The final velocity is the impulse response times the time-reversed drive."""
     timing = Timing(AFG3022B.converter, n_samples=2000, duration=0.001, focusing_instant=0.0005)
     one = rng.normal(size=2000)
     voltage = np.zeros((2, 2000))
@@ -120,7 +120,7 @@ def test_time_reversal_swaps_drive_and_reading(crossed_model, rng):
 
 
 def test_free_decay_follows_its_exponent():
-    """After the drive stops a mode decays as e^-at, whatever drove it."""
+    """After the drive ends, a mode decays as e^-at."""
     model = ModalModel((1,), [1000.0], [0.01], [[1.0]], 0.1)
     timing = Timing(AFG3022B.converter, n_samples=50_000, duration=0.05, focusing_instant=0.025)
     voltage = np.zeros((1, 50_000))
@@ -182,7 +182,7 @@ def test_peaks_between_samples_play_an_uneven_clock(crossed_model, rng):
 
 
 def test_peak_of_the_shipped_burst_is_exact(shipped, zones):
-    """The decay after a braked burst adds nothing: the peak is that of the history."""
+    """After a braked burst the beam is at rest, so the peak is that of the history."""
     voltage = shipped.voltage_played(0.2)
     history = velocity_history(shipped.model, voltage, shipped.timing, zones)
     assert shipped.peak_velocity(zones, 0.2) == pytest.approx(np.abs(history).max(axis=1), rel=1e-12)
@@ -205,7 +205,7 @@ def test_peak_reaches_into_the_silence_after_the_burst():
 
 
 def test_state_between_samples_agrees_with_finer_samples(crossed_model, rng):
-    """An instant within a hold: the same voltages on a clock ten times finer, where it lies on the grid."""
+    """At an instant within a hold, the state agrees with that of a clock ten times as fine."""
     timing = Timing(AFG3022B.converter, n_samples=1000, duration=0.0004, focusing_instant=0.0002)
     fine = Timing(AFG3022B.converter, n_samples=10_000, duration=0.0004, focusing_instant=0.0002)
     voltage = rng.normal(size=(2, 1000))
@@ -216,8 +216,8 @@ def test_state_between_samples_agrees_with_finer_samples(crossed_model, rng):
     )
 
 
-def test_uneven_clock_is_played_as_it_is(crossed_model, rng):
-    """131,072 points over 50 ms are held 95 or 96 clocks: a sum over the real edges."""
+def test_states_follow_an_uneven_clock(crossed_model, rng):
+    """131,072 points over 50 ms are held for 95 or 96 clocks; reference: a sum over the actual edges."""
     timing = Timing(AFG3022B.converter, n_samples=131_072)
     voltage = rng.normal(size=(2, 131_072))
     clocks = np.ceil(np.arange(131_073) * 12_500_000 / 131_072 - 1e-6)
@@ -235,8 +235,8 @@ def test_uneven_clock_is_played_as_it_is(crossed_model, rng):
 
 
 @pytest.mark.parametrize("n_samples", [131_072, 65_536, 44_100])
-def test_histories_play_an_uneven_clock_as_it_is(crossed_model, rng, n_samples):
-    """Modal velocities at t_F by the history and by the sum over the real edges agree to 1e-12 of each mode's peak."""
+def test_histories_follow_an_uneven_clock(crossed_model, rng, n_samples):
+    """Modal velocities agree with a sum over the actual edges within 1e-11 of each mode's peak."""
     timing = Timing(AFG3022B.converter, n_samples=n_samples)
     voltage = rng.normal(size=(2, n_samples))
     history = modal_history(crossed_model, voltage, timing)
@@ -247,12 +247,12 @@ def test_histories_play_an_uneven_clock_as_it_is(crossed_model, rng, n_samples):
         powers = np.exp(system.exponent[:, None] * (sample * timing.hold - edge))
         pushed = (powers[:, :-1] - powers[:, 1:]) / system.exponent[:, None]
         state = (system.input_gain[:, :, None] * voltage[:, :sample] * pushed[:, None]).sum(axis=(1, 2))
-        # The reference itself sums up to 1e5 terms at phases of up to 3e4 rad.
+        # The reference sums up to 1e5 terms with phases of up to 3e4 rad.
         assert (np.abs(history[:, sample] - (system.velocity @ state).real) <= 1e-11 * peak).all()
 
 
-def test_peaks_play_an_uneven_clock_as_it_is(crossed_model, rng):
-    """The peak is that of the history, on 131,072 points held 95 or 96 clocks; an even clock has another."""
+def test_peaks_follow_an_uneven_clock(crossed_model, rng):
+    """131,072 points are held for 95 or 96 clocks: the peak is that of the history and differs from an even clock's."""
     timing, places = Timing(AFG3022B.converter, n_samples=131_072), [-0.04, 0.0, 0.04]
     voltage = rng.normal(size=(2, 131_072)) * np.hanning(131_072)
     peak = peak_velocity(crossed_model, voltage, timing, places)
@@ -262,16 +262,16 @@ def test_peaks_play_an_uneven_clock_as_it_is(crossed_model, rng):
     assert np.abs(even / peak - 1).max() > 1e-5
 
 
-def test_a_limit_is_passed_where_the_peak_passes_it(shipped, zones):
-    """`passes` spares the history but not the answer."""
+def test_passes_agrees_with_the_peak(shipped, zones):
+    """`passes` compares the peak with a limit without computing the history."""
     peak = shipped.peak_velocity(zones, 0.2).max()
     assert shipped.passes(zones, 0.2, 0.999999 * peak)
     assert not shipped.passes(zones, 0.2, 1.000001 * peak)
     assert not shipped.passes(zones, 0.2, 10 * peak)
 
 
-def test_many_points_need_no_array_of_all_modes_at_all_points(shipped):
-    """Memory is bounded at the large end; what is found does not depend on how many points are asked for."""
+def test_memory_is_bounded_for_many_points(shipped):
+    """The field at 100,001 points needs less than four times its own memory and equals that at a few points."""
     many = np.linspace(-0.05, 0.05, 100_001)
     few = shipped.velocity_at_focus(many[::10_000], 0.2)
     tracemalloc.start()
@@ -282,8 +282,8 @@ def test_many_points_need_no_array_of_all_modes_at_all_points(shipped):
     assert taken < 4 * field.nbytes
 
 
-def test_peaks_at_many_points_are_those_at_each(shipped):
-    """Places are taken some at a time: the peak at one is that found alone."""
+def test_peaks_at_many_points_equal_those_at_single_points(shipped):
+    """Points are processed in groups; the peak at each equals that computed alone."""
     many, voltage = np.linspace(-0.05, 0.05, 601), shipped.voltage_played(0.2)
     together = peak_velocity(shipped.model, voltage, shipped.timing, many)
     for place in (0, 255, 256, 300, 600):
