@@ -1,4 +1,4 @@
-"""Faults of adaptive protocols, each in its place with what is allowed."""
+"""Faults of adaptive protocols, with positions and allowed values."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ SHIPPED = Path(__file__).parents[2] / "protocols" / "threshold.yaml"
         ("lapse_rate: 0.06", "lapse_rate: 0.5", "adaptive.lapse_rate", "0.2"),
     ],
 )
-def test_each_fault_is_told_in_its_place(tmp_path: Path, old: str, new: str, place: str, words: str) -> None:
-    """What was given, what is allowed, with file, line and column."""
+def test_each_fault_has_its_position(tmp_path: Path, old: str, new: str, place: str, words: str) -> None:
+    """With the given and the allowed values."""
     text = SHIPPED.read_text(encoding="utf-8").replace(old, new)
     for name in ("apparatus/", "texts/"):
         text = text.replace(f": {name}", f": {SHIPPED.parent / name}/")
@@ -47,15 +47,15 @@ def test_each_fault_is_told_in_its_place(tmp_path: Path, old: str, new: str, pla
     assert words in problems[0]
 
 
-def test_the_shipped_protocol_is_sound() -> None:
+def test_the_shipped_protocol_is_valid() -> None:
     """Two runs of 40 trials and ten catch trials."""
     preflight = examine(SHIPPED).require()
     assert preflight.experiment.protocol.n_trials == 90
     assert [each["velocity_mm_s"] for each in preflight.stimuli] == [2, 200]
 
 
-def test_what_may_be_a_success_is_listed_once(tmp_path: Path) -> None:
-    """Though an answer has the name of a rule."""
+def test_allowed_successes_are_listed_once(tmp_path: Path) -> None:
+    """Even if an answer has the name of a rule."""
     text = SHIPPED.read_text(encoding="utf-8").replace("success: focus_named", "success: sure")
     for name in ("apparatus/", "texts/"):
         text = text.replace(f": {name}", f": {SHIPPED.parent / name}/")

@@ -1,4 +1,4 @@
-"""Lists of answers: their order on the screen, what they name, and what a protocol must not say of them."""
+"""Lists of answers: order on the screen, meanings, and faults."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ FILE = "demo.yaml"
 BOTH = "    both: [up, down, num_8]\n"
 
 
-def test_the_papers_answers_stand_on_the_side_of_their_fingers() -> None:
-    """Whatever their order in the file; felt nowhere lies below them."""
+def test_the_papers_answers_are_on_the_side_of_their_fingers() -> None:
+    """Whatever their order in the file; "felt nowhere" is below them."""
     answers = AnswerList.of({"keys": ["none", "right", "both", "left"]})
     assert answers.names == ("left", "both", "right", "none")
     assert [answer.is_below for answer in answers] == [False, False, False, True]
@@ -24,16 +24,16 @@ def test_the_papers_answers_stand_on_the_side_of_their_fingers() -> None:
     assert AnswerList.of({}).names == ("left", "both", "right")
 
 
-def test_of_two_answers_neither_stands_back():
-    """A button set apart would draw answers to the other: only where it is wished, or there are others."""
+def test_two_answers_are_side_by_side():
+    """A separate button would attract answers to the other; `below` or a third answer overrides this."""
     two = AnswerList.of({"keys": ["felt", "none"]})
     assert [(each.name, each.is_below) for each in two] == [("felt", False), ("none", False)]
     assert [each.is_below for each in AnswerList.of({"keys": ["felt", "none"], "below": ["none"]})] == [False, True]
     assert [each.is_below for each in AnswerList.of({"keys": ["left", "right", "none"]})] == [False, False, True]
 
 
-def test_other_answers_stand_as_in_the_file() -> None:
-    """Unless all of a row name fingers; those told to lie below do."""
+def test_other_answers_keep_the_order_of_the_file() -> None:
+    """Unless all of a row name fingers; those listed under `below` are below."""
     grades = AnswerList.of({"keys": ["stronger", "unsure", "weaker"], "below": ["unsure"]})
     assert grades.names == ("stronger", "weaker", "unsure")
     assert not grades.compares
@@ -46,15 +46,15 @@ def test_other_answers_stand_as_in_the_file() -> None:
     assert (german.named("rechts").fingers, german.named("time_out").fingers) == (("right",), None)
 
 
-def test_words_of_a_table_are_the_papers_or_stand_alone() -> None:
-    """A table of the paper in which nobody said both had that answer all the same."""
+def test_words_of_a_table_give_its_answer_list() -> None:
+    """If all are answers of the paper, the list is the paper's, including unused answers."""
     assert AnswerList.of_words(("left",)).names == ("left", "both", "right")
     assert AnswerList.of_words(("none",)).names == ("left", "both", "right", "none")
     assert AnswerList.of_words(("more", "less")).names == ("more", "less")
 
 
-def test_a_record_of_the_papers_answers_says_no_more_than_before(shipped) -> None:
-    """The design in the log has no key for what is not given."""
+def test_the_record_of_the_papers_answers_is_unchanged(shipped) -> None:
+    """It has no key for options that are not given."""
     written = Findings.read(shipped / FILE).experiment().protocol.answers.model_dump(mode="json")
     assert not {"fingers", "below"} & set(written)
     assert written["keys"]["left"] == ["left", "num_4"]
@@ -105,8 +105,8 @@ def test_a_record_of_the_papers_answers_says_no_more_than_before(shipped) -> Non
         ),
     ],
 )
-def test_what_is_wrong_with_a_list_is_said_at_its_place(edit: Edit, old: str, new: str, fault: str) -> None:
-    """Two answers at least, each with keys and a label."""
+def test_faults_of_a_list_have_their_position(edit: Edit, old: str, new: str, fault: str) -> None:
+    """At least two answers are needed, each with keys and a label."""
     with pytest.raises(InputError) as caught:
         Findings.read(edit(FILE, (old, new))).experiment()
     assert any(fault in str(problem) for problem in caught.value.problems), caught.value.problems
@@ -123,8 +123,8 @@ def test_what_is_wrong_with_a_list_is_said_at_its_place(edit: Edit, old: str, ne
         ("'Press {key}'", "answers.rechts: given {key} in 'Press {key}'; allowed: exactly no words in braces"),
     ],
 )
-def test_a_label_is_a_text_like_any_other(edit: Edit, label: str, fault: str) -> None:
-    """The participant would read nothing, too small a print (all labels have one size), or the braces."""
+def test_unusable_labels_are_refused(edit: Edit, label: str, fault: str) -> None:
+    """Empty ones, ones too long for a common size, and ones with braces."""
     file = edit(FILE, (BOTH, "    rechts: [up]\n"))
     texts = file.parent / "texts" / "english.yaml"
     words = texts.read_text(encoding="utf-8").replace("\nanswers:\n", f"\nanswers:\n  rechts: {label}\n")
@@ -135,7 +135,7 @@ def test_a_label_is_a_text_like_any_other(edit: Edit, label: str, fault: str) ->
 
 
 def test_two_answers_for_one_finger_are_refused(edit: Edit) -> None:
-    """Counts would not know which one is meant."""
+    """Counts would be ambiguous."""
     change = ("  keys:\n", "  fingers: {links: [left]}\n  keys:\n    links: [l]\n")
     with pytest.raises(InputError, match="names the same fingers as"):
         Findings.read(edit(FILE, change)).experiment()
@@ -154,15 +154,15 @@ def test_two_answers_for_one_finger_are_refused(edit: Edit) -> None:
         ),
     ],
 )
-def test_practice_cannot_be_judged_where_no_finger_is_named(edit: Edit, changes, fault: str) -> None:
-    """Which answer is right follows from the speeds under the fingers."""
+def test_practice_cannot_be_judged_without_finger_answers(edit: Edit, changes, fault: str) -> None:
+    """The right answer follows from the speeds under the fingers."""
     keys = ("    left: [left, num_4]\n" + BOTH + "    right: [right, num_6]\n", "    more: [up]\n    less: [down]\n")
     with pytest.raises(InputError, match=f"{fault}, but no answer names a finger or an interval"):
         Findings.read(edit(FILE, keys, *changes)).experiment()
 
 
 def test_a_turned_beam_needs_answers_for_both_sides(edit: Edit) -> None:
-    """Left on a turned beam is the right zone, for which there must be an answer, too."""
+    """Left on a turned beam is the right zone, which needs an answer, too."""
     changes = [
         ("    right: [right, num_6]\n", ""),
         ("  hand: right", "  placements: [normal, mirrored]\n  hand: right"),
@@ -171,8 +171,8 @@ def test_a_turned_beam_needs_answers_for_both_sides(edit: Edit) -> None:
         Findings.read(edit(FILE, *changes)).experiment()
 
 
-def test_adaptive_runs_need_the_answers_that_they_judge_by(edit: Edit) -> None:
-    """Naming the focus needs an answer for each finger."""
+def test_focus_named_needs_an_answer_for_each_finger(edit: Edit) -> None:
+    """Otherwise the adaptive rule is refused."""
     text = (edit("threshold.yaml")).read_text(encoding="utf-8")
     keys = text[text.index("    left:") :]
     with pytest.raises(InputError, match="focus_named, but the answers do not name each finger alone"):

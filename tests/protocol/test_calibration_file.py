@@ -1,4 +1,4 @@
-"""Which calibrations a protocol takes, and which it refuses with the place of what does not fit."""
+"""Calibrations that fit a protocol, and refusals with positions."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ IDENTITY = "TEKTRONIX,AFG3022B,C012345,SCPI:99.0 FV:3.2.2"
 
 
 def text_for(apparatus: Path, *, made: str = "") -> str:
-    """Return a calibration of the demonstration, its targets as listed."""
+    """Return a calibration of the demonstration, with targets as listed."""
     listed = Apparatus.read(apparatus)
     made = made or datetime.now(UTC).isoformat(timespec="seconds")
     modes = "\n".join(
@@ -60,7 +60,7 @@ levels:
 
 @pytest.fixture
 def calibrate(tmp_path: Path, edit: Callable) -> Callable[..., tuple[Path, Path]]:
-    """Return what gives a protocol, changed, and a calibration of it as it was."""
+    """Return a function that writes a changed protocol and a calibration of the unchanged one."""
 
     def make(*changes: tuple[str, str], made: str = "") -> tuple[Path, Path]:
         protocol = edit("demo.yaml", *changes)
@@ -72,12 +72,12 @@ def calibrate(tmp_path: Path, edit: Callable) -> Callable[..., tuple[Path, Path]
 
 
 def problems(protocol: Path, calibration: Path | None) -> str:
-    """Return every problem, one a line."""
+    """Return all problems, one per line."""
     return "\n".join(map(str, examine(protocol, calibration).problems))
 
 
-def test_targets_amplifier_and_gains_are_taken_from_it(calibrate: Callable) -> None:
-    """The stimulus aims at the corrected targets, behind the amplifier that was measured, levels trimmed."""
+def test_the_stimulus_uses_the_calibration(calibrate: Callable) -> None:
+    """Corrected targets, measured amplifier, level corrections."""
     protocol, calibration = calibrate()
     stimulus = examine(protocol, calibration).require().stimulus
     velocity, displacement = stimulus.corrected_target
@@ -91,8 +91,8 @@ def test_targets_amplifier_and_gains_are_taken_from_it(calibrate: Callable) -> N
     assert stimulus.burst.amplitude_for(0.08)[0] == pytest.approx(0.4 * untrimmed, rel=1e-3)
 
 
-def test_the_protocol_can_name_it(calibrate: Callable) -> None:
-    """`calibration.file`, seen from the protocol; --calibration goes before it."""
+def test_a_protocol_may_name_its_calibration(calibrate: Callable) -> None:
+    """`calibration.file` is relative to the protocol; --calibration takes precedence."""
     named = ("title: Demonstration", "title: Demonstration\ncalibration: {file: calibration.yaml, required: true}")
     protocol, _ = calibrate(named)
     preflight = examine(protocol).require()
@@ -101,7 +101,7 @@ def test_the_protocol_can_name_it(calibrate: Callable) -> None:
     assert examine(protocol, uncalibrated=True).require().as_dict()["calibration"] is None
 
 
-def test_a_named_file_that_is_missing_is_told_at_its_key(calibrate: Callable) -> None:
+def test_a_missing_calibration_file_is_reported_at_its_key(calibrate: Callable) -> None:
     """With line and column of the name."""
     protocol, path = calibrate(("title: Demonstration", "title: Demonstration\ncalibration: {file: calibration.yaml}"))
     path.unlink()
@@ -110,15 +110,15 @@ def test_a_named_file_that_is_missing_is_told_at_its_key(calibrate: Callable) ->
     assert "allowed: a YAML file that exists and can be read, as a path relative to this file" in said
 
 
-def test_required_and_none_given_is_refused(calibrate: Callable) -> None:
-    """At the key that requires it, with the remedy."""
+def test_a_required_calibration_must_be_given(calibrate: Callable) -> None:
+    """The problem is at the key that requires it."""
     protocol, path = calibrate(("title: Demonstration", "title: Demonstration\ncalibration: {required: true}"))
     assert "calibration.required: given true, but no calibration is given" in problems(protocol, None)
     assert problems(protocol, path) == ""
 
 
-def test_another_apparatus_is_refused_and_a_comment_is_none(calibrate: Callable) -> None:
-    """A gain changed: refused. A comment, a zone's width or the safety limit changed: taken."""
+def test_a_calibration_of_another_apparatus_is_refused(calibrate: Callable) -> None:
+    """A changed gain is refused; a changed comment, zone width or safety limit is not."""
     protocol, path = calibrate()
     apparatus = protocol.parent / "apparatus" / "beam_100x6x2.yaml"
     text = apparatus.read_text(encoding="utf-8")
@@ -140,25 +140,25 @@ def test_another_apparatus_is_refused_and_a_comment_is_none(calibrate: Callable)
         ("[80, 200]", "[80, 150]", "given 150 mm/s, a level that was not calibrated; allowed: 80, 200"),
     ],
 )
-def test_another_stimulus_is_refused(calibrate: Callable, old: str, new: str, said: str) -> None:
-    """The key that differs is named, with both values."""
+def test_a_calibration_of_another_stimulus_is_refused(calibrate: Callable, old: str, new: str, said: str) -> None:
+    """The message has the key that differs, with both values."""
     assert said.replace("stimulus: ", "stimulus.selected_modes: ") in problems(*calibrate((old, new)))
 
 
-def test_what_follows_the_focus_may_change(calibrate: Callable) -> None:
-    """Release free or braked: the same field at the focusing instant."""
+def test_the_release_may_differ_from_the_calibration(calibrate: Callable) -> None:
+    """The field at the focusing instant is the same."""
     assert problems(*calibrate(("release: braked", "release: free"))) == ""
 
 
-def test_age_counts_only_where_the_protocol_says_so(calibrate: Callable) -> None:
-    """Eight days old: taken without a limit and within ten, refused beyond seven, at the protocol's key."""
+def test_age_is_unlimited_by_default(calibrate: Callable) -> None:
+    """A calibration eight days old is accepted."""
     made = (datetime.now(UTC) - timedelta(days=8)).isoformat(timespec="seconds")
     assert problems(*calibrate(made=made)) == ""
 
 
 @pytest.mark.parametrize(("days", "refused"), [(7, True), (10, False)])
-def test_too_old_is_refused(calibrate: Callable, days: int, *, refused: bool) -> None:
-    """With its age, and the remedy."""
+def test_a_calibration_older_than_the_limit_is_refused(calibrate: Callable, days: int, *, refused: bool) -> None:
+    """The message has its age."""
     made = (datetime.now(UTC) - timedelta(days=8)).isoformat(timespec="seconds")
     limit = ("title: Demonstration", f"title: Demonstration\ncalibration: {{max_age_days: {days}}}")
     said = problems(*calibrate(limit, made=made))
@@ -174,8 +174,8 @@ def test_too_old_is_refused(calibrate: Callable, days: int, *, refused: bool) ->
         ("2999-01-01T00:00:00+00:00", "which lies in the future"),
     ],
 )
-def test_an_instant_that_is_none_is_refused(calibrate: Callable, made: str, said: str) -> None:
-    """No date, a date without its offset from UTC, a date to come."""
+def test_invalid_instants_are_refused(calibrate: Callable, made: str, said: str) -> None:
+    """No date, a date without offset from UTC, and a date in the future."""
     assert said in problems(*calibrate(made=made))
 
 
@@ -196,7 +196,7 @@ def test_age_is_counted_from_the_instant_and_not_from_the_file(shipped: Path) ->
 
 
 def test_another_serial_number_is_refused(shipped: Path) -> None:
-    """Maker, model and serial number count; the firmware does not."""
+    """Maker, model and serial number must match; the firmware need not."""
     calibration = examine_calibration(Source(Path("c.yaml"), text_for(shipped / "apparatus" / "beam_100x6x2.yaml")))
     findings = Findings(None, None, None, (), calibration)
     assert findings.generator_problem(IDENTITY + "9\n") is None
@@ -204,8 +204,8 @@ def test_another_serial_number_is_refused(shipped: Path) -> None:
     assert str(found).startswith("c.yaml:6:26: instruments.generator: given TEKTRONIX,AFG3022B,C012345")
 
 
-def test_an_edited_file_is_refused_and_never_a_crash(calibrate: Callable) -> None:
-    """A set that the apparatus has not, a mode left out, and a faulty apparatus beside: problems, no exception."""
+def test_an_inconsistent_file_is_refused(calibrate: Callable) -> None:
+    """An unknown actuator set, a missing mode and a faulty apparatus give problems, not exceptions."""
     protocol, path = calibrate()
     text = path.read_text(encoding="utf-8")
     path.write_text(text.replace("side: ", "rim: ", 1), encoding="utf-8")
@@ -220,8 +220,8 @@ def test_an_edited_file_is_refused_and_never_a_crash(calibrate: Callable) -> Non
     assert "width_mm" in problems(protocol, path)
 
 
-def test_faults_of_the_file_have_their_place(calibrate: Callable) -> None:
-    """A value that is no number, a key that is missing: told like those of any other file, all at once."""
+def test_faults_of_the_file_have_their_position(calibrate: Callable) -> None:
+    """An invalid number and a missing key are reported together."""
     protocol, path = calibrate()
     text = path.read_text(encoding="utf-8")
     path.write_text(text.replace("focus_centre_mm: 0\n", "").replace("reference_mm_s: 200", "reference_mm_s: fast"))
@@ -230,8 +230,8 @@ def test_faults_of_the_file_have_their_place(calibrate: Callable) -> None:
     assert "calibration.yaml:11:17: reference_mm_s" in said
 
 
-def test_a_record_is_restored_with_its_calibration_however_old(calibrate: Callable) -> None:
-    """As `resume` and `verify` do: the same codes from the recorded texts, though a new session would be refused."""
+def test_a_record_is_restored_whatever_the_age_of_its_calibration(calibrate: Callable) -> None:
+    """`resume` and `verify` get the same codes, although a new session would be refused."""
     made = (datetime.now(UTC) - timedelta(days=400)).isoformat(timespec="seconds")
     limit = ("title: Demonstration", "title: Demonstration\ncalibration: {required: true, max_age_days: 500}")
     protocol, path = calibrate(limit, made=made)
@@ -251,8 +251,8 @@ causes: [the amplifier saturates]
 """
 
 
-def test_a_marked_calibration_is_taken_on_purpose_only(edit: Callable, tmp_path: Path) -> None:
-    """Refused with limit, cause and option at its line; taken with the mark's option, which check and record say."""
+def test_a_marked_calibration_needs_its_option(edit: Callable, tmp_path: Path) -> None:
+    """Refused with limit and cause at its line; with the option, check and record have the mark."""
     protocol = edit("demo.yaml")
     file = tmp_path / "marked.yaml"
     file.write_text(text_for(protocol.parent / "apparatus" / "beam_100x6x2.yaml") + MARK, encoding="utf-8")

@@ -1,4 +1,4 @@
-"""One to three fingers: which finger of which hand on which zone, and every fault of it in its place."""
+"""One to three fingers: which finger of which hand is on which zone; faults with positions."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ NAMED = (KEYS, "    left: [left]\n    both: [up]\n    right: [right]\n  fingers:
 
 
 def faults(file: Path) -> list[str]:
-    """Return the faults of a protocol and its files, without their folder."""
+    """Return the faults of a protocol and its files, with bare file names."""
     return [str(problem).replace(str(file.parent) + "/", "") for problem in Findings.read(file).problems]
 
 
@@ -120,10 +120,10 @@ def faults(file: Path) -> list[str]:
         ),
     ],
 )
-def test_each_fault_of_fingers_zones_and_answers_has_its_place(
+def test_faults_of_fingers_zones_and_answers_have_their_position(
     edit: Edit, changes: list[tuple[str, str]], fault: str
 ) -> None:
-    """Lines and columns counted in the shipped demonstration."""
+    """Lines and columns of the shipped demonstration."""
     file = edit("demo.yaml", *changes)
     english = (file.parent / "texts" / "english.yaml").read_text(encoding="utf-8")
     bare = re.sub(r"place_each_finger: .*\n|fingers:\n(  .*\n)+", "", english)
@@ -132,16 +132,16 @@ def test_each_fault_of_fingers_zones_and_answers_has_its_place(
     assert any(fault in each for each in found), found
 
 
-def test_a_misspelt_finger_of_an_answer_is_told_once(edit: Edit) -> None:
-    """Not also as an answer that is missing for the finger."""
+def test_a_misspelt_finger_of_an_answer_is_reported_once(edit: Edit) -> None:
+    """Not also as a finger without an answer."""
     keys = "    a: [left]\n    b: [up]\n    c: [right]\n  ways: {three: lifting}\n"
     fingers = "  fingers: {a: [left], b: [center], c: [right]}\n"
     found = faults(edit("demo.yaml", THREE, (PAIRS, "zones: [[A, C, E]]"), (KEYS, keys + fingers)))
     assert [each for each in found if "answers.fingers" in each and "has no text" not in each] == found[:1], found
 
 
-def test_trials_lie_on_as_many_zones_as_there_are_fingers(edit: Edit) -> None:
-    """One finger has its zone on the left; a turned beam has the last of three zones there."""
+def test_trials_have_one_zone_per_finger(edit: Edit) -> None:
+    """A single finger has its zone on the left; a turned beam reverses three zones."""
     labels = (KEYS, "    yes: [y]\n    none: [n]\n  ways: {three: lifting}\n")
     file = edit("demo.yaml", ONE, (PAIRS, "placements: [mirrored]\n  zones: [[A], [C]]"), labels)
     one = Schedule.draw(Findings.read(file).protocol.value, "p01", 1)  # type: ignore[union-attr, arg-type]
@@ -157,8 +157,8 @@ def test_trials_lie_on_as_many_zones_as_there_are_fingers(edit: Edit) -> None:
     assert three.as_dict()["order"][0][2:5] == ["E", "C", "A"]
 
 
-def test_a_record_of_two_fingers_says_nothing_of_a_third() -> None:
-    """Hashes and records of the paper's conditions stay as they were before there was a third finger."""
+def test_records_of_two_fingers_are_unchanged() -> None:
+    """They have no key for a third finger, so hashes stay the same."""
     values = Trial(1, 1, Condition("one_hand", "A", "C", 80.0)).as_dict()["condition"]
     assert values.keys() == {"finger_condition", "zone_left", "zone_right", "velocity_mm_s", "placement"}
 
@@ -172,7 +172,7 @@ def test_a_record_of_two_fingers_says_nothing_of_a_third() -> None:
     ],
 )
 def test_swapped_is_the_other_hand_or_crossed_hands(fingers: tuple[str, ...], swapped: tuple[str, ...]) -> None:
-    """Expected: one hand's mirror image, from left to right; of both, each keeps its fingers in their order."""
+    """One hand is mirrored; of two hands, each keeps the order of its fingers."""
     zones = ("A", "C", "E")[: len(fingers)]
     assert Condition.on(zones, "own", 80.0).fingers("right", {"own": fingers}) == fingers
     assert Condition.on(zones, "own", 80.0, "swapped").fingers("right", {"own": fingers}) == swapped
@@ -189,7 +189,7 @@ def test_swapped_is_the_other_hand_or_crossed_hands(fingers: tuple[str, ...], sw
     ],
 )
 def test_practice_expects_the_finger_that_is_clearly_fastest(speeds: tuple[float, ...], answer: str | None) -> None:
-    """A ratio of 1.25 to the second fastest is told with ease (Craig 1972); within 1.1 all are alike."""
+    """A ratio of 1.25 to the next is clear (Craig 1972); within 1.1 all are equal."""
     fingers = {"L": ["left"], "M": ["between"], "R": ["right"], "all": ["left", "between", "right"]}
     answers = AnswerList.of({"keys": dict.fromkeys(fingers), "fingers": fingers})
     if len(speeds) == 1:

@@ -1,4 +1,4 @@
-"""Files of fingers: what they hold, what is refused with its place, and which of them a protocol means."""
+"""Files of fingers: contents, faults with positions, and how a protocol refers to them."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ fingers:
 
 @pytest.fixture
 def named(edit: Edit) -> Callable[..., Findings]:
-    """Return a function that reads the paper's protocol with a word for its fingers, and files beside it."""
+    """Return a function that reads the paper's protocol with a value of `stimulus.fingers`, and files beside it."""
 
     def read(word: str, *changes: tuple[str, str], **files: str) -> Findings:
         protocol = edit(FILE, (FOCUS, f"  fingers: {word}\n{FOCUS}"), *changes)
@@ -42,14 +42,14 @@ def named(edit: Edit) -> Callable[..., Findings]:
 
 
 def said(findings: Findings) -> list[str]:
-    """Return the faults, files seen from the protocol."""
+    """Return the faults, with file names relative to the protocol."""
     assert findings.protocol is not None
     folder = str(findings.protocol.source.path.parent) + "/"
     return [str(problem).replace(folder, "") for problem in findings.problems]
 
 
-def test_the_typical_finger_is_one_for_all_and_says_where_its_numbers_come_from() -> None:
-    """A tenth of a gram, half a newton second per metre, half a newton per millimetre, and a wide spread."""
+def test_the_typical_finger_has_sources_and_a_spread() -> None:
+    """0.08 g, 0.5 N s/m and 0.5 N/mm for every finger."""
     typical = FingersFile.read("typical")
     finger = typical.of("left index")
     assert finger is not None
@@ -59,8 +59,8 @@ def test_the_typical_finger_is_one_for_all_and_says_where_its_numbers_come_from(
     assert min(typical.spread.mass, typical.spread.damping, typical.spread.stiffness) >= 0.5
 
 
-def test_a_finger_is_in_si_units_inside(tmp_path: Path) -> None:
-    """Grams, newtons per millimetre, millimetres and milliseconds in the file."""
+def test_fingers_are_converted_to_si_units(tmp_path: Path) -> None:
+    """The file has grams, newtons per millimetre, millimetres and milliseconds."""
     file = tmp_path / "mine.yaml"
     maxwell = "[{stiffness_N_per_mm: 0.4, relaxation_ms: 70}, {stiffness_N_per_mm: 3, relaxation_ms: 0.02}]"
     values = "mass_g: 0.15, damping_N_s_per_m: 0.7, stiffness_N_per_mm: 0.5, contact_width_mm: 12"
@@ -72,8 +72,8 @@ def test_a_finger_is_in_si_units_inside(tmp_path: Path) -> None:
     assert found == pytest.approx([-0.04, 1.5e-4, 0.7, 500, 0.012, 400, 0.07, 3000, 2e-5], rel=1e-12)
 
 
-def test_fingers_by_hand_lie_where_the_condition_has_them(named: Callable[..., Findings]) -> None:
-    """Index left of middle finger on the right hand; both index fingers are a placement of their own."""
+def test_fingers_by_hand_follow_the_condition(named: Callable[..., Findings]) -> None:
+    """On the right hand the index is left of the middle finger; two index fingers are another placement."""
     findings = named("mine.yaml", mine=ALL_THREE)
     assert findings.problems == ()
     assert findings.placements is not None
@@ -93,7 +93,7 @@ def test_fingers_by_hand_lie_where_the_condition_has_them(named: Callable[..., F
 
 
 def test_a_turned_beam_has_its_zones_under_other_fingers(named: Callable[..., Findings]) -> None:
-    """Zone C lies on the participant's left, under the index finger, and A under the middle finger."""
+    """Zone C is then on the participant's left, under the index finger, and A under the middle finger."""
     turn = ("  hand: right", "  placements: [normal, mirrored]\n  hand: right")
     findings = named("mine.yaml", turn, mine=ALL_THREE)
     assert findings.placements is not None
@@ -111,8 +111,8 @@ def test_a_turned_beam_has_its_zones_under_other_fingers(named: Callable[..., Fi
         assert findings.placement(trial.condition) in placed
 
 
-def test_one_finger_for_all_has_a_placement_to_each_pair(named: Callable[..., Findings]) -> None:
-    """Whichever hand, whichever way round."""
+def test_identical_fingers_have_one_placement_per_pair(named: Callable[..., Findings]) -> None:
+    """For either hand and either orientation."""
     findings = named("typical")
     assert findings.placements is not None
     assert list(findings.placements.all()) == ["A-C", "B-D", "C-E"]
@@ -120,8 +120,8 @@ def test_one_finger_for_all_has_a_placement_to_each_pair(named: Callable[..., Fi
         assert findings.placement(condition) == "A-C"
 
 
-def test_a_finger_that_the_design_lacks_is_named(named: Callable[..., Findings]) -> None:
-    """Both that are missing, at the file that misses them; the left middle finger is not needed."""
+def test_missing_fingers_are_reported(named: Callable[..., Findings]) -> None:
+    """At the file that lacks them; the left middle finger is not needed."""
     findings = named("mine.yaml", mine=f"fingers:\n  right:\n    index: {LIGHT}\n")
     assert said(findings) == [
         "mine.yaml:1:1: fingers: given no left index finger; allowed: every finger that touches the beam; "
@@ -131,8 +131,8 @@ def test_a_finger_that_the_design_lacks_is_named(named: Callable[..., Findings])
     ]
 
 
-def test_crossed_hands_need_the_other_hand_too(named: Callable[..., Findings]) -> None:
-    """With the other hand in half of the trials, its middle finger lies on the beam."""
+def test_swapped_placements_need_the_other_hand(named: Callable[..., Findings]) -> None:
+    """Its middle finger is on the beam in half of the trials."""
     swap = ("  hand: right", "  placements: [normal, swapped]\n  hand: right")
     (problem,) = said(named("mine.yaml", swap, mine=ALL_THREE))
     assert "given no left middle finger" in problem
@@ -191,8 +191,8 @@ def test_crossed_hands_need_the_other_hand_too(named: Callable[..., Findings]) -
     ],
     ids=["numbers", "keys", "hands", "maxwell", "neither"],
 )
-def test_every_fault_of_a_file_has_its_place(tmp_path: Path, text: str, faults: list[str]) -> None:
-    """File, line and column, for one finger for all and for fingers by hand."""
+def test_every_fault_of_a_file_has_its_position(tmp_path: Path, text: str, faults: list[str]) -> None:
+    """For one finger for all, and for fingers by hand."""
     file = tmp_path / "mine.yaml"
     file.write_text(text, encoding="utf-8")
     with pytest.raises(InputError, match="mine.yaml") as caught:
@@ -201,7 +201,7 @@ def test_every_fault_of_a_file_has_its_place(tmp_path: Path, text: str, faults: 
 
 
 def test_without_fingers_the_beam_is_untouched(named: Callable[..., Findings], shipped: Path) -> None:
-    """None, or the key left out."""
+    """With `none`, or without the key."""
     for findings in (named("none"), Findings.read(shipped / FILE)):
         assert findings.problems == ()
         assert findings.fingers is None
@@ -210,8 +210,8 @@ def test_without_fingers_the_beam_is_untouched(named: Callable[..., Findings], s
         assert "fingers" not in findings.experiment().sources.as_dict()
 
 
-def test_an_unknown_name_is_told_at_its_key_with_what_is_allowed(named: Callable[..., Findings]) -> None:
-    """Both kinds that are allowed, and the name that was meant."""
+def test_an_unknown_name_is_refused_at_its_key(named: Callable[..., Findings]) -> None:
+    """With the allowed values and a suggestion."""
     findings = named("typicl")
     assert findings.protocol is not None
     beside = findings.protocol.source.path.parent / "typicl"
@@ -221,8 +221,8 @@ def test_an_unknown_name_is_told_at_its_key_with_what_is_allowed(named: Callable
     ]
 
 
-def test_a_file_beside_the_protocol_wins_over_a_shipped_name(named: Callable[..., Findings], edit: Edit) -> None:
-    """A path is looked for first."""
+def test_a_file_takes_precedence_over_a_shipped_name(named: Callable[..., Findings], edit: Edit) -> None:
+    """Paths are tried first."""
     findings = named("typical")
     assert findings.fingers is not None
     assert findings.fingers.value == FingersFile.read("typical")
@@ -237,15 +237,15 @@ def test_a_file_beside_the_protocol_wins_over_a_shipped_name(named: Callable[...
     assert finger.mass_g == 0.1
 
 
-def test_faults_of_a_file_that_a_protocol_names_are_told_in_that_file(named: Callable[..., Findings]) -> None:
-    """Of its keys, its YAML and its encoding."""
+def test_faults_of_a_named_file_are_reported_in_that_file(named: Callable[..., Findings]) -> None:
+    """Not at the key in the protocol."""
     assert said(named("mine.yaml", mine="fingers: {mass_g: heavy, damping_N_s_per_m: 1}\n")) == [
         "mine.yaml:1:19: fingers.mass_g: given 'heavy'; allowed: a number [g] of at least 0"
     ]
 
 
-def test_a_file_in_another_encoding_is_told_where_it_is(named: Callable[..., Findings]) -> None:
-    """At its byte, not at the key that names it."""
+def test_an_invalid_encoding_is_reported_at_its_byte(named: Callable[..., Findings]) -> None:
+    """Not at the key that names the file."""
     findings = named("mine.yaml", mine="")
     assert findings.protocol is not None
     protocol = findings.protocol.source.path
@@ -254,8 +254,8 @@ def test_a_file_in_another_encoding_is_told_where_it_is(named: Callable[..., Fin
     assert problem.startswith("mine.yaml:2:11: given byte 0xff, which is not UTF-8")
 
 
-def test_the_papers_law_knows_no_fingers(named: Callable[..., Findings]) -> None:
-    """Equations (6) and (7) drive each mode by itself."""
+def test_the_papers_law_does_not_support_fingers(named: Callable[..., Findings]) -> None:
+    """Equations (6) and (7) drive each mode separately."""
     (problem,) = said(named("typical", ("  law: exact ", "  law: paper ")))
     assert problem == (
         f"{FILE}:11:12: stimulus.fingers: given typical, which the paper's law does not support; allowed: none, or the "
@@ -263,8 +263,8 @@ def test_the_papers_law_knows_no_fingers(named: Callable[..., Findings]) -> None
     )
 
 
-def test_a_calibration_is_one_of_the_untouched_beam(named: Callable[..., Findings], tmp_path: Path) -> None:
-    """What it makes of the targets holds for the beam that the vibrometer saw."""
+def test_a_calibration_cannot_be_combined_with_fingers(named: Callable[..., Findings], tmp_path: Path) -> None:
+    """Its corrections hold for the untouched beam that was measured."""
     findings = named("typical")
     assert findings.protocol is not None
     calibration = tmp_path / "calibration.yaml"
@@ -276,8 +276,8 @@ def test_a_calibration_is_one_of_the_untouched_beam(named: Callable[..., Finding
     ) in problems
 
 
-def test_other_fingers_are_taken_in_place_of_the_protocols_own(named: Callable[..., Findings], tmp_path: Path) -> None:
-    """For a look at what others would make of it; a faulty file raises all that is wrong with it."""
+def test_other_fingers_may_replace_those_of_the_protocol(named: Callable[..., Findings], tmp_path: Path) -> None:
+    """As with `check --fingers`; a faulty file raises all its faults."""
     findings = named("typical")
     other = tmp_path / "heavy.yaml"
     other.write_text("fingers: {mass_g: 0.3, damping_N_s_per_m: 2}\n", encoding="utf-8")
@@ -291,8 +291,8 @@ def test_other_fingers_are_taken_in_place_of_the_protocols_own(named: Callable[.
         findings.under("nobody")
 
 
-def test_the_record_keeps_the_fingers_word_for_word(named: Callable[..., Findings]) -> None:
-    """Restored from the record they are the same, whatever became of the file."""
+def test_the_record_keeps_the_file_of_fingers(named: Callable[..., Findings]) -> None:
+    """They are restored without the file."""
     findings = named("mine.yaml", mine=ALL_THREE)
     kept = findings.experiment().sources.as_dict()
     assert kept["fingers"]["text"] == ALL_THREE
@@ -307,15 +307,15 @@ def test_the_record_keeps_the_fingers_word_for_word(named: Callable[..., Finding
     assert isinstance(restored.experiment(), Experiment)
 
 
-def test_shipped_fingers_are_kept_under_their_name_alone(named: Callable[..., Findings], shipped: Path) -> None:
-    """Where the program is installed is nobody's business in a published record."""
+def test_the_record_has_no_path_of_shipped_fingers(named: Callable[..., Findings], shipped: Path) -> None:
+    """A published record must not contain the path of the installation."""
     kept = named("typical").experiment().sources.as_dict()["fingers"]
     assert kept["path"] == "typical.yaml"
     assert kept["text"] == (shipped / "fingers" / "typical.yaml").read_text(encoding="utf-8")
 
 
-def test_people_differ_as_the_file_says(tmp_path: Path) -> None:
-    """Logarithms with its standard deviations around the typical finger; without a spread all are alike."""
+def test_drawn_fingers_have_the_spread_of_the_file(tmp_path: Path) -> None:
+    """Logarithms have its standard deviations; without a spread all fingers are identical."""
     typical = FingersFile.read("typical")
     finger = typical.of("right index")
     assert finger is not None
@@ -332,8 +332,8 @@ def test_people_differ_as_the_file_says(tmp_path: Path) -> None:
     assert alike.spread.drawn(same, rng) == same
 
 
-def test_the_beams_mass_is_stated_or_that_of_aluminium(edit: Edit) -> None:
-    """2700 kg/m^3 of 100 mm x 6 mm x 2 mm are 3.24 g; the patches come on top where a lab weighs them."""
+def test_the_mass_of_the_beam_defaults_to_aluminium(edit: Edit) -> None:
+    """2700 kg/m^3 x 100 mm x 6 mm x 2 mm = 3.24 g, without patches."""
     stated = Apparatus.read(edit(BEAM))
     assert stated.beam.mass == pytest.approx(3.3e-3, rel=1e-12)
     assert stated.modal_model().mass == stated.beam.mass
@@ -341,8 +341,8 @@ def test_the_beams_mass_is_stated_or_that_of_aluminium(edit: Edit) -> None:
     assert plain.beam.mass == pytest.approx(3.24e-3, rel=1e-12)
 
 
-def test_a_calibration_outlives_another_mass(edit: Edit) -> None:
-    """Nothing that is measured on the untouched beam depends on it; its length is another matter."""
+def test_the_mass_does_not_invalidate_a_calibration(edit: Edit) -> None:
+    """Measurements of the untouched beam do not depend on it, but on the length."""
     before = Apparatus.read(edit(BEAM)).measured_hash
     assert Apparatus.read(edit(BEAM, ("  mass_g: 3.3  ", "  mass_g: 4.1  "))).measured_hash == before
     assert Apparatus.read(edit(BEAM, ("  mass_g: 4.1  ", "  mass_g: null  "))).measured_hash == before

@@ -1,4 +1,4 @@
-"""Spoilt files: always problems with a place or a sound experiment, never another exception, never a hang."""
+"""Corrupted files give problems with positions or a valid experiment; never another exception or a hang."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ WORDS = st.sampled_from(_WORDS.split()) | st.sampled_from(
 
 @st.composite
 def spoilt(draw: st.DrawFn, name: str) -> str:
-    """Return a shipped file with one to three words, lines or characters changed, doubled or lost."""
+    """Return a shipped file with one to three words, lines or characters changed, doubled or removed."""
     text = TEXT[name]
     for _ in range(draw(st.integers(1, 3))):
         kind = draw(st.sampled_from(["word", "word", "scale", "insert", "cut", "double line", "lose line"]))
@@ -62,7 +62,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def spoil(folder: Path, name: str, text: str) -> Path:
-    """Write the spoilt file among sound ones and return the protocol's path."""
+    """Write the corrupted file among valid ones and return the protocol's path."""
     for other, sound in TEXT.items():
         (folder / other).write_bytes((text if other == name else sound).encode("utf-8", errors="replace"))
     return folder / PROTOCOL
@@ -70,8 +70,8 @@ def spoil(folder: Path, name: str, text: str) -> Path:
 
 @pytest.mark.hypothesis
 @pytest.mark.parametrize("name", [PROTOCOL, BEAM, TEXTS])
-def test_readers_end_in_problems_or_an_experiment(folder: Path, name: str) -> None:
-    """Each problem has a place and a message of moderate length; none hangs."""
+def test_reading_gives_problems_or_an_experiment(folder: Path, name: str) -> None:
+    """Each problem has a position and a message of moderate length."""
 
     @settings(max_examples=50, deadline=None, suppress_health_check=list(HealthCheck))
     @given(spoilt(name))
@@ -90,8 +90,8 @@ def test_readers_end_in_problems_or_an_experiment(folder: Path, name: str) -> No
 
 @pytest.mark.hypothesis
 @pytest.mark.parametrize("name", [PROTOCOL, BEAM])
-def test_the_whole_check_ends_in_problems_or_predictions(folder: Path, name: str) -> None:
-    """Whatever the numbers, what is printed is JSON."""
+def test_the_check_gives_problems_or_predictions(folder: Path, name: str) -> None:
+    """The output is always valid JSON."""
 
     @settings(max_examples=25, deadline=None, suppress_health_check=list(HealthCheck))
     @given(spoilt(name))
@@ -105,8 +105,8 @@ def test_the_whole_check_ends_in_problems_or_predictions(folder: Path, name: str
 
 @settings(max_examples=200, deadline=None, suppress_health_check=list(HealthCheck))
 @given(content=st.binary(max_size=300))
-def test_no_bytes_raise(folder: Path, content: bytes) -> None:
-    """A file that was never YAML."""
+def test_arbitrary_bytes_give_problems(folder: Path, content: bytes) -> None:
+    """The file was never YAML."""
     file = folder / "bytes.yaml"
     file.write_bytes(content)
     assert Findings.read(file).problems

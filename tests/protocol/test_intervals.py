@@ -1,4 +1,4 @@
-"""Trials of several intervals: where the comparison stands, which answer is right, what is refused."""
+"""Trials of several intervals: place of the comparison, right answers, and faults."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ FILE = "comparison_2ifc.yaml"
 
 
 def protocol_of(path: Path) -> Protocol:
-    """Return a protocol that is sound."""
+    """Return a valid protocol."""
     return Findings.read(path).experiment().protocol
 
 
 @pytest.mark.parametrize(
     ("number", "places", "repetitions"), [(2, None, 3), (3, None, 4), (3, (2, 3), 5), (2, (2,), 3)]
 )
-def test_the_comparison_stands_in_each_interval_as_often_as_can_be(
+def test_the_comparison_is_balanced_over_intervals(
     number: int, places: tuple[int, ...] | None, repetitions: int
 ) -> None:
-    """Within each condition, and in the whole block, no interval has it twice more often than another."""
+    """Within each condition and each block, the counts of two intervals differ by at most one."""
     section = IntervalsSection(number=number, standard=StandardSection(velocity_mm_s=100), comparison_in=places)
     conditions = [Condition("one_hand", "A", "C", level) for level in (60.0, 90.0, 140.0)] * repetitions
     firsts = Counter[int]()
@@ -47,8 +47,8 @@ def test_the_comparison_stands_in_each_interval_as_often_as_can_be(
     assert min(firsts.values()) >= 10 and len(firsts) == len(section.places)
 
 
-def test_intervals_are_drawn_by_a_purpose_of_their_own(shipped: Path) -> None:
-    """The order of conditions is the one without the section; the record names purpose and interval."""
+def test_intervals_have_their_own_random_stream(shipped: Path) -> None:
+    """The order of conditions is the same without the section; the record has purpose and interval."""
     protocol = protocol_of(shipped / FILE)
     schedule = Schedule.draw(protocol, "p01", 7)
     single = Schedule.draw(protocol.model_copy(update={"intervals": None}), "p01", 7)
@@ -59,8 +59,8 @@ def test_intervals_are_drawn_by_a_purpose_of_their_own(shipped: Path) -> None:
     assert "interval" not in single.trials[0].as_dict()
 
 
-def test_the_other_intervals_hold_the_standard(shipped: Path) -> None:
-    """Of a comparison of 140 mm/s in the second of three, the first and third have 100 mm/s."""
+def test_the_other_intervals_have_the_standard(shipped: Path) -> None:
+    """With a comparison of 140 mm/s in the second of three, the first and third have 100 mm/s."""
     protocol = protocol_of(shipped / FILE)
     section = IntervalsSection(number=3, standard=StandardSection(velocity_mm_s=100))
     trial = Trial(1, 1, Condition("one_hand", "A", "C", 140.0), interval=2)
@@ -79,18 +79,18 @@ def test_the_other_intervals_hold_the_standard(shipped: Path) -> None:
         ("comparison", 100.0, 1, None),
     ],
 )
-def test_the_right_answer_names_the_stronger_interval_or_that_of_the_comparison(
+def test_the_right_answer_names_the_stronger_or_the_comparison_interval(
     asked: str, level: float, interval: int, right: int | None
 ) -> None:
-    """Where standard and comparison are alike, neither answer is right or wrong."""
+    """If standard and comparison are equal, no answer is right or wrong."""
     section = IntervalsSection(asked=asked, standard=StandardSection(velocity_mm_s=100))
     condition = Condition("one_hand", "A", "C", level)
     found = [section.is_correct(meaning, condition, interval) for meaning in (1, 2)]
     assert found == ([None, None] if right is None else [right == 1, right == 2])
 
 
-def test_same_is_right_where_nothing_differs() -> None:
-    """Another level or another stimulus makes them different; other answers say nothing of intervals."""
+def test_same_is_right_if_level_and_stimulus_are_equal() -> None:
+    """Other answers are neither right nor wrong."""
     section = IntervalsSection(standard=StandardSection(velocity_mm_s=100, stimulus="sharp"))
     cases = ((100.0, "sharp", "same"), (100.0, "blunt", "different"), (120.0, "sharp", "different"))
     for level, stimulus, right in cases:
@@ -100,8 +100,8 @@ def test_same_is_right_where_nothing_differs() -> None:
         assert section.is_correct(None, condition, 1) is None
 
 
-def test_the_duration_counts_every_interval_and_gap(edit: Edit) -> None:
-    """52 trials, each longer by a stimulus of 5 bursts at 7 Hz and a gap: 52 (5/7 + 0.5) s = 1.05 min, with 3 s 3.2."""
+def test_the_duration_includes_every_interval_and_gap(edit: Edit) -> None:
+    """52 trials with another 5 bursts at 7 Hz and a gap: 52 (5/7 + 0.5) s = 1.05 min; with 3 s, 3.2 min."""
     two = protocol_of(edit(FILE))
     single = estimated_duration(two.model_copy(update={"intervals": None}))
     assert estimated_duration(two) - single == pytest.approx(52 * (5 / 7 + 0.5) / 60, abs=0.11)
@@ -191,10 +191,8 @@ ADAPTIVE = "adaptive: {method: staircase, trials: 8, start_mm_s: 130, success: c
         ),
     ],
 )
-def test_what_does_not_go_together_is_refused_in_its_place(
-    edit: Edit, changes: list[tuple[str, str]], said: str
-) -> None:
-    """Each with what is given and what is allowed."""
+def test_incompatible_settings_are_refused(edit: Edit, changes: list[tuple[str, str]], said: str) -> None:
+    """With the given and the allowed values."""
     found = [str(problem) for problem in Findings.read(edit(FILE, *changes)).problems]
     assert any(said in problem for problem in found), found
 
@@ -212,13 +210,15 @@ def test_what_does_not_go_together_is_refused_in_its_place(
         ([(MEANINGS, "intervals: {first: same, second: different}")], "0 of 6 cells: `same` is right in no trial"),
     ],
 )
-def test_trials_without_a_right_answer_are_told(edit: Edit, changes: list[tuple[str, str]], said: str | None) -> None:
-    """Three intervals that are alike hold no odd one; of two levels that are alike none is the stronger, as usual."""
+def test_trials_without_a_right_answer_cause_a_warning(
+    edit: Edit, changes: list[tuple[str, str]], said: str | None
+) -> None:
+    """Three equal intervals have no odd one; two equal levels in a comparison are usual."""
     found = interval_warnings(protocol_of(edit(FILE, *changes)))
     assert [said] == [said for each in found if said and said in each] if said else found == []
 
 
-def test_a_silent_standard_needs_bursts_that_can_be_kept_back(edit: Edit) -> None:
+def test_a_silent_standard_needs_single_bursts(edit: Edit) -> None:
     """As catch trials do."""
     file = edit(FILE, (STANDARD, "standard: {velocity_mm_s: 0}"))
     assert Findings.read(file).problems == ()

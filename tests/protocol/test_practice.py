@@ -1,4 +1,4 @@
-"""Practice: what counts as right, and when a round is passed."""
+"""Practice: expected answers, and when a round is passed."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ DEMO, COMPARISON = (
         (0.0, 0.1, "right"),
     ],
 )
-def test_the_stronger_finger_is_expected_where_it_is_clear(left: float, right: float, answer: str | None) -> None:
-    """Expected: the side from a ratio of 1.25 on, both up to 1.1, and no verdict between (Craig 1972: 0.1 to 0.2)."""
+def test_the_clearly_stronger_finger_is_expected(left: float, right: float, answer: str | None) -> None:
+    """One side from a ratio of 1.25, both up to 1.1, no verdict between (Craig 1972: 0.1 to 0.2)."""
     assert PAPER.expected(left, right) == answer
 
 
 @given(st.floats(0, 10), st.floats(0, 10), st.floats(0.1, 1000))
-def test_the_expectation_depends_on_the_ratio_alone_and_mirrors(left: float, right: float, unit: float) -> None:
-    """Expected: the same in any unit but at the borders, and left for right when the fingers change places."""
+def test_the_expectation_depends_on_the_ratio_and_is_symmetric(left: float, right: float, unit: float) -> None:
+    """It is the same in any unit, except at the borders, and mirrored if the fingers change places."""
     mirror = {"left": "right", "right": "left", "both": "both", None: None}
     assert PAPER.expected(right, left) == mirror[PAPER.expected(left, right)]
     low, high = sorted((left, right))
@@ -49,22 +49,22 @@ def test_the_expectation_depends_on_the_ratio_alone_and_mirrors(left: float, rig
         assert PAPER.expected(left * unit, right * unit) == PAPER.expected(left, right)
 
 
-def test_nothing_is_expected_that_is_no_answer() -> None:
-    """Expected: no verdict on equal speeds without an answer for both, and none at all where no finger is named."""
+def test_only_offered_answers_are_expected() -> None:
+    """No verdict on equal speeds without an answer for both, nor if no answer names a finger."""
     sides, grades = AnswerList.of({"keys": ["left", "right"]}), AnswerList.of({"keys": ["weaker", "stronger"]})
     assert [sides.expected(0.1, speed) for speed in (0.1, 0.2)] == [None, "right"]
     assert [grades.expected(0.1, speed) for speed in (0.1, 0.2)] == [None, None]
 
 
 @pytest.mark.parametrize("speed", [-1.0, math.nan, math.inf])
-def test_a_speed_without_meaning_is_refused(speed: float) -> None:
-    """Expected: the message shows both speeds."""
+def test_invalid_speeds_are_refused(speed: float) -> None:
+    """The message has both speeds."""
     with pytest.raises(ValueError, match="allowed: finite speeds, 0 or more"):
         PAPER.expected(0.1, speed)
 
 
 def event(index: int, answer: str, left: float, right: float, *, practice: bool = True) -> dict[str, Any]:
-    """Return a trial as the session log has it."""
+    """Return a trial as recorded in the session log."""
     return {
         "event": "trial",
         "trial": Trial(index, int(not practice), Condition("one_hand", "A", "C", 200.0), practice=practice).as_dict(),
@@ -73,8 +73,8 @@ def event(index: int, answer: str, left: float, right: float, *, practice: bool 
     }
 
 
-def test_a_round_counts_its_own_trials_and_those_that_can_be_judged() -> None:
-    """Expected: round 2 of three trials is trials 4 to 6; of these one has no verdict and one is right."""
+def test_a_round_counts_only_its_own_judgeable_trials() -> None:
+    """Round 2 of three trials has trials 4 to 6, of which one has no verdict and one is right."""
     events = [
         {"event": "start"},
         event(1, "left", 200, 100),
@@ -87,7 +87,7 @@ def test_a_round_counts_its_own_trials_and_those_that_can_be_judged() -> None:
 
 
 def test_a_trial_answered_again_counts_by_its_last_answer() -> None:
-    """Expected: a trial that was offered again supersedes the first."""
+    """A repeated trial supersedes the first."""
     events = [event(1, "left", 100, 200), event(1, "right", 100, 200)]
     assert judge_round(events, 1, 1, DEMO) == Round(1, 1)
 
@@ -98,7 +98,7 @@ def test_a_trial_answered_again_counts_by_its_last_answer() -> None:
 def test_a_comparison_of_intervals_is_judged_by_the_stronger_one(
     level: float, interval: int, right: str | None
 ) -> None:
-    """Shipped: which of two was stronger, beside 100 mm/s; without a verdict where both are alike."""
+    """Against a standard of 100 mm/s; no verdict if both are equal."""
     trial = Trial(1, 0, Condition("one_hand", "A", "C", level), practice=True, interval=interval)
     assert COMPARISON.expected(trial, (0.1, 0.2)) == right
     answered = event(1, right or "first", 100, 200) | {"trial": trial.as_dict()}
@@ -110,10 +110,10 @@ def test_a_comparison_of_intervals_is_judged_by_the_stronger_one(
     [(2, 2 / 3, True), (1, 2 / 3, False), (3, 1.0, True), (2, 1.0, False), (0, None, True)],
 )
 def test_a_round_is_passed_from_its_criterion_on(agreed: int, criterion: float | None, passed: bool) -> None:
-    """Expected: at least the criterion's share of three judged trials; without a criterion always."""
+    """At least the criterion's share of three judged trials; always without a criterion."""
     assert Round(3, agreed).passes(criterion) is passed
 
 
 def test_a_round_without_a_verdict_is_passed() -> None:
-    """Expected: where no trial can be judged, nobody can fail."""
+    """If no trial can be judged, nobody fails."""
     assert Round(0, 0).passes(1.0)

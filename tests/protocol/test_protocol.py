@@ -1,4 +1,4 @@
-"""The protocol file: what it says, and every fault of it and of the files that it names, at once."""
+"""The protocol file: contents, and all its faults and those of the files that it names, at once."""
 
 from __future__ import annotations
 
@@ -40,19 +40,19 @@ def test_the_shipped_protocol_is_the_papers_experiment(shipped: Path) -> None:
     assert experiment.texts.language == "English"
 
 
-def test_every_shipped_protocol_is_sound(shipped: Path) -> None:
-    """A lab must be able to start from any of them."""
+def test_every_shipped_protocol_is_valid(shipped: Path) -> None:
+    """No shipped protocol has a problem."""
     for file in sorted(shipped.glob("*.yaml")):
         assert faults(file) == []
 
 
-def test_the_sample_count_said_to_be_allowed_is_allowed(edit: Edit) -> None:
-    """2.5 samples to a cycle of 87,855 Hz in 50 ms are 10,981.9, and records are even."""
+def test_the_least_allowed_sample_count_is_accepted(edit: Edit) -> None:
+    """2.5 samples per cycle of 87,855 Hz in 50 ms are 10,981.9, and counts are even."""
     assert faults(edit(FILE, ("n_samples: 125000", "n_samples: 10982"))) == []
 
 
 def test_an_experiment_is_restored_from_its_record_alone(edit: Edit) -> None:
-    """The files may have changed or gone since."""
+    """Without its files."""
     file = edit(FILE)
     experiment = Findings.read(file).experiment()
     kept = experiment.sources.as_dict()
@@ -186,20 +186,20 @@ def test_an_experiment_is_restored_from_its_record_alone(edit: Edit) -> None:
         ("\nconditions:", "\nconditoins:", "given 'conditoins', which is not a key here"),
     ],
 )
-def test_each_fault_says_place_given_and_allowed(edit: Edit, old: str, new: str, fault: str) -> None:
-    """Lines and columns counted in the shipped file."""
+def test_each_fault_has_position_given_and_allowed_values(edit: Edit, old: str, new: str, fault: str) -> None:
+    """Lines and columns of the shipped file."""
     found = faults(edit(FILE, (old, new)))
     assert any(fault in each for each in found), found
 
 
 def test_a_list_with_one_faulty_item_has_one_fault(edit: Edit) -> None:
-    """Keys named by a bare digit: nobody is told that a list of one should be one of at least one."""
+    """A key written as a bare digit is not reported as an empty list as well."""
     (found,) = faults(edit(FILE, ("left: [left, num_4]", "left: [1]")))
     assert found.endswith("answers.keys.left[0]: given 1, which is not text; allowed: text; write it in quotes")
 
 
 def test_one_pair_cannot_keep_a_limit_on_runs(edit: Edit) -> None:
-    """Four levels of one pair come four times running in every order."""
+    """Four levels of a single pair come four times running in every order."""
     (found,) = examine(edit(FILE, (PAIRS, "[[A, C]]"))).problems
     told = "given 2, but 4 of the 4 trials of a block have the same pair; allowed: at least 4, or null for no limit"
     assert (found.path, told in found.message) == ("schedule.max_same_pair_running", True)
@@ -216,14 +216,14 @@ def test_one_pair_cannot_keep_a_limit_on_runs(edit: Edit) -> None:
           "intervals: {left: 1}")], "interval: given 'interval', which is not a key here"),
     ],
 )  # fmt: skip
-def test_one_fault_is_told_once(edit: Edit, changes: list[tuple[str, str]], fault: str) -> None:
-    """Where a way needs a hand that is not free; and where a section is misspelt, not what follows from that."""
+def test_one_fault_is_reported_once(edit: Edit, changes: list[tuple[str, str]], fault: str) -> None:
+    """Without its consequences."""
     (found,) = faults(edit(FILE, *changes))
     assert fault in found
 
 
-def test_faults_of_all_files_come_at_once_and_in_order(edit: Edit) -> None:
-    """Protocol, apparatus and texts have faults; each is said, sorted by file, line and column."""
+def test_faults_of_all_files_are_reported_in_order(edit: Edit) -> None:
+    """Faults in protocol, apparatus and texts, sorted by file, line and column."""
     edit(BEAM, ("gain_V_per_V: 25", "gain_V_per_V: x"))
     edit("texts/english.yaml", ("language: English", "language: ''"))
     file = edit(FILE, ("repetitions: 1", "repetitions: 0"), ("[C, E]", "[C, F]"), ("law: exact", "law: exakt"))
@@ -239,8 +239,8 @@ def test_faults_of_all_files_come_at_once_and_in_order(edit: Edit) -> None:
     ]
 
 
-def test_a_wrong_entry_does_not_hide_a_fault_of_the_next(edit: Edit) -> None:
-    """Each entry of a list is judged by itself, in structure and against the apparatus."""
+def test_a_wrong_entry_does_not_hide_another_fault(edit: Edit) -> None:
+    """Each entry of a list is checked separately, in structure and against the apparatus."""
     found = faults(edit(FILE, (LEVELS, "[x, 600]"), (PAIRS, "[7, [A, F], [D, B]]")))
     assert len(found) == 5
     assert any("600 mm/s, above the safety limit" in each for each in found)
@@ -257,7 +257,7 @@ def test_a_wrong_entry_does_not_hide_a_fault_of_the_next(edit: Edit) -> None:
     ],
 )
 def test_a_text_that_would_fail_on_screen_is_a_fault(edit: Edit, old: str, new: str, fault: str) -> None:
-    """What the window fills in is known beforehand."""
+    """Placeholders are checked against those that the window fills in."""
     file = edit(FILE)
     texts = file.parent / "texts" / "english.yaml"
     lines = texts.read_text(encoding="utf-8").splitlines()
@@ -273,8 +273,8 @@ def test_a_text_that_would_fail_on_screen_is_a_fault(edit: Edit, old: str, new: 
     assert fault in found[0]
 
 
-def test_key_names_are_the_windows() -> None:
-    """The names of pyglet's key symbols, as the window's event tap writes them."""
+def test_key_names_are_those_of_the_window() -> None:
+    """Pyglet's key symbols, as written by the window."""
     from modaltouch.window.screen import canonical_key
 
     pyglet_keys = {canonical_key(name) for name in _pyglet_key_names()}
@@ -283,7 +283,7 @@ def test_key_names_are_the_windows() -> None:
 
 
 def _pyglet_key_names() -> list[str]:
-    """Return pyglet's names of key symbols; its file is loaded alone, since the package wants a display."""
+    """Return pyglet's key symbols; its file is loaded alone, since the package needs a display."""
     package = importlib.util.find_spec("pyglet")
     assert package is not None
     assert package.origin is not None
@@ -300,8 +300,8 @@ NONE = ("    right: [right, num_6]", "    right: [right, num_6]\n    none: [n]")
 
 
 @pytest.mark.parametrize("language", ["english", "french"])
-def test_the_answer_none_needs_its_words(edit: Edit, language: str) -> None:
-    """Both shipped languages have them; a language file without is told before anybody reads it."""
+def test_the_answer_none_needs_its_label(edit: Edit, language: str) -> None:
+    """A language file without it is reported by the check."""
     file = edit(FILE, NONE, ("texts/english.yaml", f"texts/{language}.yaml"))
     assert faults(file) == []
     texts = file.parent / "texts" / f"{language}.yaml"
@@ -325,7 +325,9 @@ def test_the_answer_none_needs_its_words(edit: Edit, language: str) -> None:
         ),
     ],
 )
-def test_catch_trials_and_keys_beyond_reason_are_faults(edit: Edit, changes: list[tuple[str, str]], fault: str) -> None:
+def test_too_many_catch_trials_and_shared_keys_are_faults(
+    edit: Edit, changes: list[tuple[str, str]], fault: str
+) -> None:
     """A catch trial follows a driven one, so there are at most as many; a key gives one answer."""
     (found,) = faults(edit(FILE, *changes))
     assert fault in found
@@ -354,8 +356,8 @@ def test_catch_trials_and_keys_beyond_reason_are_faults(edit: Edit, changes: lis
         ("none: [f12]\n  emergency_keys: [f11]", "", ""),
     ],
 )
-def test_a_key_for_emergencies_is_a_fault_where_it_was_written(edit: Edit, keys: str, place: str, words: str) -> None:
-    """F12 is the default: somebody who gives it another meaning is shown that line, not a key that is not there."""
+def test_an_emergency_key_with_another_meaning_is_a_fault(edit: Edit, keys: str, place: str, words: str) -> None:
+    """The problem is at the line that was written, not at the default F12."""
     file = edit(FILE, ("    right: [right, num_6]", f"    right: [right, num_6]\n    {keys}"))
     found = faults(file)
     assert len(found) == bool(place)
@@ -384,17 +386,17 @@ def test_a_key_for_emergencies_is_a_fault_where_it_was_written(edit: Edit, keys:
         ([("given_by: participant ", "given_by: experimenter "), ("pause_s: 1.5", "pause_s: 1.0")], False),
     ],
 )
-def test_a_pause_in_which_a_hand_cannot_come_back_is_a_fault(
+def test_a_pause_too_short_for_the_hand_to_return_is_a_fault(
     edit: Edit, changes: list[tuple[str, str]], line: bool
 ) -> None:
-    """Expected: only where a hand that rests on the beam presses, and only if it is written."""
+    """Only if a hand on the beam presses the keys, and only if the pause is given."""
     found = faults(edit("differentiated_stimulation.yaml", *changes))
     assert [": answers.pause_s: given" in fault for fault in found] == [True] * line
     assert all(":39:" in fault and "at least " in fault and "foot_switch" in fault for fault in found)
 
 
 def test_a_record_with_a_short_pause_is_restored(edit: Edit) -> None:
-    """Expected: it goes on, with the time that the hands need."""
+    """It continues with the time that the hands need."""
     experiment = Findings.read(edit("differentiated_stimulation.yaml")).experiment()
     text = experiment.sources.protocol.text.replace("pause_s: 1.5", "pause_s: 1.0")
     sources = replace(experiment.sources, protocol=replace(experiment.sources.protocol, text=text))
@@ -402,8 +404,8 @@ def test_a_record_with_a_short_pause_is_restored(edit: Edit) -> None:
     assert (answers.pause("one_hand"), answers.pause("two_hands")) == (1.0, 1.5)
 
 
-def test_a_misspelt_section_is_told_once(edit: Edit) -> None:
-    """As the key that it is, not also as the section that is missing."""
+def test_a_misspelt_section_is_reported_once(edit: Edit) -> None:
+    """Not also as a missing section."""
     (said,) = faults(edit(FILE, ("\nconditions:", "\ncondition:")))
     assert "condition: given 'condition', which is not a key here" in said
     assert said.endswith("did you mean 'conditions'?")

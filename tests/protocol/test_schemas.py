@@ -1,4 +1,4 @@
-"""JSON Schemas for editors: current, and as strict as they can be."""
+"""JSON Schemas for editors are current and as strict as possible."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from modaltouch.protocol.tree import parse_tree
 
 
 def plain(file: Path) -> dict:
-    """Return a YAML file's values."""
+    """Return the values of a YAML file."""
     root, _ = parse_tree(Source(file, file.read_text(encoding="utf-8")))
     assert root is not None
     return root.plain()
@@ -28,7 +28,7 @@ def named_schema(file: Path) -> dict:
 
 
 def test_committed_schemas_are_current(shipped: Path, tmp_path: Path) -> None:
-    """`write_schemas` gives what protocols/schema holds."""
+    """`write_schemas` gives the contents of protocols/schema."""
     for file in write_schemas(tmp_path):
         committed = (shipped / "schema" / file.name).read_text(encoding="utf-8")
         assert committed == file.read_text(encoding="utf-8"), f"write {file.name} again with `make schemas`"
@@ -41,8 +41,8 @@ def test_schemas_are_json_schema_2020_12(shipped: Path) -> None:
         jsonschema.Draft202012Validator.check_schema(schema)
 
 
-def test_every_shipped_file_names_a_schema_and_keeps_it(shipped: Path) -> None:
-    """The first line of each YAML file names it, for the editors' language server."""
+def test_every_shipped_file_is_valid_under_its_schema(shipped: Path) -> None:
+    """Its first line names the schema, for editors."""
     files = sorted(shipped.rglob("*.yaml"))
     assert len(files) >= 5
     for file in files:
@@ -61,8 +61,8 @@ def test_every_shipped_file_names_a_schema_and_keeps_it(shipped: Path) -> None:
         ("answers", "keys", {"left": [], "right": ["right"]}),
     ],
 )
-def test_an_editor_underlines_what_a_schema_can_know(shipped: Path, section: str, key: str, value: object) -> None:
-    """Faults that need no other file."""
+def test_schemas_refuse_faults_within_one_file(shipped: Path, section: str, key: str, value: object) -> None:
+    """Faults that do not involve another file."""
     file = shipped / "differentiated_stimulation.yaml"
     values = plain(file)
     values[section][key] = value
@@ -71,7 +71,7 @@ def test_an_editor_underlines_what_a_schema_can_know(shipped: Path, section: str
 
 
 def test_every_key_has_a_description(shipped: Path) -> None:
-    """They are the texts that editors show."""
+    """Editors show these texts."""
     for name in SCHEMAS:
         schema = json.loads((shipped / "schema" / f"{name}.json").read_text(encoding="utf-8"))
         for section in (schema, *schema.get("$defs", {}).values()):

@@ -1,4 +1,4 @@
-"""Faults of levels calibrated by participant, each in its place with what is allowed."""
+"""Faults of levels relative to the participant's threshold, with positions and allowed values."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ NAME = "sensation_levels.yaml"
         ("schedule:", "adaptive: {start_mm_s: 60}\n\nschedule:", "conditions.sensation_levels", "find their own"),
     ],
 )
-def test_each_fault_is_told_in_its_place(edit, old: str, new: str, place: str, words: str) -> None:
-    """What was given, what is allowed, with file, line and column."""
+def test_each_fault_has_its_position(edit, old: str, new: str, place: str, words: str) -> None:
+    """With the given and the allowed values."""
     changes = [(old, new)]
     if place == "conditions.sensation_levels":
         changes += [("  repetitions: 5\n", ""), ("  max_same_pair_running: 3\n", "")]
@@ -39,8 +39,8 @@ def test_each_fault_is_told_in_its_place(edit, old: str, new: str, place: str, w
     assert words in problems[0]
 
 
-def test_the_check_counts_the_trials_and_tells_for_whom_it_holds(shipped: Path) -> None:
-    """Two pairs at four levels five times and five catch trials; thresholds of 2 / 1 to 200 / 3 mm/s fit."""
+def test_the_check_shows_trials_and_allowed_thresholds(shipped: Path) -> None:
+    """Two pairs at four levels, five times, and five catch trials; thresholds from 2 / 1 to 200 / 3 mm/s."""
     values = examine(shipped / NAME).as_dict()
     assert values["n_trials"] == 45
     assert values["sensation_levels"] == {
@@ -55,10 +55,10 @@ def test_the_check_counts_the_trials_and_tells_for_whom_it_holds(shipped: Path) 
     bounds=st.tuples(st.floats(0.1, 50), st.floats(60, 900)),
     share=st.floats(0.01, 0.99),
 )
-def test_every_threshold_that_is_said_to_fit_does(
+def test_allowed_thresholds_give_allowed_levels(
     multiples: list[float], bounds: tuple[float, float], share: float
 ) -> None:
-    """Between the bounds for thresholds every level lies within the bounds for levels; each is its multiple."""
+    """For thresholds within their bounds, every level is its multiple and within the bounds for levels."""
     section = SensationLevelsSection(thresholds_from="threshold", multiples=tuple(multiples))
     low, high = section.thresholds(*bounds)
     if low > high:

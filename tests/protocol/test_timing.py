@@ -1,4 +1,4 @@
-"""Whole bursts: durations that are none, bursts too long to be triggered one by one, and what repetitions cannot do."""
+"""Whole bursts: durations, bursts too long for single triggers, and limits of the kinds of repetition."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def faults(file: Path) -> list[str]:
 
 
 def repeating(edit: Edit, repetition: str) -> None:
-    """Have the generator of the shipped apparatus repeat its burst in another way."""
+    """Set `generator.repetition` of the shipped apparatus."""
     edit(BEAM, ("load: high_impedance", f"repetition: {repetition}\n  load: high_impedance"))
 
 
@@ -40,10 +40,8 @@ def repeating(edit: Edit, repetition: str) -> None:
         ("0.15", "0.15 s, which is 1.05 bursts", "0.14286 s (1 burst) or 0.28571 s (2 bursts)"),
     ],
 )
-def test_duration_that_is_no_whole_bursts_is_refused_with_the_nearest(
-    edit: Edit, seconds: str, given: str, allowed: str
-) -> None:
-    """At 7 per second a burst and its silence last 142.857 ms; line and column of the number are told."""
+def test_a_duration_must_be_whole_bursts(edit: Edit, seconds: str, given: str, allowed: str) -> None:
+    """At 7 Hz a burst and its silence last 142.857 ms; the message has the nearest allowed durations."""
     assert faults(edit(FILE, (LENGTH, f"presentation_s: {seconds} "))) == [
         f"{FILE}:37:19: answers.presentation_s: given {given}"
         f"{'' if 'per' in given else ' at 7 per second'}; allowed: whole bursts: {allowed}; "
@@ -52,14 +50,14 @@ def test_duration_that_is_no_whole_bursts_is_refused_with_the_nearest(
 
 
 @pytest.mark.parametrize("seconds", ["2.0", "0.142857", "0.143", "1.8571", "1.857"])
-def test_duration_that_was_rounded_is_whole(edit: Edit, seconds: str) -> None:
-    """Within half a hundredth of a burst: 0.143 s are 1.001 of them."""
+def test_rounded_durations_are_accepted(edit: Edit, seconds: str) -> None:
+    """Within half a hundredth of a burst: 0.143 s are 1.001 bursts."""
     assert faults(edit(FILE, (LENGTH, f"presentation_s: {seconds} "))) == []
 
 
 @given(st.integers(1, 200), st.sampled_from([0.5, 3.0, 5.0, 7.0, 12.5]))
-def test_durations_said_to_be_right_are_whole(n_bursts: int, rate: float) -> None:
-    """A number of bursts, given as the five digits that a refusal shows, is that number."""
+def test_suggested_durations_are_accepted(n_bursts: int, rate: float) -> None:
+    """A number of bursts, as a duration of five digits, gives that number again."""
     assert whole_bursts(float(f"{n_bursts / rate:.5g}"), rate) == n_bursts
 
 
@@ -72,15 +70,15 @@ def test_durations_said_to_be_right_are_whole(n_bursts: int, rate: float) -> Non
         ("1.8", "12.6 bursts at 7 per second; allowed: whole bursts: 1.7143 s (12 bursts) or 1.8571 s (13 bursts)"),
     ],
 )
-def test_duration_is_whole_bursts_of_every_stimulus(edit: Edit, seconds: str, fault: str) -> None:
-    """7 and 5 per second: whole seconds are right for both, and what is wrong for either is one fault."""
+def test_a_duration_must_be_whole_bursts_of_every_stimulus(edit: Edit, seconds: str, fault: str) -> None:
+    """At 7 and 5 Hz: whole seconds fit both; any other duration is one fault."""
     found = faults(edit(FILE, SLOW, (LENGTH, f"presentation_s: {seconds} ")))
     assert len(found) == bool(fault)
     assert fault in "".join(found)
 
 
-def test_a_stimulus_with_its_own_number_of_bursts_is_of_any_rate(edit: Edit) -> None:
-    """1.8 s are 9 bursts at 5 per second and none at 7, where each stimulus of 7 has a number of its own."""
+def test_a_stimulus_with_its_own_number_of_bursts_may_have_any_rate(edit: Edit) -> None:
+    """1.8 s are 9 bursts at 5 Hz and no whole number at 7 Hz, where each stimulus has its own number."""
     own = SLOW[0], SLOW[1].replace("law: exact", "presentation_bursts: 4")
     until = "stimulus_until: answer", "stimulus_until: question"
     assert faults(edit(FILE, own, until, (LENGTH, "presentation_s: 1.8 "))) == []
@@ -100,8 +98,8 @@ def test_a_stimulus_with_its_own_number_of_bursts_is_of_any_rate(edit: Edit) -> 
         ([(LENGTH, "presentation_bursts: 2.5 ")], "given 2.5; allowed: a whole number of at least 1"),
     ],
 )
-def test_number_of_bursts_beside_a_duration(edit: Edit, changes: list[tuple[str, str]], fault: str) -> None:
-    """Either will do; both must say the same of every stimulus: 14 bursts at 5 per second last 2.8 s."""
+def test_number_of_bursts_and_duration_must_agree(edit: Edit, changes: list[tuple[str, str]], fault: str) -> None:
+    """For every stimulus: 14 bursts at 5 Hz last 2.8 s."""
     found = faults(edit(FILE, *changes))
     assert len(found) == bool(fault)
     assert fault in "".join(found)
@@ -121,8 +119,8 @@ def test_number_of_bursts_beside_a_duration(edit: Edit, changes: list[tuple[str,
         ("0.05", "given 0.05 s, which is 0.35 bursts at 7 per second; allowed: whole bursts: 0.14286 s (1 burst), or"),
     ],
 )
-def test_longest_stimulus_is_whole_bursts(edit: Edit, seconds: str, fault: str) -> None:
-    """The same of what ends a stimulus that nobody answers; it may be left out."""
+def test_the_longest_presentation_must_be_whole_bursts(edit: Edit, seconds: str, fault: str) -> None:
+    """It limits a stimulus that lasts until the answer, and is optional."""
     found = faults(edit(FILE, (LENGTH, f"longest_presentation_s: {seconds}\n  {LENGTH}")))
     assert len(found) == bool(fault)
     assert fault in "".join(found)
@@ -146,10 +144,10 @@ LONG = [
 
 
 @pytest.mark.parametrize(("changes", "place", "longest"), LONG)
-def test_burst_that_leaves_no_room_before_the_next_is_refused(
+def test_bursts_too_long_for_single_triggers_are_refused(
     edit: Edit, changes: list[tuple[str, str]], place: str, longest: str
 ) -> None:
-    """More than 95 % of the period, where each is triggered by itself; none of the other ways has to trigger it."""
+    """At most 95 % of the period if each burst is triggered separately; other repetitions have no such limit."""
     file = edit(FILE, *changes, (LENGTH, "presentation_bursts: 14 "))
     (found,) = faults(file)
     assert f".yaml:{place}" in found
@@ -159,15 +157,15 @@ def test_burst_that_leaves_no_room_before_the_next_is_refused(
 
 
 @pytest.mark.parametrize("rate", ["19", "18.9"])
-def test_burst_of_95_percent_of_its_period_is_played(edit: Edit, rate: str) -> None:
-    """50 ms at 19 per second are 95.0 %."""
+def test_a_burst_of_95_percent_of_its_period_is_accepted(edit: Edit, rate: str) -> None:
+    """50 ms at 19 Hz are 95.0 %."""
     changes = ("repetition_rate_Hz: 7", f"repetition_rate_Hz: {rate}"), (LENGTH, "presentation_bursts: 14 ")
     assert faults(edit(FILE, *changes)) == []
 
 
 @pytest.mark.parametrize(("low", "high", "sound"), [(0.1, 0.3, True), (0.3, 0.3, True), (0.31, 0.3, False)])
-def test_latency_has_its_bounds_in_order(edit: Edit, low: float, high: float, sound: bool) -> None:
-    """What `rig check` measured, the shortest first."""
+def test_bounds_of_the_latency_must_be_in_order(edit: Edit, low: float, high: float, sound: bool) -> None:
+    """As measured by `rig check`, the lower one first."""
     bounds = f"trigger_latency_ms: {{low: {low}, high: {high}}}"
     edit(BEAM, ("load: high_impedance", f"{bounds}\n  load: high_impedance"))
     found = faults(edit(FILE))
@@ -180,8 +178,8 @@ def test_latency_has_its_bounds_in_order(edit: Edit, low: float, high: float, so
 @pytest.mark.parametrize(
     ("repetition", "refused"), [("single", False), ("timer", False), ("continuous", True), ("wired", True)]
 )
-def test_catch_trials_need_bursts_that_can_be_kept_back(edit: Edit, repetition: str, refused: bool) -> None:
-    """Pulses at the trigger input, or a record that repeats, move the beam as soon as the outputs are on."""
+def test_catch_trials_need_single_or_timed_bursts(edit: Edit, repetition: str, refused: bool) -> None:
+    """External triggers or continuous playing move the beam as soon as the outputs are on."""
     repeating(edit, repetition)
     assert faults(edit(FILE)) == []
     found = faults(edit(FILE, ("practice_trials: 3", "catch_trials: 2\n  practice_trials: 3")))
@@ -204,10 +202,8 @@ def test_catch_trials_need_bursts_that_can_be_kept_back(edit: Edit, repetition: 
         ("wired", "wired", ["is wired: the pulse source at the trigger input counts the bursts; this program"]),
     ],
 )
-def test_repetition_that_promises_less_is_said_by_check(
-    edit: Edit, repetition: str, read: str, words: list[str]
-) -> None:
-    """Each but `single` with what it cannot promise; the former name is read as today's."""
+def test_the_check_warns_of_other_repetitions(edit: Edit, repetition: str, read: str, words: list[str]) -> None:
+    """Each except `single` cannot promise something; the former name is read as `timer`."""
     repeating(edit, repetition)
     file = edit(FILE)
     assert Findings.read(file).experiment().apparatus.generator.repeats == read
@@ -222,7 +218,7 @@ def test_repetition_that_promises_less_is_said_by_check(
     [(2.0, 7.0, 14), (0.143, 7.0, 1), (0.01, 7.0, 1), (1.93, 7.0, 14), (60.0, 5.0, 300)],
 )
 def test_bursts_nearest_to_a_time(seconds: float, rate: float, n_bursts: int) -> None:
-    """One at least; 1.93 s are 13.51 periods."""
+    """At least one; 1.93 s are 13.51 periods."""
     assert whole_bursts(seconds, rate) == n_bursts
 
 
@@ -240,6 +236,6 @@ def test_bursts_nearest_to_a_time(seconds: float, rate: float, n_bursts: int) ->
     ],
 )
 def test_bursts_of_a_stimulus(given: dict[str, object], n_bursts: int) -> None:
-    """At 7 per second: 2 s before a question and 60 s until the answer, unless the protocol says otherwise."""
+    """At 7 Hz: by default 2 s before a question, and at most 60 s until an answer."""
     answers = AnswersSection.model_validate({"keys": {"left": ["left"], "both": ["up"], "right": ["right"]}, **given})
     assert answers.n_bursts(7.0) == n_bursts

@@ -1,4 +1,4 @@
-"""Any achievable focus: two zones at once, points, or a CSV, with every fault in its place."""
+"""Target fields: two foci, points or a CSV file, with faults and their positions."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ TRIANGLE = "[[-28, 0], [0, 7], [28, 0]]"
 
 
 def faults(file: Path) -> list[str]:
-    """Return what the whole check says of a protocol."""
+    """Return all problems of a protocol."""
     return [str(problem).replace(f"{file.parent}/", "") for problem in examine(file).problems]
 
 
@@ -32,24 +32,24 @@ def sampled(edit: Edit, what: str) -> Path:
 
 
 @pytest.mark.parametrize("way", ["points", "file"])
-def test_points_of_a_triangle_are_the_triangle(edit: Edit, way: str) -> None:
-    """Straight lines through its corners, in any unit, give the shipped stimulus."""
+def test_sampled_corners_of_a_triangle_give_the_triangle(edit: Edit, way: str) -> None:
+    """In any unit of velocity, by points or by file."""
     shipped = examine(edit(FILE)).stimulus
     file = sampled(edit, f"points: {TRIANGLE}" if way == "points" else "file: field.csv")
     (file.parent / "field.csv").write_text("velocity,position_mm\n0,-28\n3,0\n0,28\n", encoding="utf-8")
     assert examine(file).stimulus.target == pytest.approx(shipped.target, rel=1e-9, abs=1e-12)
 
 
-def test_two_zones_at_once_reach_the_level_together(edit: Edit) -> None:
-    """B and D are driven alike by symmetric wiring: both centres reach the level at the focusing instant."""
+def test_two_foci_reach_the_level_together(edit: Edit) -> None:
+    """Symmetric wiring drives B and D alike; both centres reach the level at the focusing instant."""
     file = edit(FILE, (FOCUS, "focus: B\n  further_foci: [D]  "), ("[80, 100, 150, 200]", "[80, 100]"))
     stimulus = examine(file).stimulus
     reached = stimulus.velocity_at_focus(np.array([-0.02, 0.02]), 0.1)
     assert reached == pytest.approx([0.1, 0.1], rel=1e-6)
 
 
-def test_what_symmetric_wiring_cannot_reach_is_said_with_the_residual(edit: Edit) -> None:
-    """A field at B alone: the even modes have no gain, so the other half mirrors it."""
+def test_an_asymmetric_target_causes_a_warning(edit: Edit) -> None:
+    """For a field at B alone the even modes have no gain, so it is mirrored; the warning has the residual."""
     file = edit(FILE, (FOCUS, "focus: B  "), ("[80, 100, 150, 200]", "[80]"))
     warned = " ".join(examine(file).as_dict()["warnings"])
     assert "mode" in warned
@@ -57,8 +57,8 @@ def test_what_symmetric_wiring_cannot_reach_is_said_with_the_residual(edit: Edit
 
 
 @pytest.mark.parametrize("base", ["", "stimulus:\n  field: {shape: sampled, points: [[-28, 0], [0, 7], [28, 0]]}"])
-def test_each_of_several_stimuli_has_its_own_points(edit: Edit, base: str) -> None:
-    """Or another shape, where the section they share holds points."""
+def test_each_stimulus_may_have_its_own_points(edit: Edit, base: str) -> None:
+    """Or another shape, if the common section has points."""
     blunt = "blunt: {field: {shape: raised_cosine, base_mm: 100}}"
     own = f"blunt: {{field: {{shape: sampled, points: {TRIANGLE}}}}}"
     changes = [("stimulus:", base)] if base else [(blunt, own)]
@@ -66,7 +66,7 @@ def test_each_of_several_stimuli_has_its_own_points(edit: Edit, base: str) -> No
 
 
 def test_a_record_keeps_the_points_of_its_field(edit: Edit, tmp_path: Path) -> None:
-    """The drive is computed again from the record alone, when the file is gone."""
+    """The drive is recomputed from the record without the file."""
     file = sampled(edit, "file: field.csv")
     points = file.parent / "field.csv"
     points.write_text("position_mm,velocity\n-28,0\n0,3\n28,0\n", encoding="utf-8")
@@ -91,8 +91,8 @@ def test_a_record_keeps_the_points_of_its_field(edit: Edit, tmp_path: Path) -> N
         ("file: nowhere.csv", "allowed: a CSV file that exists and can be read, as a path relative to this file"),
     ],
 )
-def test_points_that_are_no_field_are_refused_in_their_place(edit: Edit, what: str, said: str) -> None:
-    """Missing, doubled, too few, out of order, of the wrong sign, elsewhere."""
+def test_invalid_points_are_refused_with_their_position(edit: Edit, what: str, said: str) -> None:
+    """Missing, repeated, too few, unordered, of the wrong sign, or off the beam."""
     told = faults(sampled(edit, what))
     assert any(said in each for each in told), told
     assert all(each.startswith(FILE) for each in told)
@@ -109,15 +109,15 @@ def test_points_that_are_no_field_are_refused_in_their_place(edit: Edit, what: s
         ("position_mm,velocity\n0,1\n\n-1,2\n", "field.csv:4:1: given -1 mm after 0 mm"),
     ],
 )
-def test_a_spoilt_csv_is_told_by_its_line(edit: Edit, text: str, said: str) -> None:
-    """Every line that is no point."""
+def test_faults_in_a_csv_have_their_line(edit: Edit, text: str, said: str) -> None:
+    """Every line that is not a point."""
     file = sampled(edit, "file: field.csv")
     (file.parent / "field.csv").write_text(text, encoding="utf-8")
     assert any(each.startswith(said) for each in faults(file)), faults(file)
 
 
-def test_foci_are_zones_each_once(edit: Edit) -> None:
-    """An unknown zone and a doubled one."""
+def test_foci_must_be_different_zones(edit: Edit) -> None:
+    """An unknown zone and a repeated one are refused."""
     told = faults(edit(FILE, (FOCUS, "focus: B\n  further_foci: [F, B]  ")))
     assert any("further_foci[0]: given 'F', which is not a zone of this beam" in each for each in told)
     assert any("further_foci[1]: given B, which is already a focus" in each for each in told)

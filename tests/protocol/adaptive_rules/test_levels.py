@@ -30,12 +30,12 @@ def with_rule(protocol: Protocol, **changes: Any) -> Protocol:
 
 
 def event(trial: Trial, answer: str, *, confirmed: bool = True) -> dict[str, Any]:
-    """Return what the record says of an answer."""
+    """Return an answer as recorded."""
     return {"trial": trial.as_dict(), "confirmed": {"confirmed": confirmed}, "response": {"answer": answer}}
 
 
 def run_through(protocol: Protocol, threshold: float, seed: int) -> list[dict[str, Any]]:
-    """Return the record of a session in which the focus is named by a cumulative normal over decibels."""
+    """Return the record of a session whose observer is a cumulative normal over decibels."""
     levels, rng, events = Levels(protocol), np.random.default_rng(seed), list[dict[str, Any]]()
     for scheduled in Schedule.draw(protocol, "p01", seed).trials:
         trial = levels.settle(scheduled, events)
@@ -48,8 +48,8 @@ def run_through(protocol: Protocol, threshold: float, seed: int) -> list[dict[st
 
 
 @pytest.mark.parametrize("method", ["staircase", "quest_plus"])
-def test_the_record_alone_decides_every_level(protocol: Protocol, method: str) -> None:
-    """Begun anew after any answer, the next level is the very same."""
+def test_the_next_level_follows_from_the_record_alone(protocol: Protocol, method: str) -> None:
+    """Restarted after any answer, the next level is identical."""
     given = with_rule(protocol, method=method, trials=12)
     events, order = run_through(given, 20.0, 3), Schedule.draw(given, "p01", 3).trials
     fresh = Levels(given)
@@ -62,8 +62,8 @@ def test_the_record_alone_decides_every_level(protocol: Protocol, method: str) -
 
 @pytest.mark.parametrize("method", ["staircase", "quest_plus"])
 @pytest.mark.parametrize("threshold", [6.0, 25.0, 90.0])
-def test_levels_gather_around_the_threshold(protocol: Protocol, method: str, threshold: float) -> None:
-    """A known observer: the later half of each run lies within 6 dB of its threshold on average, and within bounds."""
+def test_levels_converge_to_the_threshold(protocol: Protocol, method: str, threshold: float) -> None:
+    """Known observer: the second half of each run averages within 6 dB of its threshold, within the bounds."""
     events = run_through(with_rule(protocol, method=method), threshold, 1)
     for pair in (("A", "C"), ("C", "E")):
         run = [
@@ -78,8 +78,8 @@ def test_levels_gather_around_the_threshold(protocol: Protocol, method: str, thr
         assert np.mean([to_dB(level) for level in run[20:]]) == pytest.approx(to_dB(threshold), abs=6)
 
 
-def test_an_answer_that_was_not_confirmed_moves_nothing(protocol: Protocol) -> None:
-    """A trial whose stimulus the instrument did not confirm is offered again at the same level."""
+def test_an_unconfirmed_answer_does_not_change_the_level(protocol: Protocol) -> None:
+    """The trial is repeated at the same level."""
     first, second = Schedule.draw(with_rule(protocol, method="staircase"), "p01", 1).trials[:2]
     levels = Levels(with_rule(protocol, method="staircase"))
     unsure = event(levels.settle(first, []), "right", confirmed=False)
@@ -87,8 +87,8 @@ def test_an_answer_that_was_not_confirmed_moves_nothing(protocol: Protocol) -> N
     assert levels.settle(second, [event(levels.settle(first, []), "right")]).condition.velocity_mm_s != 60
 
 
-def test_a_time_out_is_no_success_but_in_a_record_of_its_day(protocol: Protocol) -> None:
-    """Who says nothing has not said that anything was felt; levels of former records follow as they did."""
+def test_a_time_out_is_a_failure_except_in_old_records(protocol: Protocol) -> None:
+    """Records of the first version of the rule, which counted it as a success, keep their levels."""
     rule = with_rule(protocol, method="staircase", success="felt")
     first, second = Schedule.draw(rule, "p01", 1).trials[:2]
     levels = Levels(rule)
@@ -98,8 +98,8 @@ def test_a_time_out_is_no_success_but_in_a_record_of_its_day(protocol: Protocol)
     assert levels.settle(second, late, "modaltouch staircase 1").condition.velocity_mm_s < 60
 
 
-def test_practice_and_catch_trials_and_fixed_levels_stay_as_they_are(protocol: Protocol) -> None:
-    """Only what counts in a run has a level of its own."""
+def test_other_trials_keep_their_levels(protocol: Protocol) -> None:
+    """Practice, catch trials and protocols with fixed levels are unchanged."""
     drawn, levels = Schedule.draw(protocol, "p01", 1), Levels(protocol)
     catch = next(trial for trial in drawn.trials if trial.condition.is_catch)
     assert levels.settle(catch, []) == catch
@@ -121,21 +121,23 @@ def test_practice_and_catch_trials_and_fixed_levels_stay_as_they_are(protocol: P
         ("felt", ("A", "C"), "none", False),
     ],
 )
-def test_success_is_what_the_protocol_says(rule: str, zones: tuple[str, str], answer: str, success: bool) -> None:
-    """Definition, also on a beam that is turned end to end (C left of A)."""
+def test_success_follows_the_rule_of_the_protocol(
+    rule: str, zones: tuple[str, str], answer: str, success: bool
+) -> None:
+    """Also with the beam turned end to end (C left of A)."""
     answers = AnswerList.of({"keys": ["left", "both", "right", "none"]})
     assert answers.is_success(answer, rule, "C", zones[0]) is success
 
 
 def test_levels_have_four_digits_and_keep_their_bounds() -> None:
-    """Four digits, as many as the generator's amplitude."""
+    """Four digits, as in the generator's amplitude."""
     assert from_dB(20.0, (2.0, 200.0)) == 10
     assert from_dB(to_dB(12.34567), (2.0, 200.0)) == 12.35
     assert from_dB(-40.0, (2.0, 200.0)) == 2
 
 
-def test_the_schedule_says_adaptive(protocol: Protocol) -> None:
-    """The record's schedule does not pass the first level for that of every trial."""
+def test_the_schedule_is_marked_as_adaptive(protocol: Protocol) -> None:
+    """The record does not present the first level as that of every trial."""
     values = Schedule.draw(protocol, "p01", 1).as_dict()
     assert values["levels"] == "adaptive"
     assert values["n_trials"] == protocol.n_trials == 90
@@ -145,8 +147,8 @@ def test_the_schedule_says_adaptive(protocol: Protocol) -> None:
     )
 
 
-def test_the_record_says_which_rule_decided_the_levels(protocol: Protocol) -> None:
-    """A record must be read by what made it; the target is 0.5 ** (1 / 3) of three down, one up (Levitt 1971)."""
+def test_the_record_has_the_rule_of_the_levels(protocol: Protocol) -> None:
+    """Rule with version, and the target 0.5 ** (1 / 3) of three down, one up (Levitt 1971)."""
     staircase = with_rule(protocol, method="staircase", staircase=StaircaseSection(down_after=3))
     assert staircase.adaptive.algorithm == {"algorithm": "modaltouch staircase 2", "target": 0.7937}
     quest = {"algorithm": "modaltouch quest_plus 2", "questplus": version("questplus")}

@@ -1,4 +1,4 @@
-"""QUEST+ as the record names it, held against its definition written out in plain NumPy."""
+"""QUEST+ as recorded, against its definition in plain NumPy."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ class Definition:
         self.belief = np.full(mean.size, 1 / mean.size)
 
     def learn(self, level: float, success: bool) -> None:
-        """Take an answer."""
+        """Update the posterior with an answer."""
         yes = self.yes[np.abs(self.levels - level).argmin()]
         self.belief = self.belief * (yes if success else 1 - yes)
         self.belief /= self.belief.sum()
 
     def next_level(self) -> float:
-        """Return the level after whose answer the least entropy is expected."""
+        """Return the level with the least expected entropy after its answer."""
         expected = np.zeros(self.levels.size)
         for chance in (self.yes, 1 - self.yes):
             joint = chance * self.belief
@@ -50,10 +50,10 @@ class Definition:
     ("bounds", "start", "guess", "lapse"),
     [((6.0, 46.0), 35.6, 0.0, 0.05), ((10.0, 19.0), 13.5, 0.5, 0.02), ((10.0, 11.0), 10.4, 0.0, 0.1)],
 )
-def test_every_level_is_the_one_that_tells_most(
+def test_every_level_minimises_the_expected_entropy(
     bounds: tuple[float, float], start: float, guess: float, lapse: float
 ) -> None:
-    """Two runs of one rule, one after the other; the second begins anew. A simulated person of known threshold."""
+    """Two consecutive runs of one rule with a simulated observer; the second starts from the prior."""
     first = Quest(bounds, start, guess, lapse)
     for run, seed in ((first, 1), (copy.copy(first), 2)):
         rng, reference, history = np.random.default_rng(seed), Definition(bounds, start, guess, lapse), []

@@ -1,9 +1,9 @@
-"""Runs of the shipped adaptive protocol, answered by the observer that simulates it: what comes back of its threshold.
+"""Recovery of thresholds: runs of the shipped adaptive protocol, answered by the observer that simulates it.
 
-Measured over 200 participants by the staircase and 80 by QUEST+, 40 trials and 5 catch trials each, all drawn from
-`fingertip`: 85 % and 97 % of the runs tell a threshold; it is 0.7 and 1.1 dB high in the mean (0.3 and 0.8 dB in the
-median), as the model's function rises steeply where it is felt and slowly where it is told apart, and a cumulative
-normal does not; standard deviation 2.1 and 2.9 dB; 92 % of the 95 % intervals hold the true one, by either method.
+Measured over 200 participants for the staircase and 80 for QUEST+, with 40 trials and 5 catch trials each, all drawn
+from `fingertip`: 85 % and 97 % of the runs give a threshold. It is 0.7 and 1.1 dB too high on average (median: 0.3 and
+0.8 dB), since the observer's function is not a cumulative normal; the standard deviation is 2.1 and 2.9 dB; 92 % of the
+95 % intervals contain the true value with either method.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ BOUNDS = (2.0, 200.0)
 
 @dataclass(frozen=True)
 class Recovery:
-    """What runs of many participants came to; levels and errors in dB."""
+    """Results of the runs of many participants; levels and errors in dB."""
 
     share_told: float
     bias: float
@@ -42,7 +42,7 @@ class Recovery:
 
 @pytest.fixture(scope="module")
 def speeds() -> tuple[float, float]:
-    """Speeds at A and C for a level of 1, as the check of the shipped protocol predicts them."""
+    """Speeds at A and C at a level of 1, as predicted by the check of the shipped protocol."""
     left, right = examine(PROTOCOL).require().speeds(Trial(1, 1, Condition("one_hand", "A", "C", 100.0)))
     return left / 0.1, right / 0.1
 
@@ -56,7 +56,7 @@ def section() -> AdaptiveSection:
 
 
 def chance_of_c(person: Participant, speeds: tuple[float, float], level: float) -> float:
-    """Return the chance of naming C on (A, C) at a level [m/s]: both fingers' noise on a grid, the rest normal."""
+    """Return the probability of naming C on (A, C) at a level [m/s], by integration over both fingers' noise."""
     deviates = np.linspace(-5, 5, 61)
     weights = np.exp(-(deviates**2) / 2) / np.exp(-(deviates**2) / 2).sum()
     felt = [np.maximum(speed * level + person.internal_noise * deviates, 0.0) for speed in speeds]
@@ -70,7 +70,7 @@ def chance_of_c(person: Participant, speeds: tuple[float, float], level: float) 
 
 
 def true_threshold(person: Participant, speeds: tuple[float, float], most_lapse: float) -> float:
-    """Return the level halfway between guessing and the highest share that the fit thinks possible [dB re 1 mm/s]."""
+    """Return the level halfway between guessing and the highest share that the fit allows [dB re 1 mm/s]."""
     lapse = min(1 - chance_of_c(person, speeds, 1.0), most_lapse)
     half = (chance_of_c(person, speeds, 0.0) + 1 - lapse) / 2
     low, high = math.log(5e-4), math.log(0.5)
@@ -87,7 +87,7 @@ def recover(
     speeds: tuple[float, float],
     n_participants: int,
 ) -> Recovery:
-    """Return what comes of a run of each of many participants of `fingertip` on (A, C)."""
+    """Return the results of one run on (A, C) for each of many `fingertip` participants."""
     observer = Observer.read("fingertip")
     errors, covered, inside = [], 0, 0
     for seed in range(n_participants):
@@ -119,10 +119,8 @@ def recover(
     return Recovery(n_told / n_participants, float(np.mean(errors)), covered / n_told, inside / n_participants)
 
 
-def test_staircases_give_back_the_thresholds_of_their_observers(
-    section: AdaptiveSection, speeds: tuple[float, float]
-) -> None:
-    """50 participants: a bias of at most 1.4 dB; coverage of 95 % but for 3 Monte Carlo sd and the other shape."""
+def test_staircases_recover_the_thresholds(section: AdaptiveSection, speeds: tuple[float, float]) -> None:
+    """50 participants: bias at most 1.4 dB; coverage 95 % minus 3 Monte Carlo sd and the error of the shape."""
 
     def next_of() -> Callable[[list[float], list[bool]], float]:
         bounds, start = (to_dB(BOUNDS[0]), to_dB(BOUNDS[1])), to_dB(section.start_mm_s)
@@ -135,10 +133,8 @@ def test_staircases_give_back_the_thresholds_of_their_observers(
     assert found.share_ended_inside >= 0.98
 
 
-def test_quest_plus_gives_back_the_thresholds_of_its_observers(
-    section: AdaptiveSection, speeds: tuple[float, float]
-) -> None:
-    """20 participants: a bias of at most 2 dB, of which 0.65 dB is one standard error; nine runs of ten tell one."""
+def test_quest_plus_recovers_the_thresholds(section: AdaptiveSection, speeds: tuple[float, float]) -> None:
+    """20 participants: bias at most 2 dB (its standard error is 0.65 dB); 90 % of the runs give a threshold."""
     bounds, start = (to_dB(BOUNDS[0]), to_dB(BOUNDS[1])), to_dB(section.start_mm_s)
     blank = Quest(bounds, start, section.guess_rate, section.lapse_rate)
 
@@ -154,7 +150,7 @@ def test_quest_plus_gives_back_the_thresholds_of_its_observers(
 
 
 def test_the_papers_observer_has_no_threshold_within_the_levels(speeds: tuple[float, float]) -> None:
-    """Why adaptive runs are simulated by another: at 2 mm/s it names C in more than half of the trials."""
+    """At 2 mm/s it names C in over half of the trials, so adaptive runs are simulated with `fingertip`."""
     paper = Observer.read("paper").typical
     assert chance_of_c(paper, speeds, 2e-3) > 0.5
     fingertip = Observer.read("fingertip").typical

@@ -1,4 +1,4 @@
-"""The apparatus file: what it says, what it may not say, what becomes of it in SI units."""
+"""The apparatus file: values, faults, and conversion to SI units."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_the_shipped_file_is_table_1(apparatus: Apparatus) -> None:
 
 
 def test_the_model_is_in_si_units(apparatus: Apparatus) -> None:
-    """Table I prints mode 13 with 41448 mm/(s V), which is 41.448 m/s^2 per V; the beam is 100 mm long."""
+    """Table I gives mode 13 a gain of 41448 mm/(s V), i.e. 41.448 m/s^2 per V; the beam is 100 mm long."""
     model = apparatus.modal_model()
     row = model.label.index(13)
     assert model.length == pytest.approx(0.1, rel=1e-15)
@@ -48,8 +48,8 @@ def test_the_model_is_in_si_units(apparatus: Apparatus) -> None:
     np.testing.assert_allclose(model.modal_gain[row], [-41.448, 0.0], rtol=1e-15)
 
 
-def test_gains_stand_in_the_column_of_their_channel(edit: Edit) -> None:
-    """With the outputs swapped, the columns swap."""
+def test_gains_are_in_the_column_of_their_channel(edit: Edit) -> None:
+    """Swapping the outputs swaps the columns."""
     swapped = edit(FILE, ("centre: {channel: 1}", "centre: {channel: 2}"), ("side: {channel: 2}", "side: {channel: 1}"))
     model = Apparatus.read(swapped).modal_model()
     np.testing.assert_allclose(model.modal_gain[model.label.index(5)], [6.5, 0.0], rtol=1e-15)
@@ -57,7 +57,7 @@ def test_gains_stand_in_the_column_of_their_channel(edit: Edit) -> None:
 
 
 def test_the_amplifier_is_in_si_units(edit: Edit) -> None:
-    """The shipped file: 100 kHz and 4.6 us."""
+    """100 kHz and 4.6 us become 1e5 Hz and 4.6e-6 s."""
     file = edit(FILE, ("bandwidth_kHz: null", "bandwidth_kHz: 100"), ("delay_us: 0", "delay_us: 4.6"))
     values = Apparatus.read(file).amplifier_values()
     assert (values.gain, values.limit) == (25, 250)
@@ -66,14 +66,14 @@ def test_the_amplifier_is_in_si_units(edit: Edit) -> None:
 
 
 def test_unknown_and_assumed_gains_are_listed(apparatus: Apparatus) -> None:
-    """Table I gives each mode one actuator set; the paper names none for modes 9, 15 and 17."""
+    """Table I gives each mode one actuator set; for modes 9, 15 and 17 the set is an assumption."""
     assert len(apparatus.unknown_gains()) == 9
     assert (1, "side") in apparatus.unknown_gains()
     assert apparatus.assumed_gains() == ((9, "side"), (15, "side"), (17, "side"))
 
 
-def test_zones_are_ordered_by_their_place(edit: Edit) -> None:
-    """A and E change sides."""
+def test_zones_are_ordered_by_position(edit: Edit) -> None:
+    """Exchanging A and E reverses their order."""
     file = edit(FILE, ("A: {centre_mm: -40", "A: {centre_mm: 40"), ("E: {centre_mm: 40", "E: {centre_mm: -40"))
     assert list(Apparatus.read(file).ordered_zones) == ["E", "B", "C", "D", "A"]
 
@@ -132,8 +132,8 @@ def test_a_50_ohm_load_halves_the_open_circuit_voltage(edit: Edit) -> None:
         ("velocity_limit_mm_s: 500", "velocity_limit_mm_s: -1", r"safety.velocity_limit_mm_s: given -1"),
     ],
 )
-def test_each_fault_is_said_with_its_place(edit: Edit, old: str, new: str, fault: str | None) -> None:
-    """Lines and columns counted in the shipped file; a mode that no set is known to drive is no fault."""
+def test_each_fault_has_its_position(edit: Edit, old: str, new: str, fault: str | None) -> None:
+    """Lines and columns of the shipped file; a mode with no known gain is not a fault."""
     file = edit(FILE, (old, new))
     if fault is None:
         assert Apparatus.read(file).modal_model().modal_gain[0].tolist() == [0.0, 0.0]
@@ -143,8 +143,8 @@ def test_each_fault_is_said_with_its_place(edit: Edit, old: str, new: str, fault
     assert len(caught.value.problems) == 1
 
 
-def test_faults_of_all_sections_come_at_once(edit: Edit) -> None:
-    """Five sections with a fault each."""
+def test_faults_of_all_sections_are_reported_together(edit: Edit) -> None:
+    """Five sections with one fault each give five problems."""
     file = edit(
         FILE,
         ("length_mm: 100", "length_mm: long"),
@@ -184,20 +184,20 @@ def test_faults_of_all_sections_come_at_once(edit: Edit) -> None:
         ("trigger_jitter_ns: 2", "trigger_jitter_ns: .nan", r"twin.scope.trigger_jitter_ns: given"),
     ],
 )
-def test_faults_of_the_twin_are_said_with_their_place(edit: Edit, old: str, new: str, fault: str) -> None:
-    """Each mode once in table and twin together, known sets, and no number that is none."""
+def test_faults_of_the_twin_have_their_position(edit: Edit, old: str, new: str, fault: str) -> None:
+    """Modes listed twice, unknown actuator sets and invalid numbers are refused."""
     with pytest.raises(InputError, match=fault):
         Apparatus.read(edit(FILE, (old, new)))
 
 
-def test_torsion_may_bear_the_number_of_a_bending_mode(apparatus: Apparatus) -> None:
-    """Torsion 1 and bending 1 are two modes: the shipped twin has both."""
+def test_torsion_and_bending_modes_may_share_a_number(apparatus: Apparatus) -> None:
+    """Torsion 1 and bending 1 are different modes; the shipped twin has both."""
     families = {mode.family for mode in apparatus.twin.unlisted_modes if mode.label in (1, 3)}
     assert families == {"torsion"}
 
 
 def test_an_apparatus_without_a_twin_has_an_ideal_beam(edit: Edit, apparatus: Apparatus) -> None:
-    """Left out, the section adds no mode, no mismatch, no finger, and an amplifier as identified."""
+    """Without the section there are no further modes, mismatches or fingers, and the amplifier is as listed."""
     file = edit(FILE)
     text = file.read_text(encoding="utf-8")
     file.write_text(text[: text.index("twin:  ")], encoding="utf-8")
@@ -208,8 +208,8 @@ def test_an_apparatus_without_a_twin_has_an_ideal_beam(edit: Edit, apparatus: Ap
     assert apparatus.twin.unlisted_modes != ()
 
 
-def test_patches_offer_the_gains_that_the_table_lacks(edit: Edit) -> None:
-    """Ratios by theory, their common factor by the one gain measured: slope differences of mode 9 over those of 5."""
+def test_patches_predict_missing_gains(edit: Edit) -> None:
+    """Ratios by theory (slope differences), scaled by the one measured gain."""
     pair = "side: {channel: 2, patches_mm: [[-30, -15], [15, 30]]}"
     apparatus = Apparatus.read(
         edit(
@@ -227,8 +227,8 @@ def test_patches_offer_the_gains_that_the_table_lacks(edit: Edit) -> None:
     assert (1, "side") not in offered
 
 
-def test_without_patches_nothing_is_offered(apparatus: Apparatus) -> None:
-    """The paper does not say where its patches are."""
+def test_without_patches_no_gain_is_predicted(apparatus: Apparatus) -> None:
+    """The paper does not give the positions of its patches."""
     assert apparatus.offered_gains() == ()
 
 
@@ -239,7 +239,7 @@ def test_without_patches_nothing_is_offered(apparatus: Apparatus) -> None:
         ("[30, 15]", r"a patch from 30 to 15 mm; allowed: the left end first; exchange the two ends"),
     ],
 )
-def test_impossible_patches_are_refused_in_their_place(edit: Edit, ends: str, message: str) -> None:
+def test_impossible_patches_are_refused(edit: Edit, ends: str, message: str) -> None:
     """With file, line and column."""
     file = edit(FILE, ("side: {channel: 2}", f"side: {{channel: 2, patches_mm: [{ends}]}}"))
     with pytest.raises(InputError, match=r"beam_100x6x2\.yaml:22:35: .*" + message):

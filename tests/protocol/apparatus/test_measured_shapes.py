@@ -1,4 +1,4 @@
-"""Where mode shapes come from: a theory or a scan."""
+"""Mode shapes by theory or from a scan."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ LABELS = tuple(range(1, 18, 2))
 
 
 def scanned(n_points: int, labels: tuple[int, ...] = LABELS, theory: str = "measured") -> str:
-    """Return the section of a scan that found the theoretical shapes, three times as large and upside down."""
+    """Return the section of a scan of the theoretical shapes, three times as large and inverted."""
     x = np.linspace(-50, 50, n_points)
     rows = -3 * mode_shapes(labels, x * 1e-3, 0.1)
     lines = [f"theory: {theory}", "  measured_shapes:", f"    position_mm: [{', '.join(f'{v:g}' for v in x)}]"]
@@ -31,21 +31,21 @@ def scanned(n_points: int, labels: tuple[int, ...] = LABELS, theory: str = "meas
 
 
 def faults(edit: Edit, text: str) -> list[str]:
-    """Return what a protocol on such a beam is told."""
+    """Return the problems of a protocol with such a beam."""
     edit(BEAM, (f"{THEORY}   # mode shapes of a uniform free-free beam", text))
     protocol = edit("differentiated_stimulation.yaml")
     return [str(problem).replace(f"{protocol.parent}/", "") for problem in examine(protocol).problems]
 
 
-def test_scanned_shapes_take_the_place_of_theory(edit: Edit) -> None:
-    """41 points of the theoretical shapes in any scale and sign give the theoretical shapes back."""
+def test_scanned_shapes_replace_theory(edit: Edit) -> None:
+    """A scan of theoretical shapes at 41 points, with any scale and sign, gives the theoretical shapes."""
     model = Apparatus.read(edit(BEAM, (THEORY, scanned(41)))).modal_model()
     x = np.linspace(-0.05, 0.05, 101)
     assert model.shapes(x) == pytest.approx(mode_shapes(LABELS, x, 0.1), abs=1e-6)
 
 
-def test_timoshenko_shapes_are_those_of_the_section(edit: Edit) -> None:
-    """The bending modes are those of a beam of this length, thickness and Poisson's ratio."""
+def test_timoshenko_shapes_follow_from_the_beam(edit: Edit) -> None:
+    """Bending modes have the shapes for this length, thickness and Poisson's ratio."""
     apparatus = Apparatus.read(edit(BEAM, (THEORY, "theory: timoshenko\n  poissons_ratio: 0.3")))
     x = np.linspace(-0.05, 0.05, 11)
     expected = TimoshenkoBeam(0.1, 0.002, poissons_ratio=0.3).shapes([15], x)
@@ -62,14 +62,14 @@ def test_timoshenko_shapes_are_those_of_the_section(edit: Edit) -> None:
         (scanned(11), "given a stimulus that cannot be made, 9 shapes on 11 points are linearly dependent"),
     ],
 )
-def test_shapes_that_will_not_do_are_refused_in_their_place(edit: Edit, text: str, said: str) -> None:
-    """Missing, idle, incomplete or dependent: file, line, column, value and remedy."""
+def test_unusable_shapes_are_refused(edit: Edit, text: str, said: str) -> None:
+    """Missing, unused, incomplete or dependent shapes: file, line, column, value and remedy."""
     (problem,) = faults(edit, text)
     assert problem.startswith(BEAM)
     assert said in problem
 
 
-def test_as_many_values_as_positions(edit: Edit) -> None:
-    """A value that is missing is told at its mode."""
+def test_each_shape_needs_one_value_per_position(edit: Edit) -> None:
+    """A wrong number of values is reported at its mode."""
     (problem,) = faults(edit, scanned(41).replace("values: [", "values: [1.0, ", 1))
     assert "beam.measured_shapes.modes[0].values: given 42 values for 41 positions" in problem

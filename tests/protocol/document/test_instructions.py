@@ -1,4 +1,4 @@
-"""The shipped instructions and question follow the design in every language: fingers, intervals, what is asked."""
+"""The shipped instructions and question follow the design in every language: fingers, intervals and task."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ DESIGNS: dict[str, tuple[str, list[tuple[str, str]], int, int]] = {
 
 
 def fitted(file: Path, language: str) -> tuple[Texts, Texts]:
-    """Return the texts of a language as they are, and as a session of the protocol shows them."""
+    """Return the texts of a language as written, and as shown in a session of the protocol."""
     file.write_text(file.read_text(encoding="utf-8").replace("english", language), encoding="utf-8")
     findings = Findings.read(file)
     assert findings.texts is not None
@@ -62,7 +62,7 @@ def fitted(file: Path, language: str) -> tuple[Texts, Texts]:
 @pytest.mark.parametrize("language", LANGUAGES)
 @pytest.mark.parametrize("task", DESIGNS)
 def test_instructions_and_question_follow_the_design(task: str, language: str, edit: Edit) -> None:
-    """Every blank of the instructions is filled in with the words of the design, and of no other."""
+    """Every placeholder of the instructions is filled with the words for the design."""
     name, changes, vibrates, n_fingers = DESIGNS[task]
     texts, shown = fitted(edit(name, *changes), language)
     assert texts.vibrates is not None and texts.n_fingers is not None
@@ -72,8 +72,8 @@ def test_instructions_and_question_follow_the_design(task: str, language: str, e
 
 
 @pytest.mark.parametrize("language", LANGUAGES)
-def test_no_shipped_text_counts_fingers_but_those_that_are_filled_in(language: str) -> None:
-    """A session with one finger must not read of fingers; which finger goes where is told by name."""
+def test_only_filled_in_texts_give_the_number_of_fingers(language: str) -> None:
+    """A session with one finger must not mention several fingers."""
     texts = Findings.read("demo").texts
     assert texts is not None
     words = yaml.safe_load(texts.source.path.with_name(f"{language}.yaml").read_text(encoding="utf-8"))
@@ -85,8 +85,8 @@ def test_no_shipped_text_counts_fingers_but_those_that_are_filled_in(language: s
     assert told - {"fingers", "place_fingers"} == {"n_fingers"}
 
 
-def test_a_question_of_ones_own_is_asked_as_written(edit: Edit) -> None:
-    """The instructions then say no more than that the participant tells what was felt."""
+def test_a_custom_question_is_asked_as_written(edit: Edit) -> None:
+    """The instructions then describe the task only in general."""
     file = edit("magnitude.yaml", ("  scale:", "  question: How rough was it?\n  scale:"))
     texts, shown = fitted(file, "english")
     assert shown.instructions.endswith(f"each time, {texts.asked['other']}.")
@@ -94,8 +94,8 @@ def test_a_question_of_ones_own_is_asked_as_written(edit: Edit) -> None:
     assert findings.protocol.answers.question == "How rough was it?"
 
 
-def test_fingers_whose_number_differs_between_conditions_are_those_shown(edit: Edit) -> None:
-    """The picture and the placement say which."""
+def test_a_varying_number_of_fingers_is_left_to_the_picture(edit: Edit) -> None:
+    """The instructions then say "the fingers shown on it"."""
     cells = "cells: [{pair: [C], peak_velocities_mm_s: [20], finger_conditions: [tip]}, "
     cells += "{pair: [A, C], peak_velocities_mm_s: [20], finger_conditions: [one_hand]}]"
     changes = [
@@ -107,8 +107,8 @@ def test_fingers_whose_number_differs_between_conditions_are_those_shown(edit: E
     )
 
 
-def test_older_texts_are_shown_as_they_are_and_blanks_need_their_words(edit: Edit) -> None:
-    """A lab's own file without blanks says what the lab wrote; a blank that nothing fills is refused."""
+def test_texts_without_placeholders_are_shown_as_written(edit: Edit) -> None:
+    """A placeholder without words to fill it is a fault."""
     file = edit("demo.yaml")
     words = file.parent / "texts" / "english.yaml"
     text = words.read_text(encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Trees -> values: what is allowed is said in words, and one fault does not hide another."""
+"""Trees to values: allowed values in words, and all faults at once."""
 
 from __future__ import annotations
 
@@ -84,8 +84,8 @@ def faults(text: str) -> list[str]:
         ("name: a\ninner: 5\n", "x:2:8: inner: given 5; allowed: a mapping with the keys speed_mm_s, law"),
     ],
 )
-def test_each_fault_says_place_given_allowed_and_remedy(text: str, fault: str) -> None:
-    """Lines and columns counted by eye in the text."""
+def test_each_fault_has_position_value_allowed_values_and_remedy(text: str, fault: str) -> None:
+    """Lines and columns counted by hand."""
     (found,) = faults(text)
     assert fault in found
 
@@ -103,8 +103,8 @@ def test_all_faults_come_at_once() -> None:
     assert sorted(found.split(":")[1] for found in faults(text)) == ["1", "2", "3", "5", "6"]
 
 
-def test_sound_values_survive_faults_around_them() -> None:
-    """Only what is wrong by itself is missing; absent keys have their defaults."""
+def test_valid_values_are_available_despite_other_faults() -> None:
+    """Only invalid values are missing; absent keys have their defaults."""
     text = "nam: x\nn_things: 0\ninner:\n  speed_mm_s: 7\n  levels_V: [1, -1, 3]\n"
     reading = read(Source(Path("x"), text), File)
     assert reading.value is None
@@ -117,16 +117,16 @@ def test_sound_values_survive_faults_around_them() -> None:
     assert reading.sound("inner") is None
 
 
-def test_a_section_is_salvaged_from_keys_that_are_not_its_own() -> None:
-    """A foreign key is left out; a misspelt one is not, since its value is wanted."""
+def test_a_section_is_read_despite_unknown_keys() -> None:
+    """An unrelated key is ignored; a misspelt one is not, since its value is needed."""
     foreign = read(Source(Path("x"), GOOD + "  colour: 1\n"), File)
     assert foreign.salvage("inner") == Inner(speed_mm_s=5)
     misspelt = read(Source(Path("x"), GOOD + "  level_V: [2]\n"), File)
     assert misspelt.salvage("inner") is None
 
 
-def test_an_unreadable_text_has_no_sound_values() -> None:
-    """Not even defaults: nothing is known of what it meant."""
+def test_an_unreadable_text_has_no_valid_values() -> None:
+    """Not even defaults are returned."""
     reading = read(Source(Path("x"), "a: [\n"), File)
     assert reading.sound("n_things") is None
     assert reading.items("inner", "levels_V") == []
@@ -143,13 +143,13 @@ def test_an_unreadable_text_has_no_sound_values() -> None:
         (("nowhere", "at", "all"), ""),
     ],
 )
-def test_what_is_allowed_is_said_in_words(path: tuple[str | int, ...], words: str) -> None:
-    """The annotations of the model above, in plain English."""
+def test_allowed_values_are_described_in_words(path: tuple[str | int, ...], words: str) -> None:
+    """The types of the model above, in plain English."""
     assert describe(File, path) == words
 
 
-def test_a_choice_of_types_within_another_is_described_too() -> None:
-    """A stimulus of several may leave out a key that is a number or a list."""
+def test_nested_unions_of_types_are_described() -> None:
+    """An optional key may itself be a number or a list."""
     number_or_list = describe(Protocol, ("stimulus", "selected_modes"))
     assert number_or_list.startswith("a whole number of at least 1 or a list of at least 1")
     assert describe(Protocol, ("stimuli", "fast", "selected_modes")) == f"{number_or_list} or null"
@@ -160,11 +160,11 @@ def test_a_choice_of_types_within_another_is_described_too() -> None:
     [("80 mm/s", "80"), ("80mm/s", "80"), ("-1.5e3 V", "-1.5e3"), ("0,5", "0.5"), ("mm", ""), ("", "")],
 )
 def test_the_number_in_front_of_a_unit_is_found(word: str, number: str) -> None:
-    """What a person would have written without the unit."""
+    """The suggestion is the number without its unit."""
     assert suggest_number(word)[0] == number
 
 
 @pytest.mark.parametrize("word", ["1_000", "1:20", "1/3", "2026-01-01", "８０"])
-def test_a_word_that_begins_with_another_number_than_it_means_has_none(word: str) -> None:
-    """To write 1 in place of 1_000 would be another experiment."""
+def test_ambiguous_numbers_are_not_suggested(word: str) -> None:
+    """Suggesting 1 for 1_000 would change the experiment."""
     assert suggest_number(word) == ("", "")

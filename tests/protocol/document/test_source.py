@@ -1,4 +1,4 @@
-"""Files -> texts."""
+"""Files to texts."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def test_the_hash_is_that_of_the_file(tmp_path: Path) -> None:
     assert Source.load(file).sha256 == hashlib.sha256(b"\xc3\xa9: 1\n").hexdigest()
 
 
-def test_a_byte_order_mark_is_left_out(tmp_path: Path) -> None:
+def test_a_byte_order_mark_is_ignored(tmp_path: Path) -> None:
     """Windows editors write one; YAML allows it."""
     file = tmp_path / "a.yaml"
     file.write_bytes(b"\xef\xbb\xbfa: 1\n")
@@ -26,7 +26,7 @@ def test_a_byte_order_mark_is_left_out(tmp_path: Path) -> None:
 
 
 def test_the_record_keeps_path_hash_and_text() -> None:
-    """Everything that is needed to read the file again."""
+    """These suffice to read the file again."""
     source = Source(Path("p") / "a.yaml", "a: 1\n")
     assert source.as_dict() == {"path": "p/a.yaml", "sha256": source.sha256, "text": "a: 1\n"}
 
@@ -39,16 +39,16 @@ def test_the_record_keeps_path_hash_and_text() -> None:
         (b"a" * 300_000, r"a.yaml:1:1: given more than 256 KiB"),
     ],
 )
-def test_what_is_no_short_text_is_refused(tmp_path: Path, content: bytes, fault: str) -> None:
-    """Places counted by eye in the bytes."""
+def test_long_files_and_other_encodings_are_refused(tmp_path: Path, content: bytes, fault: str) -> None:
+    """Byte positions counted by hand."""
     file = tmp_path / "a.yaml"
     file.write_bytes(content)
     with pytest.raises(InputError, match=fault):
         Source.load(file)
 
 
-def test_what_is_no_file_is_refused(tmp_path: Path) -> None:
-    """A missing file, a folder, a pipe that would never end, a name that no file can have."""
+def test_anything_but_a_regular_file_is_refused(tmp_path: Path) -> None:
+    """A missing file, a folder, a pipe that would never end, and an impossible name."""
     os.mkfifo(tmp_path / "pipe")
     for name, fault in (
         ("nothing.yaml", "a file that does not exist"),

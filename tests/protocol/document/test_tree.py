@@ -1,4 +1,4 @@
-"""YAML texts -> trees: values of the core schema, places, and every refusal."""
+"""YAML texts to trees: values of the core schema, positions, and every refusal."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from modaltouch.protocol.tree import _parsed, parse_tree, resolve
 
 
 def tree(text: str):
-    """Return the tree of a text that has no fault."""
+    """Return the tree of a text without faults."""
     root, problems = parse_tree(Source(Path("x.yaml"), text))
     assert problems == []
     return root
 
 
 def faults(text: str) -> list[str]:
-    """Return the faults of a text as they are printed."""
+    """Return the faults of a text as printed."""
     return [str(problem) for problem in parse_tree(Source(Path("x.yaml"), text))[1]]
 
 
@@ -52,8 +52,8 @@ def faults(text: str) -> list[str]:
         ("1" * 5000, float("inf")),
     ],
 )
-def test_words_resolve_as_the_core_schema_says(word: str, value: object) -> None:
-    """Examples of section 10.3.2 of the YAML 1.2.2 specification, and words of YAML 1.1 that 1.2 gave up."""
+def test_words_resolve_by_the_core_schema(word: str, value: object) -> None:
+    """Examples of section 10.3.2 of the YAML 1.2.2 specification, and words that only YAML 1.1 interpreted."""
     found = resolve(word)
     assert found == value
     assert type(found) is type(value)
@@ -61,12 +61,12 @@ def test_words_resolve_as_the_core_schema_says(word: str, value: object) -> None
 
 @given(st.floats(allow_nan=False, allow_infinity=False))
 def test_every_number_reads_as_written(number: float) -> None:
-    """Python's shortest form of a number reads back as the same number."""
+    """The shortest decimal form of a float reads back as the same number."""
     assert resolve(repr(number)) == number
 
 
-def test_places_are_lines_and_columns_from_one() -> None:
-    """Counted by eye in the text."""
+def test_positions_are_lines_and_columns_from_one() -> None:
+    """Counted by hand."""
     root = tree("a: 1\nbee:\n  - x\n  - {c: [7, 'q']}\n")
     assert root.keys == {"a": (1, 1), "bee": (2, 1)}
     inner = root.child("bee").child(1)
@@ -76,7 +76,7 @@ def test_places_are_lines_and_columns_from_one() -> None:
 
 
 def test_an_alias_stands_for_its_anchor() -> None:
-    """YAML 1.2, section 7.1; the place is the anchored text's, where a fault must be mended."""
+    """YAML 1.2, section 7.1; its position is that of the anchored text, where a fault must be corrected."""
     root = tree("a: &pair [A, C]\nb: *pair\n")
     assert root.plain() == {"a": ["A", "C"], "b": ["A", "C"]}
     assert root.child("b").line == 1
@@ -107,13 +107,13 @@ def test_an_alias_stands_for_its_anchor() -> None:
         ("%YAML 7.0\n---\na: 1\n", "x.yaml:1:1: given text that is not YAML"),
     ],
 )
-def test_each_fault_is_said_with_its_place(text: str, fault: str) -> None:
-    """Lines and columns counted by eye in the text."""
+def test_each_fault_has_its_position(text: str, fault: str) -> None:
+    """Lines and columns counted by hand."""
     assert [found[: len(fault)] for found in faults(text)] == [fault]
 
 
-def test_faults_that_leave_the_text_readable_come_together() -> None:
-    """A doubled key, a tag and an unknown alias stand in three lines."""
+def test_faults_in_a_readable_text_are_reported_together() -> None:
+    """A duplicate key, a tag and an unknown alias, in three lines."""
     assert [found.split(":")[1] for found in faults("a: 1\na: 2\nb: !x 1\nc: *d\n")] == ["2", "3", "4"]
 
 
@@ -131,8 +131,8 @@ def test_faults_that_leave_the_text_readable_come_together() -> None:
     ids=["lists", "mappings", "alias bomb", "wide aliases", "long list", "alias chain", "deep block"],
 )
 @pytest.mark.timeout(60)
-def test_bombs_are_refused_in_a_moment(bomb: str) -> None:
-    """The billion laughs and its kin: milliseconds, where they would take longer than anybody waits."""
+def test_expansion_bombs_are_refused(bomb: str) -> None:
+    """The billion laughs and similar texts are refused before they are expanded."""
     found = faults(bomb)
     assert len(found) == 1
     assert "more than 20000 values" in found[0] or "nested deeper than 16" in found[0]
@@ -141,7 +141,7 @@ def test_bombs_are_refused_in_a_moment(bomb: str) -> None:
 @settings(max_examples=300, deadline=None)
 @given(st.text(max_size=80))
 def test_no_text_raises(text: str) -> None:
-    """Whatever the text, there is a tree or a fault."""
+    """Any text gives a tree or a fault."""
     root, problems = parse_tree(Source(Path("x.yaml"), text))
     assert root is not None or problems
 
@@ -149,7 +149,7 @@ def test_no_text_raises(text: str) -> None:
 @settings(max_examples=300, deadline=None)
 @given(st.text(alphabet="ab1:-? \n[]{},&*!|>'\"%#~\t", max_size=60))
 def test_no_yaml_like_text_raises(text: str) -> None:
-    """As above, with characters that mean something to YAML."""
+    """The same for texts of YAML's special characters."""
     root, problems = parse_tree(Source(Path("x.yaml"), text))
     assert root is not None or problems
     assert all(problem.line >= 1 and problem.column >= 1 for problem in problems)
@@ -168,8 +168,8 @@ SHIPPED = [path.read_text(encoding="utf-8") for path in sorted(Path("protocols")
         ),
     )
 )
-def test_what_ruamel_reads_libyaml_reads_the_same(text: str) -> None:
-    """ruamel.yaml, which says what is wrong, is also the reference; only the place of an empty value differs."""
+def test_libyaml_reads_the_same_as_ruamel(text: str) -> None:
+    """ruamel.yaml, which reports the faults, is the reference; only positions of empty values may differ."""
     with patch("yaml.parse", side_effect=yaml.YAMLError):
         expected, faults_expected = _parsed.__wrapped__(text)
     if expected is not None:

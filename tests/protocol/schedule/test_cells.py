@@ -1,4 +1,4 @@
-"""Designs that are not crossed: a table of cells, cells in the protocol, cells left out; every fault in its place."""
+"""Designs that are not crossed: a table of cells, cells in the protocol, and excluded cells; faults with positions."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def read(folder: Path, conditions: str, table: str = "", order: str = "shuffled") -> Findings:
-    """Return the findings in the demonstration with other conditions."""
+    """Return the findings of the demonstration with other conditions."""
     text = (SHIPPED / "demo.yaml").read_text("utf-8").replace(CROSSED, conditions)
     text = text.replace("max_same_pair_running: 2", f"order: {order}")
     (folder / "cells.csv").write_text(table, "utf-8")
@@ -39,19 +39,19 @@ def read(folder: Path, conditions: str, table: str = "", order: str = "shuffled"
 
 
 def sound(findings: Findings) -> Protocol:
-    """Return the protocol of findings without a fault."""
+    """Return the protocol of findings without faults."""
     return findings.experiment().protocol
 
 
 def faults(findings: Findings) -> list[str]:
-    """Return what is wrong, with the bare name of the file."""
+    """Return the faults, with bare file names."""
     with pytest.raises(InputError, match="given") as refusal:
         findings.experiment()
     return [f"{Path(each.file).name}:{each.line}:{each.column} {each.message}" for each in refusal.value.problems]
 
 
 def driven(protocol: Protocol, participant: str = "p01") -> Counter[tuple[str, str, float]]:
-    """Return how often each finger condition has each pair at each level."""
+    """Return the number of trials by finger condition, pair and level."""
     trials = Schedule.draw(protocol, participant, 1).trials
     return Counter(
         (trial.condition.finger_condition, "-".join(trial.condition.zones), trial.condition.velocity_mm_s)
@@ -59,8 +59,8 @@ def driven(protocol: Protocol, participant: str = "p01") -> Counter[tuple[str, s
     )
 
 
-def test_a_table_gives_levels_by_pair_weights_and_cells_of_one_finger_condition(folder: Path) -> None:
-    """A-C at 80 twice as often; B-D with one hand alone; C-E at a level of its own."""
+def test_a_table_gives_levels_by_pair_and_weights(folder: Path) -> None:
+    """A-C at 80 twice as often; B-D with one hand only; C-E at its own level."""
     findings = read(folder, "  table: cells.csv\n", TABLE)
     both = {("A-C", 80.0): 2, ("A-C", 200.0): 1, ("C-E", 100.0): 1}
     expected = {(name, *cell): n for name in ("one_hand", "two_hands") for cell, n in both.items()}
@@ -71,13 +71,13 @@ def test_a_table_gives_levels_by_pair_weights_and_cells_of_one_finger_condition(
 
 
 def test_one_level_may_be_written_in_two_ways(folder: Path) -> None:
-    """As spreadsheets do: 80 and 80.0."""
+    """As in spreadsheets: 80 and 80.0."""
     findings = read(folder, "  table: cells.csv\n", TABLE.replace("B,D,150", "B,D,80.0"))
     assert sound(findings).conditions.peak_velocities_mm_s == (80.0, 200.0, 100.0)
 
 
-def test_the_record_keeps_the_table_whatever_becomes_of_its_file(folder: Path) -> None:
-    """What the record holds draws the same order."""
+def test_the_record_keeps_the_table(folder: Path) -> None:
+    """The protocol is restored from it without the file."""
     findings = read(folder, "  table: cells.csv\n", TABLE)
     kept = findings.experiment().sources.as_dict()
     assert kept["table"]["text"] == TABLE
@@ -85,8 +85,8 @@ def test_the_record_keeps_the_table_whatever_becomes_of_its_file(folder: Path) -
     assert again == sound(findings)
 
 
-def test_cells_in_the_protocol_are_those_of_a_table(folder: Path) -> None:
-    """The same design in YAML: several levels to a line."""
+def test_cells_in_the_protocol_are_equivalent_to_a_table(folder: Path) -> None:
+    """The same design in YAML, with several levels per line."""
     written = (
         "  cells:\n"
         "    - {pair: [A, C], peak_velocities_mm_s: [80], weight: 2}\n"
@@ -97,8 +97,8 @@ def test_cells_in_the_protocol_are_those_of_a_table(folder: Path) -> None:
     assert driven(sound(read(folder, written))) == driven(sound(read(folder, "  table: cells.csv\n", TABLE)))
 
 
-def test_excluded_cells_are_those_that_agree_with_every_key(folder: Path) -> None:
-    """Of 3 pairs x 2 levels x 2 finger conditions, A-C at 80 and B-D with two hands are left out: 12 - 2 - 2."""
+def test_a_cell_is_excluded_if_all_keys_match(folder: Path) -> None:
+    """Of 3 pairs x 2 levels x 2 finger conditions, A-C at 80 and B-D with two hands are excluded: 12 - 2 - 2."""
     exclude = "  exclude: [{pair: [A, C], peak_velocity_mm_s: 80}, {pair: [B, D], finger_condition: two_hands}]\n"
     own = driven(sound(read(folder, CROSSED + exclude)))
     assert sum(own.values()) == 8
@@ -106,8 +106,8 @@ def test_excluded_cells_are_those_that_agree_with_every_key(folder: Path) -> Non
 
 
 @pytest.mark.parametrize("participant", ["p01", "p02"])
-def test_as_listed_is_the_order_of_the_rows_again_for_each_repetition(folder: Path, participant: str) -> None:
-    """A fixed list: a cell may stand in several rows."""
+def test_as_listed_repeats_the_order_of_the_rows(folder: Path, participant: str) -> None:
+    """A cell may be in several rows."""
     table = "zone_left,zone_right,peak_velocity_mm_s\nC,E,100\nA,C,80\nC,E,100\n"
     findings = read(folder, "  table: cells.csv\n", table, "as_listed")
     protocol = sound(findings)
@@ -118,7 +118,7 @@ def test_as_listed_is_the_order_of_the_rows_again_for_each_repetition(folder: Pa
 
 @pytest.mark.parametrize("order", ["by_pair", "by_velocity", "latin_square"])
 def test_every_order_presents_the_same_cells(folder: Path, order: str) -> None:
-    """Orders change with the rows of a Latin square, the number of trials of a cell does not."""
+    """The order does not change the number of trials of a cell."""
     protocol = sound(read(folder, "  table: cells.csv\n", TABLE))
     schedule = protocol.schedule.model_copy(update={"order": order})
     for participant in ("p01", "p02", "p03"):
@@ -154,8 +154,8 @@ def test_every_order_presents_the_same_cells(folder: Path, order: str) -> None:
         (TABLE.splitlines()[0] + "\n", "cells.csv:1:1 given a table without rows; allowed: at least one cell"),
     ],
 )
-def test_a_fault_of_a_table_is_told_in_its_line_and_column(folder: Path, table: str, told: str) -> None:
-    """And once: what follows from the cells is not told again."""
+def test_a_fault_in_a_table_has_its_line_and_column(folder: Path, table: str, told: str) -> None:
+    """Consequences of the fault are not reported as well."""
     said = faults(read(folder, "  table: cells.csv\n", table))
     assert any(each.startswith(told) for each in said), said
     assert not any("missing key" in each for each in said)
@@ -175,14 +175,14 @@ def test_a_fault_of_a_table_is_told_in_its_line_and_column(folder: Path, table: 
         (CROSSED + "  exclude: [{stimulus: wide}]\n", "given 'wide', which is not a stimulus of the protocol"),
     ],
 )
-def test_conditions_that_contradict_themselves_are_refused(folder: Path, conditions: str, told: str) -> None:
-    """With what to do."""
+def test_contradictory_conditions_are_refused(folder: Path, conditions: str, told: str) -> None:
+    """The message has the remedy."""
     said = faults(read(folder, conditions, TABLE))
     assert any(told in each for each in said), said
 
 
-def test_of_a_misspelt_zone_only_the_zone_is_told(folder: Path) -> None:
-    """Not also that the cells with its right name, which are left out, are not in the design."""
+def test_a_misspelt_zone_is_reported_once(folder: Path) -> None:
+    """Not also as excluded cells that are missing from the design."""
     cells = (
         "  cells:\n    - {pair: [A, C], peak_velocities_mm_s: [80]}\n    - {pair: [B, Q], peak_velocities_mm_s: [80]}\n"
     )
@@ -199,15 +199,15 @@ def test_of_a_misspelt_zone_only_the_zone_is_told(folder: Path) -> None:
         ("  table: cells.csv\n", "zone_right"),
     ],
 )  # fmt: skip
-def test_a_misspelt_zone_has_the_path_under_which_it_is_written(folder: Path, conditions: str, path: str) -> None:
-    """Not that of the list of zones which follows from the cells, nor that of the whole entry; or its column."""
+def test_a_misspelt_zone_has_its_own_path(folder: Path, conditions: str, path: str) -> None:
+    """Or its column in a table; not the path of the derived list of zones or of the whole entry."""
     (found,) = read(folder, conditions, "zone_left,zone_right,peak_velocity_mm_s\nA,Q,80\n").problems
     assert (found.as_dict()["path"], found.given) == (path, "'Q', which is not a zone of this beam")
     assert f": {path}: given 'Q'" in str(found)
 
 
-def test_a_faulty_stimulus_is_still_known_by_its_name(folder: Path) -> None:
-    """And is not called unknown where its cells are left out."""
+def test_a_faulty_stimulus_is_not_reported_as_unknown(folder: Path) -> None:
+    """Excluding its cells causes no second problem."""
     read(folder, CROSSED + "  exclude: [{stimulus: sharp}]\n")
     file, fields = folder / "own.yaml", "stimuli:\n  sharp: {}\n  blunt: {field: {shape: gausian}}\n"
     file.write_text(file.read_text("utf-8").replace("conditions:\n", fields + "conditions:\n"), "utf-8")
@@ -215,8 +215,8 @@ def test_a_faulty_stimulus_is_still_known_by_its_name(folder: Path) -> None:
     assert "'gausian'" in said
 
 
-def test_a_stimulus_is_designed_for_its_own_levels_alone(folder: Path) -> None:
-    """A blunt field that no amplifier drives at the level of the sharp one is not asked to."""
+def test_a_stimulus_is_designed_only_for_its_own_levels(folder: Path) -> None:
+    """A blunt field need not reach the level of the sharp one, which the amplifier could not drive."""
     fields = "stimuli:\n  sharp: {field: {base_mm: 56}}\n  blunt: {field: {shape: raised_cosine, base_mm: 100}}\n\n"
     cells = "  cells:\n    - {pair: [A, C], peak_velocities_mm_s: [260], stimuli: [sharp]}\n"
     cells += "    - {pair: [A, C], peak_velocities_mm_s: [80, 120], stimuli: [blunt]}\n"
@@ -224,7 +224,7 @@ def test_a_stimulus_is_designed_for_its_own_levels_alone(folder: Path) -> None:
 
 
 def own_levels(folder: Path, stimuli: str, conditions: str, intervals: str = "") -> dict[str, list[float]]:
-    """Return the levels at which each of several stimuli is designed [mm/s]."""
+    """Return the levels for which each stimulus is designed [mm/s]."""
     read(folder, conditions)
     file, extra = folder / "own.yaml", f"{stimuli}{intervals}conditions:\n"
     text = file.read_text("utf-8").replace("conditions:\n", extra)
@@ -239,7 +239,7 @@ def own_levels(folder: Path, stimuli: str, conditions: str, intervals: str = "")
 
 
 def test_stimuli_with_the_same_records_share_their_levels(folder: Path) -> None:
-    """Bursts, masking and rate do not change a record, so that four such stimuli fit into the memories."""
+    """Bursts, masking and rate do not change a waveform, so such stimuli share the generator's memories."""
     stimuli = "stimuli:\n  few: {presentation_bursts: 2}\n  slow: {repetition_rate_Hz: 3.5}\n"
     stimuli += "  blunt: {field: {shape: raised_cosine, base_mm: 100}}\n\n"
     cells = "".join(
@@ -257,10 +257,10 @@ def test_stimuli_with_the_same_records_share_their_levels(folder: Path) -> None:
         ("{stimulus: blunt}", {"sharp": [80.0, 200.0], "blunt": [80.0, 200.0]}),
     ],
 )
-def test_a_standard_of_another_field_is_designed_for_its_level_alone(
+def test_a_standard_of_another_field_is_designed_only_for_its_level(
     folder: Path, standard: str, levels: dict[str, list[float]]
 ) -> None:
-    """Unless it takes the level of the comparison."""
+    """Unless it has the level of the comparison."""
     fields = "stimuli:\n  sharp: {field: {base_mm: 56}}\n  blunt: {field: {shape: raised_cosine, base_mm: 100}}\n\n"
     intervals = f"intervals: {{number: 2, standard: {standard}, asked: comparison}}\n"
     assert own_levels(folder, fields, CROSSED + "  exclude: [{stimulus: blunt}]\n", intervals) == levels

@@ -1,4 +1,4 @@
-"""Schedules: complete, reproducible, counterbalanced, one stream for each purpose."""
+"""Schedules: complete, reproducible, counterbalanced, with a separate random stream for each purpose."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ PAPER = Findings.read(SHIPPED / "differentiated_stimulation.yaml").experiment().
 
 
 def changed(section: str, **values: Any) -> Protocol:
-    """Return the paper's protocol with other values in one section."""
+    """Return the paper's protocol with changed values in one section."""
     part = getattr(PAPER, section).model_copy(update=values)
     return PAPER.model_copy(update={section: part})
 
 
 @settings(max_examples=40, deadline=None)
 @given(st.text("abcpxyz0123456789", min_size=1, max_size=8), st.integers(0, 2**70), st.integers(1, 9))
-def test_every_condition_comes_as_often_as_the_protocol_says(participant: str, seed: int, session: int) -> None:
-    """3 pairs x 4 velocities x 2 finger conditions, once each, blocks by finger condition, no pair thrice."""
+def test_every_condition_has_the_number_of_trials_of_the_protocol(participant: str, seed: int, session: int) -> None:
+    """3 pairs x 4 levels x 2 finger conditions, once each, in blocks, with no pair three times running."""
     schedule = Schedule.draw(PAPER, participant, seed, session)
     conditions = Counter(trial.condition for trial in schedule.trials)
     assert len(conditions) == 24
@@ -47,7 +47,7 @@ def test_every_condition_comes_as_often_as_the_protocol_says(participant: str, s
 
 
 def test_repetitions_count_in_the_order_of_presentation() -> None:
-    """The first time a condition is presented is its repetition 1."""
+    """The first presentation of a condition is repetition 1."""
     schedule = Schedule.draw(changed("schedule", repetitions=3), "p01", 1)
     seen: Counter[Any] = Counter()
     for trial in schedule.trials:
@@ -56,8 +56,8 @@ def test_repetitions_count_in_the_order_of_presentation() -> None:
     assert set(seen.values()) == {3}
 
 
-def test_the_same_arguments_give_the_same_schedule_and_others_another() -> None:
-    """Pure function of protocol, participant, seed and session."""
+def test_a_schedule_depends_on_its_arguments_only() -> None:
+    """Protocol, participant, seed and session."""
     schedule = Schedule.draw(PAPER, "p01", 7)
     assert Schedule.draw(PAPER, "p01", 7) == schedule
     others = [
@@ -69,15 +69,15 @@ def test_the_same_arguments_give_the_same_schedule_and_others_another() -> None:
     assert len({each.order_hash for each in (schedule, *others)}) == 5
 
 
-def test_an_order_drawn_by_version_1_is_drawn_for_ever() -> None:
-    """A record must be verifiable years later: this hash may only change with the name of the algorithm."""
+def test_orders_of_version_1_never_change() -> None:
+    """Records must stay verifiable: this hash may change only with the name of the algorithm."""
     schedule = Schedule.draw(PAPER, "p01", 1)
     assert "modaltouch order 1" in schedule.seeds["algorithm"]
     assert schedule.order_hash.startswith("88743af0c42dc4a8")
 
 
-def test_each_purpose_has_a_stream_of_its_own() -> None:
-    """More practice, another order of blocks or another block shifts no draw of the rest."""
+def test_each_purpose_has_its_own_stream() -> None:
+    """Changing practice, the order of blocks or one block changes no other draw."""
     schedule = Schedule.draw(PAPER, "p01", 1)
     more_practice = Schedule.draw(changed("schedule", practice_trials=9), "p01", 1)
     assert more_practice.trials == schedule.trials
@@ -93,8 +93,8 @@ def test_each_purpose_has_a_stream_of_its_own() -> None:
     assert fixed.blocks[0].finger_condition != turned.blocks[0].finger_condition
 
 
-def test_participants_with_numbers_take_turns() -> None:
-    """p01 as the protocol has it, p02 the other way round; a second session turns it again."""
+def test_numbered_participants_alternate() -> None:
+    """p01 has the protocol's order, p02 the opposite; a second session reverses it."""
     first = [Schedule.draw(PAPER, f"p{n:02d}", 1).blocks[0].finger_condition for n in range(1, 5)]
     assert first == ["one_hand", "two_hands", "one_hand", "two_hands"]
     again = Schedule.draw(PAPER, "p01", 1, session=2)
@@ -102,8 +102,8 @@ def test_participants_with_numbers_take_turns() -> None:
     assert again.finger_conditions_by == "number of the participant"
 
 
-def test_participants_without_numbers_are_divided_by_their_hash() -> None:
-    """200 names: each order has at least 70, which a fair coin misses in 1 of 60,000 studies."""
+def test_unnumbered_participants_are_assigned_by_hash() -> None:
+    """200 names: each order gets at least 70, which a fair coin misses in 1 of 60,000 studies."""
     names = [f"{a}{b}" for a in "abcdefghijklmnopqrst" for b in "abcdefghij"]
     schedules = [Schedule.draw(PAPER, name, 1) for name in names]
     counts = Counter(schedule.blocks[0].finger_condition for schedule in schedules)
@@ -111,16 +111,16 @@ def test_participants_without_numbers_are_divided_by_their_hash() -> None:
     assert {schedule.finger_conditions_by for schedule in schedules} == {"hash of the participant"}
 
 
-def test_the_protocols_order_holds_where_nothing_is_counterbalanced() -> None:
-    """Every participant begins alike, and the record says so."""
+def test_without_counterbalancing_the_order_is_that_of_the_protocol() -> None:
+    """All participants begin alike, and the record says so."""
     protocol = changed("schedule", counterbalance_finger_conditions=False)
     schedule = Schedule.draw(protocol, "p02", 1)
     assert [block.finger_condition for block in schedule.blocks] == ["one_hand", "two_hands"]
     assert schedule.finger_conditions_by == "protocol"
 
 
-def test_placements_take_turns_with_every_order_of_finger_conditions() -> None:
-    """Four participants meet both orders in both placements; on a turned beam A and C are C and A."""
+def test_placements_are_crossed_with_orders_of_finger_conditions() -> None:
+    """Four participants have both orders in both placements; on a turned beam A and C change sides."""
     protocol = changed("conditions", placements=("normal", "mirrored"))
     schedules = [Schedule.draw(protocol, f"p{number}", 1) for number in range(1, 5)]
     met = [(each.blocks[0].finger_condition, each.trials[0].condition.placement) for each in schedules]
@@ -136,8 +136,8 @@ def test_placements_take_turns_with_every_order_of_finger_conditions() -> None:
     assert {trial.condition.zones for trial in schedules[2].trials} == {("C", "A"), ("D", "B"), ("E", "C")}
 
 
-def test_practice_comes_from_the_first_blocks_conditions() -> None:
-    """So that the fingers need not change hands after it; no condition again before all others have come."""
+def test_practice_uses_the_conditions_of_the_first_block() -> None:
+    """The fingers need not change afterwards; all conditions come once before any comes again."""
     schedule = Schedule.draw(changed("schedule", practice_trials=14), "p02", 1)
     assert all(trial.practice and trial.block == 0 for trial in schedule.practice)
     assert [trial.index for trial in schedule.practice] == list(range(1, 15))
@@ -146,7 +146,7 @@ def test_practice_comes_from_the_first_blocks_conditions() -> None:
     assert [trial.repetition for trial in schedule.practice[12:]] == [2, 2]
 
 
-def test_the_record_holds_what_an_order_was_drawn_from() -> None:
+def test_the_record_has_everything_an_order_was_drawn_from() -> None:
     """Seeds, algorithm, hash and the order itself, as plain values."""
     schedule = Schedule.draw(PAPER, "p01", 5)
     record = schedule.as_dict()
@@ -163,8 +163,8 @@ def test_the_record_holds_what_an_order_was_drawn_from() -> None:
     assert (record["n_trials"], record["n_practice_trials"]) == (24, 3)
 
 
-def test_a_limit_that_no_order_keeps_is_refused_with_its_reason() -> None:
-    """Four trials of the one pair come four times running."""
+def test_an_impossible_limit_is_refused_with_its_reason() -> None:
+    """Four trials of a single pair necessarily come four times running."""
     protocol = changed("conditions", zone_pairs=(("A", "C"),))
     with pytest.raises(
         ValueError, match=r"_pair_running: given 2, but 4 of the 4 trials of a block have the same pair; at least 4"
@@ -173,7 +173,7 @@ def test_a_limit_that_no_order_keeps_is_refused_with_its_reason() -> None:
 
 
 def test_generators_of_two_purposes_differ() -> None:
-    """A simulated observer's numbers are not those of the order."""
+    """A simulated observer does not share the random numbers of the order."""
     one, other = (
         Schedule.random_generator(1, "p01", 1, purpose).random(4).tolist() for purpose in ("observer", "practice")
     )
@@ -193,7 +193,7 @@ def test_blocked_orders_keep_pairs_or_velocities_together() -> None:
 
 
 def test_twelve_participants_balance_the_latin_square() -> None:
-    """Twelve cells: over twelve participants each cell stands once at each place and follows each other once."""
+    """Over twelve participants each cell is once at each place and follows each other cell once."""
     protocol = changed("schedule", order="latin_square", max_same_pair_running=None)
     orders = []
     for number in range(1, 13):
@@ -205,8 +205,8 @@ def test_twelve_participants_balance_the_latin_square() -> None:
     assert len({pair for order in orders for pair in itertools.pairwise(order)}) == 12 * 11
 
 
-def test_twenty_four_participants_meet_every_row_in_both_orders_of_finger_conditions() -> None:
-    """Rows and orders both take turns; they must not go in step."""
+def test_rows_are_crossed_with_orders_of_finger_conditions() -> None:
+    """Twelve rows and two orders give 24 different combinations for 24 participants."""
     protocol = changed("schedule", order="latin_square", max_same_pair_running=None)
     schedules = [Schedule.draw(protocol, f"p{number:02d}", 1) for number in range(1, 25)]
     met = {(each.blocks[0].finger_condition, each.blocks[0].trials[0].condition) for each in schedules}
@@ -217,7 +217,7 @@ def test_twenty_four_participants_meet_every_row_in_both_orders_of_finger_condit
 def test_a_latin_square_is_balanced(n_cells: int) -> None:
     """Williams 1949: places for any number; successions once for even numbers, twice for odd ones.
 
-    The first rows begin with the cells in turn: which participant has which row is the same for ever.
+    The first rows begin with the cells in turn; this assignment of rows to participants must never change.
     """
     rows = latin_square(n_cells)
     assert [row[0] for row in rows[:n_cells]] == list(range(n_cells))
@@ -232,8 +232,8 @@ def test_a_latin_square_is_balanced(n_cells: int) -> None:
 
 @settings(max_examples=60, deadline=None)
 @given(st.integers(0, 12), st.sampled_from([1, 2, 3, None]), st.integers(0, 2**40), st.sampled_from(ORDERS))
-def test_catch_trials_stand_where_nothing_betrays_them(n: int, limit: int | None, seed: int, order: str) -> None:
-    """As many as asked, none first in a block, no two neighbours, no pair longer running than the limit."""
+def test_catch_trials_are_unpredictable(n: int, limit: int | None, seed: int, order: str) -> None:
+    """As many as requested, none first in a block, no two adjacent, and no run longer than the limit."""
     limit = limit if order == "shuffled" else None
     protocol = changed("schedule", catch_trials=n, max_same_pair_running=limit, order=order)
     schedule = Schedule.draw(protocol, "p01", seed)
@@ -252,8 +252,8 @@ def test_catch_trials_stand_where_nothing_betrays_them(n: int, limit: int | None
             assert len([key for key, _ in itertools.groupby(pairs)]) == 3
 
 
-def test_a_schedule_without_catch_trials_has_no_trace_of_them() -> None:
-    """The record of such a protocol stays what it was: no purpose of its own, the same hash."""
+def test_without_catch_trials_the_record_is_unchanged() -> None:
+    """No additional purpose, and the same hash."""
     assert (
         Schedule.draw(changed("schedule", catch_trials=0), "p01", 1).as_dict()
         == Schedule.draw(PAPER, "p01", 1).as_dict()
@@ -262,8 +262,8 @@ def test_a_schedule_without_catch_trials_has_no_trace_of_them() -> None:
     assert {"catch trials within one_hand", "catch trials within two_hands"} < set(purposes)
 
 
-def test_catch_trials_are_drawn_uniformly_among_the_valid_places_and_pairs() -> None:
-    """Two among A B B A, at most two alike running: ten ways; 5000 draws, chi-square below its 0.9999."""
+def test_catch_trials_are_drawn_uniformly() -> None:
+    """Two among A B B A with runs of at most two: ten ways; 5000 draws, chi-square below its 0.9999."""
     first, second = ("A", "C"), ("B", "D")
     order, limit = [first, second, second, first], 2
 
@@ -286,7 +286,7 @@ def test_catch_trials_are_drawn_uniformly_among_the_valid_places_and_pairs() -> 
 
 
 def test_catch_trials_that_cannot_keep_the_limit_are_refused() -> None:
-    """Two pairs in turn leave no pair for a catch trial between them: only the end of the block is free."""
+    """Between two alternating pairs no catch trial fits; only the end of the block is free."""
     order = [("A", "C"), ("B", "D")] * 3
     stream = Stream(1, "p01", 1, "a test")
     assert place_catches(order, 1, 1, stream) == [(5, ("A", "C"))]
@@ -295,7 +295,7 @@ def test_catch_trials_that_cannot_keep_the_limit_are_refused() -> None:
 
 
 def signature(protocol: Protocol, turn: int) -> tuple[Any, ...]:
-    """Return what of a block's order its turn decides: the row of a Latin square, drawn orders left out."""
+    """Return the part of a block's order that its turn decides: the row of a Latin square, drawn orders excluded."""
     cells = order_cells(protocol, protocol.conditions.finger_conditions[0], turn, Stream(1, "p01", 1, "a test"))
     keys = {"by_pair": lambda cell: cell[0], "by_velocity": lambda cell: cell[1], "latin_square": lambda cell: cell}
     if protocol.schedule.order not in keys:
@@ -307,7 +307,7 @@ def signature(protocol: Protocol, turn: int) -> tuple[Any, ...]:
 @pytest.mark.parametrize("repetitions", [1, 2, 3])
 @pytest.mark.parametrize("name", ["differentiated_stimulation", "two_fields"])
 def test_rows_repeat_after_their_period_and_not_before(order: str, repetitions: int, name: str) -> None:
-    """The least number of turns after which every row comes again, found by looking at two periods of them."""
+    """The period is the least number of turns after which all rows repeat, checked over two periods."""
     protocol = Findings.read(SHIPPED / f"{name}.yaml").experiment().protocol
     part = protocol.schedule.model_copy(update={"order": order, "repetitions": repetitions})
     protocol = protocol.model_copy(update={"schedule": part})
@@ -318,8 +318,8 @@ def test_rows_repeat_after_their_period_and_not_before(order: str, repetitions: 
     assert not [each for each in shorter if all(rows[i] == rows[i + each] for i in range(period))]
 
 
-def test_turns_repeat_when_rows_fingers_and_placements_do() -> None:
-    """Two orders of finger conditions and four placements with the 36 turns of three pairs: 72; alone: 2 or 8."""
+def test_the_period_of_turns_combines_rows_fingers_and_placements() -> None:
+    """Two orders of finger conditions, four placements and 36 rows of three pairs: 72; without rows 2 or 8."""
     assert Turn.period(PAPER) == 2 * len(PAPER.conditions.placements)
     everywhere = ("normal", "mirrored", "swapped", "mirrored_swapped")
     placed = changed("conditions", placements=everywhere)
@@ -328,15 +328,15 @@ def test_turns_repeat_when_rows_fingers_and_placements_do() -> None:
     assert Turn.period(blocked) == 72
 
 
-def test_a_participant_without_a_number_keeps_the_turn_of_their_hash() -> None:
-    """As with orders: a later version must divide participants as their records say."""
+def test_turns_by_hash_never_change() -> None:
+    """Later versions must assign participants as recorded."""
     assert Turn.of("anna", 7, 1) == Turn(6325489328891300822, "hash of the participant")
     assert Turn.of("anna", 7, 3).number == 6325489328891300824
     assert Turn.of("p012", 7, 3) == Turn(13, "number of the participant")
 
 
-def test_the_record_says_how_many_trials_and_which() -> None:
-    """Keys of the record, those of given turns and adaptive levels only where there are any."""
+def test_the_record_lists_all_trials() -> None:
+    """Keys for given turns and adaptive levels are present only if needed."""
     schedule = Schedule.draw(PAPER, "p01", 7)
     record = schedule.as_dict()
     assert list(record) == [
@@ -371,8 +371,8 @@ def test_the_record_says_how_many_trials_and_which() -> None:
         [5, 10**400],
     ],
 )
-def test_the_first_word_tells_where_a_number_lies_among_totals(totals: list[int]) -> None:
-    """Expected: the number drawn whole, from the same words, then looked up."""
+def test_the_first_word_usually_locates_a_number_among_totals(totals: list[int]) -> None:
+    """Reference: the whole number drawn from the same words, then looked up."""
     one, other = (Stream(7, "p01", 1, "a test") for _ in range(2))
     cuts = Cuts.of(totals)
     assert all(one.among(cuts) == bisect_right(totals, other.below(totals[-1])) for _ in range(10_000))
@@ -380,7 +380,7 @@ def test_the_first_word_tells_where_a_number_lies_among_totals(totals: list[int]
 
 
 @pytest.mark.parametrize(("more", "place"), [(-1, 1), (0, 1), (1, 0), (2**63, 0)])
-def test_later_words_tell_where_the_first_does_not(more: int, place: int) -> None:
-    """A total whose first word is that of the number drawn: it comes after totals up to itself."""
+def test_later_words_decide_if_the_first_is_equal(more: int, place: int) -> None:
+    """A total whose first word equals that of the number drawn."""
     number = Stream(7, "p01", 1, "a test").below(2**128)
     assert Stream(7, "p01", 1, "a test").among(Cuts.of([number + more, 2**128])) == place

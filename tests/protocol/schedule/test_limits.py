@@ -1,4 +1,4 @@
-"""Limits beyond that on pairs: kept in every order, each order that keeps them as likely as any other, or refused."""
+"""Limits other than that on pairs: kept in every order, with all such orders equally likely, or refused."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ TWO = Findings.read(SHIPPED / "two_fields.yaml").experiment().protocol
 
 
 def limited(**limits: Any) -> Protocol:
-    """Return two pairs, two levels and two stimuli, twice each, under some limits."""
+    """Return two pairs, two levels and two stimuli, twice each, with the given limits."""
     usual = {"max_same_pair_running": None, "repetitions": 2}
     return TWO.model_copy(update={"schedule": TWO.schedule.model_copy(update=usual | limits)})
 
 
 @pytest.mark.parametrize("participant", ["p01", "p02", "p03"])
 def test_every_limit_holds_in_every_block(participant: str) -> None:
-    """Pair, level, stimulus and side at most so often running; no cell twice within three trials."""
+    """Runs of pair, level, stimulus and side are limited; no cell comes twice within three trials."""
     protocol = limited(
         max_same_pair_running=3, max_same_level_running=2, max_same_stimulus_running=3, max_same_side_running=3,
         min_same_cell_distance=3,
@@ -57,7 +57,7 @@ LIMITS = {
 
 
 def every_order(cells: Sequence[Any], limits: Sequence[Limit[Any]]) -> set[tuple[Any, ...]]:
-    """Return all orders that keep the limits by trying every one."""
+    """Return all orders that keep the limits, by brute force."""
     return {order for order in itertools.permutations(cells) if not any(limit.n_broken(order) for limit in limits)}
 
 
@@ -74,7 +74,7 @@ def every_order(cells: Sequence[Any], limits: Sequence[Limit[Any]]) -> set[tuple
 def test_all_orders_that_keep_the_limits_are_equally_likely(
     cells: str, given: dict[str, int], n_orders: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Chi-squared over every order that trying each permutation finds, after a tenth of the steps; p above 0.001."""
+    """Chi-squared over all orders found by brute force, with a tenth of the usual steps; p above 0.001."""
     monkeypatch.setattr(limited_orders, "SWEEPS", 10)
     limits, items = [LIMITS[name](limit) for name, limit in given.items()], cells.split()
     valid = every_order(items, limits)
@@ -85,7 +85,7 @@ def test_all_orders_that_keep_the_limits_are_equally_likely(
 
 
 def test_the_walk_draws_as_rejection_does(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of 18 trials, limits on pair and level: neighbours of one pair come as often, after a tenth of the steps."""
+    """18 trials with limits on pair and level: repeated pairs are as frequent as in rejection sampling."""
     monkeypatch.setattr(limited_orders, "SWEEPS", 10)
     cells = [pair + level for pair in "AB" for level in "123"] * 3
     limits, stream = [LIMITS["pair"](4), LIMITS["level"](3)], Stream(1, "p01", 1, "a test")
@@ -103,15 +103,15 @@ def test_the_walk_draws_as_rejection_does(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 @pytest.mark.parametrize("participant", ["p01", "p02", "p03"])
-def test_long_orders_keep_limits_that_chance_would_not(participant: str) -> None:
-    """144 trials of 3 pairs and 4 levels; of shuffled ones about one in exp(17) keeps both limits."""
+def test_long_orders_keep_limits(participant: str) -> None:
+    """144 trials of 3 pairs and 4 levels; about one shuffle in exp(17) would keep both limits."""
     cells = [pair + level for pair in "ABC" for level in "1234"] * 12
     order = draw_by_walk(cells, [LIMITS["pair"](2), LIMITS["level"](2)], Stream(1, participant, 1, "a test"))
     assert Counter(order) == Counter(cells)
     assert [longest_run([cell[n] for cell in order]) for n in (0, 1)] == [2, 2]
 
 
-def test_pairs_without_the_focus_break_a_row_of_one_side() -> None:
+def test_pairs_without_the_focus_end_a_run_of_one_side() -> None:
     """The side is that of the finger on the focus."""
     (limit,) = limits_of(limited(max_same_side_running=1))
     left, right, none = ((pair, 80.0, "sharp") for pair in (("C", "E"), ("A", "C"), ("B", "D")))
@@ -130,8 +130,8 @@ def test_pairs_without_the_focus_break_a_row_of_one_side() -> None:
         ("max_same_stimulus_running: 1", "given 1, but 24 of the 24 trials of a block have the same stimulus; allowed"),
     ],
 )
-def test_limits_that_cannot_be_kept_are_refused_with_the_reason(edit: Any, limits: str, told: str) -> None:
-    """At the key that asks too much."""
+def test_impossible_limits_are_refused_at_their_key(edit: Any, limits: str, told: str) -> None:
+    """With the reason."""
     words = ("  max_same_pair_running: 2", f"  {limits}"), ("repetitions: 1", "repetitions: 4")
     problems = examine(edit("demo.yaml", *words)).problems
     assert [told in each.message for each in problems] == [True]
@@ -139,7 +139,7 @@ def test_limits_that_cannot_be_kept_are_refused_with_the_reason(edit: Any, limit
 
 
 def test_a_limit_on_runs_that_cannot_be_kept_is_refused_before_the_search() -> None:
-    """Nine of ten trials of one pair: the other stands between two runs at best."""
+    """Nine of ten trials have one pair, so at best a run of five remains."""
     told = "max_same_pair_running: given 2, but 9 of the 10 trials of a block have the same pair; at least 5"
     with pytest.raises(NoOrderError, match=told):
         LIMITS["pair"](2).refuse_impossible(["A1"] * 9 + ["C1"])
@@ -147,10 +147,10 @@ def test_a_limit_on_runs_that_cannot_be_kept_is_refused_before_the_search() -> N
     LIMITS["distance"](3).refuse_impossible(["A1", "A2", "C1"])
 
 
-def test_a_participant_without_an_order_is_told_and_is_rare(
+def test_a_participant_without_an_order_gets_a_clear_error(
     edit: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A check gives up after a quarter of the work; who has no order all the same gets words, no traceback."""
+    """The check stops after a quarter of the work; a session without an order ends with a message."""
     words = ("  max_same_pair_running: 2", "  max_same_level_running: 1\n  min_same_cell_distance: 3")
     preflight = examine(edit("demo.yaml", words, ("repetitions: 1", "repetitions: 4"))).require()
     monkeypatch.setattr(limited_orders, "SWEEPS", 10**6)
@@ -162,8 +162,8 @@ def test_a_participant_without_an_order_is_told_and_is_rare(
     assert "do not exist or are too rare to find" in problem.given
 
 
-def test_limits_that_no_order_keeps_together_are_refused_by_both_names() -> None:
-    """Known: where two pairs and two levels both alternate, a pair has one level alone."""
+def test_incompatible_limits_are_refused_together() -> None:
+    """If two pairs and two levels both alternate, each pair has only one level."""
     cells = [pair + level for pair in "AB" for level in "12"] * 4
     limits = [LIMITS["pair"](1), LIMITS["level"](1)]
     told = "given 1, but orders that keep it together with schedule.max_same_.*_running do not exist .* is broken most"
@@ -171,8 +171,8 @@ def test_limits_that_no_order_keeps_together_are_refused_by_both_names() -> None
         draw_by_walk(cells, limits, Stream(1, "p01", 1, "a test"), effort=0.1)
 
 
-def test_a_limit_with_an_order_that_is_not_drawn_is_refused(edit: Any) -> None:
-    """Rows of a Latin square keep no limits."""
+def test_limits_need_a_shuffled_order(edit: Any) -> None:
+    """The rows of a Latin square cannot keep limits."""
     words = ("  max_same_pair_running: 2", "  order: latin_square\n  max_same_level_running: 2")
     problems = examine(edit("demo.yaml", words)).problems
     assert [each.message for each in problems] == [
@@ -183,8 +183,8 @@ def test_a_limit_with_an_order_that_is_not_drawn_is_refused(edit: Any) -> None:
 @pytest.mark.parametrize(
     ("counts", "n_orders"), [((3, 3, 3, 3), 8), ((3, 2, 3, 2), 2)], ids=["alike", "two more often"]
 )
-def test_a_distance_of_as_many_trials_as_cells_repeats_one_permutation(counts: tuple[int, ...], n_orders: int) -> None:
-    """The largest distance that is said to work does, with other limits kept, and each permutation alike often."""
+def test_the_largest_distance_repeats_one_permutation(counts: tuple[int, ...], n_orders: int) -> None:
+    """The largest allowed distance works together with other limits, with all permutations equally likely."""
     cells = [cell for cell, n in zip(("A1", "A2", "B1", "B2"), counts, strict=True) for _ in range(n)]
     limits = [LIMITS["pair"](1), Limit("min_same_cell_distance", lambda cell: cell, 1, 4)]
     orders = [draw_by_walk(cells, limits, Stream(seed, "p01", 1, "a test")) for seed in range(400)]
@@ -197,8 +197,8 @@ def test_a_distance_of_as_many_trials_as_cells_repeats_one_permutation(counts: t
     assert max(drawn.values()) < 1.6 * 400 / n_orders
 
 
-def test_a_single_limit_that_is_hard_to_keep_is_told_with_its_value() -> None:
-    """Eight cells seven trials apart: orders exist, but none is found."""
+def test_a_limit_that_is_too_hard_is_refused_with_its_value() -> None:
+    """Eight cells, seven trials apart: orders exist, but none is found."""
     cells = [cell for cell in "abcdefgh" for _ in range(10)]
     told = "schedule.min_same_cell_distance: given 7, but orders that keep it are too rare to find; lower it"
     with pytest.raises(NoOrderError, match=told):
@@ -207,8 +207,8 @@ def test_a_single_limit_that_is_hard_to_keep_is_told_with_its_value() -> None:
 
 @pytest.mark.parametrize("repetitions", [1, 2, 9, 30])
 @pytest.mark.parametrize("limit", [None, 1, 2, 3])
-def test_what_is_certain_is_drawn_for_everybody(limit: int | None, repetitions: int) -> None:
-    """A check draws nothing then; two pairs equally often always have an order, and its number is counted."""
+def test_certain_orders_exist_for_every_participant(limit: int | None, repetitions: int) -> None:
+    """The check then draws nothing: two pairs with equal counts always have an order."""
     protocol = limited(max_same_pair_running=limit, repetitions=repetitions)
     assert are_certain(protocol)
     for participant in ("p01", "p02", "p03"):
@@ -221,8 +221,8 @@ def test_what_is_certain_is_drawn_for_everybody(limit: int | None, repetitions: 
     [{"max_same_level_running": 2}, {"min_same_cell_distance": 2}, {"catch_trials": 2}, {"order": "blocked"}],
     ids=lambda given: next(iter(given)),
 )
-def test_what_a_search_must_find_is_not_certain(limits: dict[str, Any]) -> None:
-    """Nor is a limit on pairs that no order keeps, or one whose orders are too many to count."""
+def test_orders_that_need_a_search_are_not_certain(limits: dict[str, Any]) -> None:
+    """Nor are impossible limits on pairs, or orders that are too many to count."""
     assert not are_certain(limited(**limits))
     uneven = TWO.conditions.model_copy(update={"zone_pairs": (("A", "C"),)})
     assert not are_certain(limited(max_same_pair_running=1).model_copy(update={"conditions": uneven}))

@@ -1,4 +1,4 @@
-"""Groups of participants and kinds of session: the protocol with a few keys otherwise, every fault in its place."""
+"""Groups of participants and kinds of session: protocols that differ in a few keys; faults with positions."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ KINDS = """schedule:
 
 @pytest.fixture
 def read(edit: Callable[..., Path]) -> Callable[..., Findings]:
-    """Return what reads the demonstration with groups and kinds of session."""
+    """Return a function that reads the demonstration with groups and kinds of session."""
 
     def findings(*changes: tuple[str, str]) -> Findings:
         return Findings.read(edit("demo.yaml", ("schedule:\n", GROUPS + KINDS), *changes))
@@ -32,8 +32,8 @@ def read(edit: Callable[..., Path]) -> Callable[..., Findings]:
     return findings
 
 
-def test_each_group_in_each_kind_of_session_is_a_protocol_of_its_own(read: Callable[..., Findings]) -> None:
-    """What a group or a kind does not say is as for all."""
+def test_each_group_and_kind_of_session_has_its_protocol(read: Callable[..., Findings]) -> None:
+    """Keys that a group or kind does not set have the common values."""
     first = read()
     every = {tuple(each.occasion): each.experiment().protocol for each in (first, *first.others)}
     assert list(every) == [("low", "training"), ("low", "test"), ("high", "training"), ("high", "test")]
@@ -58,26 +58,26 @@ def test_each_group_in_each_kind_of_session_is_a_protocol_of_its_own(read: Calla
 def test_a_fault_has_the_path_of_its_group_or_kind(
     read: Callable[..., Findings], change: tuple[str, str], path: str
 ) -> None:
-    """Under which the key is found in the file, not that of the section for all."""
+    """Not that of the common section."""
     assert {each.as_dict()["path"] for each in read(change).problems} == {path}
 
 
-def test_a_record_gives_the_protocol_of_its_own_occasion(read: Callable[..., Findings]) -> None:
-    """From the one text that it keeps."""
+def test_a_record_restores_the_protocol_of_its_group_and_kind(read: Callable[..., Findings]) -> None:
+    """From the single recorded text."""
     first = read()
     kept = Sources.from_dict(first.experiment().sources.as_dict())
     for each in first.others:
         assert Findings.restored(kept, each.occasion).experiment().protocol == each.experiment().protocol
 
 
-def test_levels_that_only_groups_have_need_not_be_written_for_all(read: Callable[..., Findings]) -> None:
-    """The protocol without a group is none."""
+def test_levels_may_be_given_by_group_only(read: Callable[..., Findings]) -> None:
+    """The common section then needs none."""
     both = GROUPS.replace("{zone_pairs: [[A, C]]}", "{peak_velocities_mm_s: [150]}")
     assert read((LEVELS, ""), (GROUPS, both)).problems == ()
 
 
-def test_levels_that_one_group_lacks_are_missing(read: Callable[..., Findings]) -> None:
-    """Although the other has its own."""
+def test_a_group_without_levels_is_a_fault(read: Callable[..., Findings]) -> None:
+    """Even if the other group has its own."""
     assert ["missing key" in each.message for each in read((LEVELS, "")).problems] == [True]
 
 
@@ -93,10 +93,10 @@ def test_levels_that_one_group_lacks_are_missing(read: Callable[..., Findings]) 
         (("name: test", "name: test, conditions: {}, schedule: {sessions: 2}"), "given sessions of one kind; allowed"),
     ],
 )
-def test_a_fault_of_one_group_or_kind_is_told_where_it_is_written(
+def test_a_fault_of_one_group_or_kind_is_reported_at_its_line(
     read: Callable[..., Findings], change: tuple[str, str], told: str
 ) -> None:
-    """Once, though several occasions have it."""
+    """Once, even if several occasions share it."""
     findings = read(change)
     with pytest.raises(InputError, match="given"):
         findings.experiment()
@@ -121,29 +121,29 @@ UNLIKE = "given other answers or questions for {}; allowed: the same ones for al
           ("times: 2", "answers: {keys: {none: [down]}}")], "", ""),
     ],
 )  # fmt: skip
-def test_what_is_analysed_together_is_asked_alike(read: Callable[..., Findings], changes, path, told) -> None:
-    """Another list, a scale or a further question of one group would be pooled with the others, or refused too late."""
+def test_sessions_analysed_together_need_the_same_questions(read: Callable[..., Findings], changes, path, told) -> None:
+    """Other answers, scales or further questions in one group could not be pooled."""
     found = read(("[up, down, num_8]", "[up, num_8]"), *changes).problems
     assert [each.path for each in found] == [path] * bool(path)
     assert all(UNLIKE.format(told) in each.message for each in found)
 
 
-def test_the_check_refuses_a_level_of_one_group_that_no_amplifier_reaches(edit: Callable[..., Path]) -> None:
-    """Not that of the first group alone."""
+def test_the_check_covers_the_levels_of_every_group(edit: Callable[..., Path]) -> None:
+    """A level beyond the amplifier's limit in the second group is refused."""
     own = GROUPS.replace("{zone_pairs: [[A, C]]}", "{peak_velocities_mm_s: [400]}")
     problems = examine(edit("demo.yaml", ("schedule:\n", own + KINDS))).problems
     assert ["400 mm/s, which needs" in each.given for each in problems] == [True]
 
 
-def test_the_check_shows_every_occasion(edit: Callable[..., Path]) -> None:
-    """With its own number of trials."""
+def test_the_check_shows_every_group_and_kind(edit: Callable[..., Path]) -> None:
+    """Each with its number of trials."""
     shown = examine(edit("demo.yaml", ("schedule:\n", GROUPS + KINDS))).require().as_dict()["occasions"]
     assert [(each["group"], each["session_kind"], each["n_trials"]) for each in shown] == [
         ("low", "training", 6), ("low", "test", 12), ("high", "training", 2), ("high", "test", 4),
     ]  # fmt: skip
 
 
-def test_by_number_groups_alternate_and_each_has_every_order_equally_often(read: Callable[..., Findings]) -> None:
+def test_groups_alternate_and_are_crossed_with_orders(read: Callable[..., Findings]) -> None:
     """Eight participants: four in each group, two with each order of two finger conditions."""
     first = read()
     every = {tuple(each.occasion): each.experiment().protocol for each in (first, *first.others)}
@@ -157,7 +157,7 @@ def test_by_number_groups_alternate_and_each_has_every_order_equally_often(read:
     assert len(met) == 4
 
 
-def test_kinds_of_adaptive_sessions_have_as_many_trials_as_their_runs(edit: Callable[..., Path]) -> None:
-    """Ten catch trials among the forty of a run: the repetitions, which an adaptive run does not have, say nothing."""
+def test_kinds_of_adaptive_sessions_ignore_repetitions(edit: Callable[..., Path]) -> None:
+    """The number of catch trials is compared with the trials of the run."""
     kinds = "schedule:\n  sessions: [{name: pre}, {name: post}]\n"
     assert Findings.read(edit("threshold.yaml", ("schedule:\n", kinds))).problems == ()

@@ -31,18 +31,18 @@ Draw = Callable[[Sequence[int], int, Stream], list[int] | None]
 
 
 def count_orders(counts: tuple[int, ...], limit: int) -> int:
-    """Return of how many orders the draw that counts knows, kinds told apart and items of a kind not."""
+    """Return the number of orders that the counting draw distinguishes (items of a kind are identical)."""
     return sum(weight for *_, weight in moves(counts, None, limit, count_states(counts, limit)))
 
 
 def by_gaps(counts: Sequence[int], limit: int, stream: Stream) -> list[int]:
-    """Draw with the way that serves a limit of one."""
+    """Draw by gaps, the method for a limit of one."""
     assert limit == 1
     return draw_unlike_neighbours(tuple(counts), stream)
 
 
 def by_walk(counts: Sequence[int], limit: int, stream: Stream) -> list[int]:
-    """Walk among all orders of these counts."""
+    """Draw by a random walk among all orders of these counts."""
     items = [kind for kind, count in enumerate(counts) for _ in range(count)]
     return draw_by_walk(items, [Limit("max_same_pair_running", lambda kind: kind, limit)], stream)
 
@@ -53,13 +53,13 @@ def stream(seed: int = 1) -> Stream:
 
 
 def every_order(counts: Sequence[int], limit: int) -> set[tuple[int, ...]]:
-    """Return all valid orders by trying every one."""
+    """Return all valid orders, by brute force."""
     items = [kind for kind, count in enumerate(counts) for _ in range(count)]
     return {order for order in itertools.permutations(items) if longest_run(order) <= limit}
 
 
 def carlitz(counts: Sequence[int]) -> int:
-    """Return the number of words without like neighbours by inclusion and exclusion over merged items."""
+    """Return the number of words without equal neighbours, by inclusion and exclusion over merged items."""
     total = 0
     for blocks in itertools.product(*(range(1, count + 1) for count in counts)):
         sign = (-1) ** (sum(counts) - sum(blocks))
@@ -86,7 +86,7 @@ def carlitz(counts: Sequence[int]) -> int:
     ],
 )
 def test_every_valid_order_is_equally_likely(counts: tuple[int, ...], limit: int, draw: Draw) -> None:
-    """Chi-square over all orders found by trying every permutation; fixed seed, p above 0.001."""
+    """Chi-square over all orders found by brute force; fixed seed, p above 0.001."""
     orders = every_order(counts, limit)
     source, n_draws = stream(3), 30 * len(orders)
     drawn = Counter(tuple(draw(counts, limit, source) or ()) for _ in range(n_draws))
@@ -95,16 +95,16 @@ def test_every_valid_order_is_equally_likely(counts: tuple[int, ...], limit: int
     assert chi2.sf(statistic, len(orders) - 1) > 1e-3
 
 
-def test_long_orders_are_walked_to() -> None:
-    """Six pairs, 100 trials of each: one order in some ten million of those with these counts keeps the limit."""
+def test_long_orders_are_drawn_by_the_walk() -> None:
+    """Six pairs with 100 trials each: about one order in ten million keeps the limit."""
     assert draw_by_rejection((100,) * 6, 2, stream()) is None
     order = draw_order((100,) * 6, 2, stream())
     assert longest_run(order) == 2
     assert [order.count(kind) for kind in range(6)] == [100] * 6
 
 
-def test_the_chi_square_would_find_a_greedy_order() -> None:
-    """A draw that picks each next item among the allowed ones, and starts over at a dead end, is biased."""
+def test_the_chi_square_detects_a_greedy_draw() -> None:
+    """Picking each next item among the allowed ones, with restarts, is biased."""
     counts, limit, source = (3, 2, 1), 1, stream(3)
     orders = every_order(counts, limit)
 
@@ -126,8 +126,8 @@ def test_the_chi_square_would_find_a_greedy_order() -> None:
 
 
 @pytest.mark.parametrize(("counts", "limit"), [((2, 2, 2), 1), ((3, 2, 2), 2), ((4, 2, 1), 2), ((3, 3), 2)])
-def test_orders_are_counted_as_trying_every_one_counts_them(counts: tuple[int, ...], limit: int) -> None:
-    """Brute force."""
+def test_counts_of_orders_agree_with_brute_force(counts: tuple[int, ...], limit: int) -> None:
+    """Four small designs."""
     assert count_orders(counts, limit) == len(every_order(counts, limit))
 
 
@@ -139,7 +139,7 @@ def test_orders_without_like_neighbours_are_the_carlitz_numbers(counts: tuple[in
 
 
 def test_the_papers_design_loses_39_percent_of_plain_shuffles() -> None:
-    """Design notes: a plain shuffle of 3 pairs x 4 levels has a pair three times running in 39 % of sessions."""
+    """A plain shuffle of 3 pairs x 4 levels has a pair three times running in 39 % of sessions."""
     plain = math.factorial(12) // math.factorial(4) ** 3
     assert round(100 * (1 - count_orders((4, 4, 4), 2) / plain)) == 39
     source = stream()
@@ -151,7 +151,7 @@ def test_the_papers_design_loses_39_percent_of_plain_shuffles() -> None:
 @settings(max_examples=60, deadline=None)
 @given(st.lists(st.integers(1, 8), min_size=2, max_size=5), st.integers(1, 4), st.integers(0, 2**64))
 def test_every_order_keeps_counts_and_limit(counts: list[int], limit: int, seed: int) -> None:
-    """Or is refused where no order can, as `least_limit` says."""
+    """Or is refused, if the limit is below `least_limit`."""
     source = Stream(seed, "p", 1, "test")
     if limit < least_limit(counts):
         with pytest.raises(ValueError, match=f"at least {least_limit(counts)}, or null"):
@@ -164,7 +164,7 @@ def test_every_order_keeps_counts_and_limit(counts: list[int], limit: int, seed:
 
 @pytest.mark.parametrize("counts", [(3, 1), (2, 1, 1), (5, 2), (4, 4), (6,), (1, 1)])
 def test_the_least_limit_is_the_least_that_works(counts: tuple[int, ...]) -> None:
-    """Brute force over every order."""
+    """Brute force over all orders."""
     items = [kind for kind, count in enumerate(counts) for _ in range(count)]
     assert least_limit(counts) == min(longest_run(order) for order in itertools.permutations(items))
 
@@ -173,21 +173,21 @@ def test_the_least_limit_is_the_least_that_works(counts: tuple[int, ...]) -> Non
     ("counts", "limit"),
     [((40,) * 3, 2), ((100,) * 3, 2), ((12,) * 10, 1), ((12,) * 10, 2), ((40,) * 6, 1), ((500, 500), 3)],
 )
-def test_large_designs_are_drawn_too(counts: tuple[int, ...], limit: int) -> None:
-    """All ten pairs of five zones, and more trials than a person can bear."""
+def test_large_designs_are_drawn(counts: tuple[int, ...], limit: int) -> None:
+    """Up to all ten pairs of five zones and a thousand trials."""
     order = draw_order(counts, limit, stream())
     assert [order.count(kind) for kind in range(len(counts))] == list(counts)
     assert longest_run(order) <= limit
 
 
-def test_whole_numbers_are_uniform_far_beyond_a_word() -> None:
+def test_large_whole_numbers_are_uniform() -> None:
     """The mean of uniform numbers below 10**40 is within 4 standard errors of the middle."""
     source, bound, n_draws = stream(), 10**40, 4000
     mean = sum(source.below(bound) for _ in range(n_draws)) / n_draws / bound
     assert abs(mean - 0.5) < 4 / math.sqrt(12 * n_draws)
 
 
-def test_every_residue_below_a_bound_comes_as_often() -> None:
+def test_small_whole_numbers_are_uniform() -> None:
     """Chi-square over the values below 6; fixed seed."""
     source = stream()
     drawn = Counter(source.below(6) for _ in range(6000))
