@@ -1,4 +1,4 @@
-"""A private display, the one real window that the tests share, and hands that press real keys."""
+"""A virtual display, the one real window that the tests share, and injection of real keys and clicks."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 @pytest.fixture(scope="session")
 def display() -> Iterator[str]:
-    """Give a display of our own, so that no test types into somebody's desktop."""
+    """Provide a separate display, so that no test types into a desktop."""
     with virtual_display((3840, 2160)) as name:
         before = os.environ.get("DISPLAY")
         os.environ["DISPLAY"] = name
@@ -38,7 +38,7 @@ def display() -> Iterator[str]:
 
 @pytest.fixture(scope="session")
 def screen(display: str) -> Iterator[Any]:
-    """Give the real window; each one opened leaks a connection, so all tests share it."""
+    """Provide the real window. All tests share it, since each one leaks a connection."""
     from modaltouch.window.screen import Screen
 
     opened = Screen(size=(1280, 800), ground=DARK.ground, title="modaltouch under test")
@@ -48,18 +48,18 @@ def screen(display: str) -> Iterator[Any]:
 
 @pytest.fixture(scope="session")
 def experiment() -> Experiment:
-    """Give the shipped demonstration."""
+    """Provide the shipped demonstration."""
     return Findings.read(ROOT / "protocols" / "demo.yaml").experiment()
 
 
 @pytest.fixture
 def trial() -> Trial:
-    """Give one trial with the right index finger on A and the right middle finger on C."""
+    """Provide one trial with the right index finger on A and the right middle finger on C."""
     return Trial(5, 1, Condition("one_hand", "A", "C", 100.0))
 
 
 class PaperDisplay:
-    """A display without a window: keeps the pictures, reports the events it is given."""
+    """A display without a window: keeps the pictures and reports the events it is given."""
 
     def __init__(self, clock: Clock, size: tuple[int, int] = (1280, 800)) -> None:
         self.clock = clock
@@ -99,8 +99,8 @@ class PaperDisplay:
 class Room:
     """A window under test, with everything it did.
 
-    `script` maps what to do to when: each step waits until a picture whose name starts with the given words has
-    been on for some seconds, then acts; steps run in order, from within the window's own tick.
+    `script` lists actions with their times: each step waits until a picture whose name starts with the given words has
+    been shown for some seconds, then acts. The steps run in order from the window's own tick.
     """
 
     display: Any
@@ -115,7 +115,7 @@ class Room:
     requests: list[Any] = field(default_factory=list)
 
     def tick(self) -> Any:
-        """Play the script; fail the test instead of hanging it."""
+        """Run the script; fail the test instead of hanging."""
         now = self.clock.now()
         if now > self.deadline:
             raise TimeoutError(f"the window waits; shown {self.shown[-3:]}, log {self.log[-3:]}, script {self.script}")
@@ -130,7 +130,7 @@ class Room:
         self.stopped.append(self.clock.now())
 
     def present(self, onset: float | None = None, seconds: float = 60.0) -> Presentation:
-        """Return a stimulus that begins now and has bursts for some seconds; what becomes of it is noted."""
+        """Return a stimulus that begins now and lasts some seconds; its stop and end are noted."""
         onset = self.clock.now() if onset is None else onset
         return Presentation(onset, onset + seconds, lambda: self.ended.append(self.clock.now()), self.stop)
 
@@ -143,7 +143,7 @@ class Room:
 
 
 class Watched:
-    """Passes everything on to a display, and notes what is shown."""
+    """Forwards everything to a display and notes what is shown."""
 
     def __init__(self, display: Any, room: Room) -> None:
         self._display, self._room = display, room
@@ -187,7 +187,7 @@ def furnish(display: Any, experiment: Experiment, clock: Clock, *, seconds: floa
 
 @pytest.fixture
 def paper_room(experiment: Experiment) -> Callable[..., Room]:
-    """Give a window's rules without a window, in virtual time."""
+    """Provide the window's rules without a window, in virtual time."""
 
     def make(*, clock: Clock | None = None, **options: Any) -> Room:
         clock = clock or VirtualClock(100.0)
@@ -198,7 +198,7 @@ def paper_room(experiment: Experiment) -> Callable[..., Room]:
 
 @pytest.fixture
 def room(screen: Any, experiment: Experiment) -> Callable[..., Room]:
-    """Give the rules on the real window, with nothing left over from the test before."""
+    """Provide the rules on the real window, in a clean state."""
 
     def make(**options: Any) -> Room:
         settle = time.perf_counter() + 0.05
@@ -210,7 +210,7 @@ def room(screen: Any, experiment: Experiment) -> Callable[..., Room]:
 
 
 class Hands:
-    """Presses keys and buttons of the display server, as a keyboard and a mouse do."""
+    """Presses keys and buttons at the display server, as a keyboard and a mouse do."""
 
     def __init__(self, display: str) -> None:
         from Xlib.display import Display
@@ -243,14 +243,14 @@ class Hands:
         self._display.sync()
 
     def find(self, title: str) -> Any:
-        """Return the top window with a title."""
+        """Return the top-level window with a title."""
         for window in self._display.screen().root.query_tree().children:
             if window.get_wm_name() == title:
                 return window
         raise LookupError(title)
 
     def origin(self, title: str) -> tuple[int, int]:
-        """Return where the top left corner of a window lies on the display [pixels]."""
+        """Return the position of a window's top left corner on the display [pixels]."""
         geometry = self.find(title).get_geometry()
         return geometry.x, geometry.y
 
@@ -268,7 +268,7 @@ class Hands:
         self._display.sync()
 
     def take_focus(self) -> None:
-        """Open another window and give it the keyboard."""
+        """Open another window and give it the keyboard focus."""
         from Xlib import X
 
         root = self._display.screen().root
@@ -293,7 +293,7 @@ class Hands:
 
 @pytest.fixture
 def make_hands() -> Iterator[Callable[[str], Hands]]:
-    """Give hands on any display."""
+    """Provide hands on any display."""
     pairs: list[Hands] = []
 
     def make(name: str) -> Hands:
@@ -307,5 +307,5 @@ def make_hands() -> Iterator[Callable[[str], Hands]]:
 
 @pytest.fixture
 def hands(display: str, make_hands: Callable[[str], Hands]) -> Hands:
-    """Give hands on the private display."""
+    """Provide hands on the virtual display."""
     return make_hands(display)

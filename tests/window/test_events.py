@@ -1,4 +1,4 @@
-"""The event tap on a pyglet window of paper: order, time, repeats."""
+"""Window events on a fake pyglet window: order, time and key repeats."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ FRENCH = [[ord(letter) for letter in row] for row in ("&é\"'(-è_çà", "123456
 
 
 class PaperWindow:
-    """Takes handlers and plays events to them, as pyglet does in dispatch_events."""
+    """Accepts handlers and plays events to them, as pyglet does in dispatch_events."""
 
     def __init__(self) -> None:
         self.handlers: dict[str, Callable[..., bool]] = {}
@@ -44,7 +44,7 @@ class PaperWindow:
 
 @pytest.fixture
 def tap(display: str, monkeypatch: pytest.MonkeyPatch) -> tuple[EventTap, PaperWindow]:
-    """Give a tap on a paper window; pyglet's key names need a display to be imported."""
+    """Provide an event tap on a fake window; pyglet's key names need a display to be imported."""
     monkeypatch.setattr("modaltouch.window.screen._report_releases_once", lambda window: True)
     monkeypatch.setattr("pyglet.libs.x11.xlib.XKeycodeToKeysym", lambda _, code, level: FRENCH[level][code - 10])
     window = PaperWindow()
@@ -52,12 +52,12 @@ def tap(display: str, monkeypatch: pytest.MonkeyPatch) -> tuple[EventTap, PaperW
 
 
 def press(symbol: int) -> tuple[str, tuple[int, int]]:
-    """Return a key press for the paper window."""
+    """Return a key press for the fake window."""
     return ("on_key_press", (symbol, 0))
 
 
 def release(symbol: int) -> tuple[str, tuple[int, int]]:
-    """Return a key release for the paper window."""
+    """Return a key release for the fake window."""
     return ("on_key_release", (symbol, 0))
 
 
@@ -65,7 +65,7 @@ A, B = ord("a"), ord("b")
 
 
 def test_events_come_in_order_with_rising_times(tap: tuple[EventTap, PaperWindow]) -> None:
-    """Expected: the order of dispatch, stamped by the clock that reaction times use."""
+    """In the order of dispatch, stamped by the clock of the reaction times."""
     events, window = tap
     window.script = [press(A), press(B), release(A), ("on_mouse_press", (750, 375, 1, 0)), ("on_close", ())]
     before = time.perf_counter()
@@ -84,7 +84,7 @@ def test_events_come_in_order_with_rising_times(tap: tuple[EventTap, PaperWindow
 
 
 def test_a_held_key_is_one_press(tap: tuple[EventTap, PaperWindow]) -> None:
-    """Expected: presses without a release in between are repeats of the keyboard."""
+    """Presses without a release between them are repeats of the keyboard."""
     events, window = tap
     window.script = [press(A), press(A), press(A)]
     assert [event.kind for event in events.poll()] == ["key"]
@@ -92,8 +92,8 @@ def test_a_held_key_is_one_press(tap: tuple[EventTap, PaperWindow]) -> None:
     assert [event.kind for event in events.poll()] == ["release"]
 
 
-def test_a_release_and_press_in_no_time_are_a_hand(tap: tuple[EventTap, PaperWindow]) -> None:
-    """Read in one poll after the process stood still: nothing that was typed is lost."""
+def test_a_release_and_press_in_one_poll_both_count(tap: tuple[EventTap, PaperWindow]) -> None:
+    """After a stall of the process no keystroke is lost."""
     events, window = tap
     window.script = [press(A)]
     events.poll()
@@ -102,14 +102,14 @@ def test_a_release_and_press_in_no_time_are_a_hand(tap: tuple[EventTap, PaperWin
 
 
 def test_a_key_released_in_another_window_can_be_pressed_again(tap: tuple[EventTap, PaperWindow]) -> None:
-    """Expected: what happened while the focus was away is unknown, so nothing counts as held."""
+    """Events without the focus are unknown, so no key counts as held afterwards."""
     events, window = tap
     window.script = [press(A), ("on_deactivate", ()), ("on_activate", ()), press(A)]
     assert [event.kind for event in events.poll()] == ["key", "blur", "focus", "key"]
 
 
 def test_only_the_main_button_clicks(tap: tuple[EventTap, PaperWindow]) -> None:
-    """Expected: the right button (4) and the middle one (2) are swallowed."""
+    """The right button (4) and the middle one (2) are ignored."""
     events, window = tap
     window.script = [("on_mouse_press", (1, 1, 4, 0)), ("on_mouse_press", (1, 1, 2, 0)), ("on_text", ("a",))]
     assert events.poll() == []
@@ -120,12 +120,12 @@ def test_only_the_main_button_clicks(tap: tuple[EventTap, PaperWindow]) -> None:
     [("LEFT", "left"), ("Return", "enter"), ("_1", "1"), ("NUM_LEFT", "num_4"), ("num_page_up", "num_9"), (" a ", "a")],
 )
 def test_a_key_has_one_name(name: str, canonical: str) -> None:
-    """Expected names: pyglet's, in small letters, one for each key whatever NumLock says."""
+    """Pyglet's names in small letters, independent of NumLock."""
     assert canonical_key(name) == canonical
 
 
 def test_every_key_a_protocol_may_name_exists(display: str) -> None:
-    """Expected: pyglet has a symbol for each, which comes back under the same canonical name."""
+    """Pyglet has a symbol for each, with the same canonical name."""
     from pyglet.window import key
 
     for name in KEY_NAMES:
@@ -133,8 +133,8 @@ def test_every_key_a_protocol_may_name_exists(display: str) -> None:
         assert canonical_key(key.symbol_string(symbol)) == canonical_key(name)
 
 
-def test_a_digit_is_its_key_where_the_layout_wants_shift_for_it(tap: tuple[EventTap, PaperWindow]) -> None:
-    """On a French keyboard the key 1 types &, and 2 types é, which pyglet has no name for; both answer all the same."""
+def test_digit_keys_work_without_shift_on_a_french_keyboard(tap: tuple[EventTap, PaperWindow]) -> None:
+    """The key 1 types & there, and 2 types é, which has no name in pyglet; both count as digits."""
     from pyglet.window import key
 
     events, window = tap

@@ -1,4 +1,4 @@
-"""Facts of the layout: what fits, what hits, what overlaps; no window is opened."""
+"""Geometry of the layout: sizes, hits and overlaps; no window is opened."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ GRADES = AnswerList.of({"keys": ["a", "b", "c", "d", "e", "unsure", "nowhere"], 
 
 
 def boxes(layout: Layout) -> dict[str, Box]:
-    """Return everything of the question screen that must not overlap."""
+    """Return all parts of the question screen that must not overlap."""
     return {
         "headline": layout.headline,
         "beam": layout.beam,
@@ -48,7 +48,7 @@ def overlap(first: Box, second: Box) -> bool:
 
 @given(st.integers(320, 8000), st.integers(320, 8000), st.integers(2, 9))
 def test_everything_lies_inside_any_window(width_px: int, height_px: int, n_zones: int) -> None:
-    """Expected bounds: half the window's width and height in units of its height."""
+    """Bounds: half the window's width and height, in units of its height."""
     layout = lay_out(width_px, height_px, evenly("ABCDEFGHI"[:n_zones]), PAPER)
     half_width = width_px / height_px / 2
     everything = [*boxes(layout).values(), *layout.zones.values(), layout.body, layout.page, layout.go_on]
@@ -62,7 +62,7 @@ def test_everything_lies_inside_any_window(width_px: int, height_px: int, n_zone
 @pytest.mark.parametrize("answers", [PAPER, WITH_NONE, GRADES], ids=len)
 @pytest.mark.parametrize("size", [*SIZES, (1080, 1920)])
 def test_nothing_on_the_question_screen_overlaps(size: tuple[int, int], answers: AnswerList) -> None:
-    """Expected: each part of the question has its own place at every size of the design notes."""
+    """At all sizes of the list, each part has its own place."""
     layout = lay_out(*size, ZONES, answers)
     for (name, first), (other, second) in itertools.combinations(boxes(layout).items(), 2):
         assert not overlap(first, second), (name, other)
@@ -70,8 +70,8 @@ def test_nothing_on_the_question_screen_overlaps(size: tuple[int, int], answers:
 
 
 @pytest.mark.parametrize("size", SIZES)
-def test_the_answer_none_lies_below_the_others_on_nobodys_side(size: tuple[int, int]) -> None:
-    """Expected: centred, no smaller than the 44 pixels of touch guidelines, and hit where it is drawn."""
+def test_the_answer_none_is_centred_below_the_others(size: tuple[int, int]) -> None:
+    """It has at least the 44 pixels of touch guidelines, and is hit where it is drawn."""
     layout = lay_out(*size, ZONES, WITH_NONE)
     none = layout.buttons["none"]
     assert none.x == 0
@@ -82,22 +82,22 @@ def test_the_answer_none_lies_below_the_others_on_nobodys_side(size: tuple[int, 
 
 
 @pytest.mark.parametrize("size", SIZES)
-def test_the_way_on_lies_below_the_answers(size: tuple[int, int]) -> None:
-    """Expected: the screen that explains the answers shows buttons and the way on, apart."""
+def test_the_continue_hint_is_below_the_answers(size: tuple[int, int]) -> None:
+    """On the screen that explains the answers."""
     layout = lay_out(*size, ZONES, PAPER)
     assert layout.go_on.top < min(box.bottom for box in layout.buttons.values())
 
 
 @pytest.mark.parametrize("size", SIZES)
 def test_buttons_are_large(size: tuple[int, int]) -> None:
-    """Expected size: more than twice the 44 pixels that touch guidelines ask for, at every size."""
+    """Over twice the 44 pixels of touch guidelines at every size."""
     for box in lay_out(*size, ZONES, PAPER).buttons.values():
         assert min(box.width, box.height) * size[1] > 88
 
 
 @pytest.mark.parametrize("size", SIZES)
 def test_a_click_in_the_middle_of_a_button_gives_its_answer(size: tuple[int, int]) -> None:
-    """Expected: left, both and right stand in this order from the left."""
+    """Left, both and right are in this order."""
     layout = lay_out(*size, ZONES, PAPER)
     middles = sorted((box.x, box.y, answer) for answer, box in layout.buttons.items())
     assert [answer for _, _, answer in middles] == ["left", "both", "right"]
@@ -106,7 +106,7 @@ def test_a_click_in_the_middle_of_a_button_gives_its_answer(size: tuple[int, int
 
 @given(st.floats(-1, 1), st.floats(-0.5, 0.5))
 def test_a_click_hits_a_button_exactly_where_it_is_drawn(x: float, y: float) -> None:
-    """Expected: the inequalities that define a rectangle, edges included."""
+    """By the inequalities of a rectangle, edges included."""
     layout = lay_out(1280, 800, ZONES, PAPER)
     hit = [
         answer
@@ -116,7 +116,7 @@ def test_a_click_hits_a_button_exactly_where_it_is_drawn(x: float, y: float) -> 
     assert layout.answer_at(x, y) == (hit[0] if hit else None)
 
 
-def test_zones_stand_to_scale_and_turn_with_the_beam() -> None:
+def test_zones_are_drawn_to_scale_and_turn_with_the_beam() -> None:
     """By hand: a zone of a tenth of the beam at its left end, and one of a fifth right of the middle."""
     layout = lay_out(1280, 800, {"X": (-0.5, -0.4), "Y": (0.1, 0.3)}, PAPER)
     left, right = layout.zones.values()
@@ -129,8 +129,8 @@ def test_zones_stand_to_scale_and_turn_with_the_beam() -> None:
 
 
 @pytest.mark.parametrize("n_zones", [2, 3, 5, 8])
-def test_zones_stand_in_order_and_touch_each_other(n_zones: int) -> None:
-    """Expected: zones of equal width from the left, centred on the screen, whatever their number."""
+def test_equal_zones_are_adjacent_and_in_order(n_zones: int) -> None:
+    """For any number of zones, centred on the screen."""
     layout = lay_out(1280, 800, evenly("ABCDEFGH"[:n_zones]), PAPER)
     places = list(layout.zones.values())
     assert layout.beam.x == pytest.approx(0)

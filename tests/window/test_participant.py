@@ -1,4 +1,4 @@
-"""The window's rules on a display of paper: every screen, every way on and out, in virtual time."""
+"""The window's rules without a window: every screen and every way to end it, in virtual time."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ PROGRESS = Progress(5, 12)
 
 
 def send(room: Any, kind: str, key: str = "", x: float = 0.0, y: float = 0.0) -> Callable[[], None]:
-    """Return a step that lets one event happen now."""
+    """Return a step that sends an event now."""
 
     def act() -> None:
         room.display.events.append(Event(room.clock.now(), kind, key, x, y))
@@ -30,12 +30,12 @@ def send(room: Any, kind: str, key: str = "", x: float = 0.0, y: float = 0.0) ->
 
 
 def ask(room: Any, trial: Trial, onset: float | None = None, seconds: float = 60.0) -> Response:
-    """Ask one trial whose stimulus begins now and lasts some seconds at most."""
+    """Ask one trial whose stimulus begins now and lasts at most some seconds."""
     return room.window.ask(trial, PROGRESS, room.present(onset, seconds))
 
 
 def test_the_question_comes_after_its_delay(paper_room: Callable[..., Any], trial: Trial) -> None:
-    """Expected delay: answers.question_delay_s, counted from the onset of the stimulus."""
+    """`answers.question_delay_s`, counted from the onset of the stimulus."""
     room = paper_room(answers={"question_delay_s": 0.2})
     room.script = [("question", 0.05, send(room, "key", "left"))]
     onset = room.clock.now()
@@ -57,7 +57,7 @@ def test_whoever_listens_is_told_of_the_question(paper_room: Callable[..., Any],
 def test_a_stimulus_that_stops_first_is_stopped_before_the_question(
     paper_room: Callable[..., Any], trial: Trial
 ) -> None:
-    """Expected: stopped after presentation_s; the reaction time counts from the question on the screen."""
+    """It stops after `presentation_s`; the reaction time counts from the question."""
     room = paper_room(answers={"stimulus_until": "question", "presentation_s": 0.3, "question_delay_s": 0.1})
     room.script = [("question", 0.1, send(room, "key", "up"))]
     onset = room.clock.now()
@@ -70,7 +70,7 @@ def test_a_stimulus_that_stops_first_is_stopped_before_the_question(
 
 
 def test_a_question_may_come_later_than_the_stop(paper_room: Callable[..., Any], trial: Trial) -> None:
-    """Expected: the later of presentation_s and question_delay_s."""
+    """At the later of `presentation_s` and `question_delay_s`."""
     room = paper_room(answers={"stimulus_until": "question", "presentation_s": 0.1, "question_delay_s": 0.3})
     room.script = [("question", 0.02, send(room, "key", "up"))]
     onset = room.clock.now()
@@ -80,7 +80,7 @@ def test_a_question_may_come_later_than_the_stop(paper_room: Callable[..., Any],
 
 
 def test_an_interval_shows_its_number_and_the_gap_the_beam_alone(paper_room: Callable[..., Any], trial: Trial) -> None:
-    """Stopped at its end; the last one goes over into the question."""
+    """Each interval is stopped at its end; the last one leads to the question."""
     room = paper_room(answers={"stimulus_until": "question", "question_delay_s": 0.1})
     room.script = [("question", 0.1, send(room, "key", "up"))]
     onset = room.clock.now()
@@ -97,7 +97,7 @@ def test_an_interval_shows_its_number_and_the_gap_the_beam_alone(paper_room: Cal
 def test_a_pause_in_an_interval_or_a_gap_cuts_the_trial(
     paper_room: Callable[..., Any], trial: Trial, picture: str
 ) -> None:
-    """All its intervals are offered again; an answer before the question does not count."""
+    """All intervals are repeated; an answer before the question is discarded."""
     room = paper_room(answers={"stimulus_until": "question"})
     steps = [(picture, 0.1, "up"), (picture, 0.15, "escape"), ("pause", 0.3, "space")]
     room.script = [(name, after, send(room, "key", key)) for name, after, key in steps]
@@ -108,7 +108,7 @@ def test_a_pause_in_an_interval_or_a_gap_cuts_the_trial(
 
 
 def test_the_longest_stimulus_stops_and_the_question_stays(paper_room: Callable[..., Any], trial: Trial) -> None:
-    """Nobody answers for a second: the beam comes to rest then, once, and an answer given later still counts."""
+    """Without an answer the stimulus stops once after a second; a later answer still counts."""
     room = paper_room()
     room.script = [("question", 2.0, send(room, "key", "left"))]
     onset = room.clock.now()
@@ -119,7 +119,7 @@ def test_the_longest_stimulus_stops_and_the_question_stays(paper_room: Callable[
 
 
 def test_a_trial_may_end_with_the_longest_stimulus(paper_room: Callable[..., Any], trial: Trial) -> None:
-    """`after_longest: time_out`: no answer within a second is the outcome, told by no device, and nothing is marked."""
+    """`after_longest: time_out`: the outcome is a time-out without a device, and no button is marked."""
     room = paper_room(answers={"after_longest": "time_out"})
     onset = room.clock.now()
     response = ask(room, trial, onset, 1.0)
@@ -133,7 +133,7 @@ def test_a_trial_may_end_with_the_longest_stimulus(paper_room: Callable[..., Any
 
 @pytest.mark.parametrize("until", ["answer", "question"])
 def test_an_answer_may_come_too_late(paper_room: Callable[..., Any], trial: Trial, until: str) -> None:
-    """`time_out_s`: half a second after the question the trial is over, whether the stimulus plays or has stopped."""
+    """`time_out_s`: the trial ends half a second after the question, whether or not the stimulus still plays."""
     room = paper_room(answers={"stimulus_until": until, "time_out_s": 0.5, "question_delay_s": 0.3})
     room.script = [("question", 0.6, send(room, "key", "left"))]
     onset = room.clock.now()
@@ -144,8 +144,8 @@ def test_an_answer_may_come_too_late(paper_room: Callable[..., Any], trial: Tria
     assert len(room.stopped) == (until == "question")
 
 
-def test_an_answer_lets_no_further_burst_go_before_it_is_written(paper_room: Callable[..., Any], trial: Trial) -> None:
-    """Ended within a millisecond of the key, and not stopped: the outputs are switched after the burst that plays."""
+def test_no_burst_is_triggered_after_an_answer(paper_room: Callable[..., Any], trial: Trial) -> None:
+    """The stimulus ends within a millisecond of the key; the current burst is completed."""
     room = paper_room()
     room.script = [("question", 0.1, send(room, "key", "left"))]
     onset = room.clock.now()
@@ -155,7 +155,7 @@ def test_an_answer_lets_no_further_burst_go_before_it_is_written(paper_room: Cal
 
 
 def test_the_second_of_two_answers_in_one_poll_is_the_double(paper_room: Callable[..., Any], trial: Trial) -> None:
-    """Expected: the first counts, also where both arrive in the same millisecond."""
+    """The first one counts even if both arrive in the same millisecond."""
     room = paper_room()
 
     def both() -> None:
@@ -171,8 +171,8 @@ def test_the_second_of_two_answers_in_one_poll_is_the_double(paper_room: Callabl
 
 
 @pytest.mark.parametrize("key", ["left", "num_4"])
-def test_the_same_answer_twice_is_no_double(paper_room: Callable[..., Any], trial: Trial, key: str) -> None:
-    """Expected: a key that bounces, and a second key for the same answer, leave no doubt."""
+def test_the_same_answer_twice_does_not_flag_the_trial(paper_room: Callable[..., Any], trial: Trial, key: str) -> None:
+    """A bouncing key and a second key for the same answer are unambiguous."""
     room = paper_room()
 
     def twice() -> None:
@@ -183,8 +183,10 @@ def test_the_same_answer_twice_is_no_double(paper_room: Callable[..., Any], tria
     assert not ask(room, trial).double
 
 
-def test_nothing_raises_between_the_answer_and_its_return(paper_room: Callable[..., Any], trial: Trial) -> None:
-    """Expected: an answer given is returned, though a signal comes and the window is closed at that moment."""
+def test_an_answer_is_returned_despite_a_signal_or_a_closed_window(
+    paper_room: Callable[..., Any], trial: Trial
+) -> None:
+    """A signal and a closed window at that moment take effect afterwards."""
     room = paper_room()
 
     def answer_and_close() -> None:
@@ -199,8 +201,8 @@ def test_nothing_raises_between_the_answer_and_its_return(paper_room: Callable[.
         room.window.wait(1.0)
 
 
-def test_the_tick_passes_through_what_it_raises(paper_room: Callable[..., Any], trial: Trial) -> None:
-    """Expected: a signal noted during the question ends it with the signal's own exception."""
+def test_exceptions_of_the_tick_end_the_question(paper_room: Callable[..., Any], trial: Trial) -> None:
+    """A signal during the question ends it with its own exception."""
     room = paper_room()
     room.script = [("question", 0.05, lambda: setattr(room, "deadline", 0.0))]
     with pytest.raises(TimeoutError, match="the window waits"):
@@ -208,7 +210,7 @@ def test_the_tick_passes_through_what_it_raises(paper_room: Callable[..., Any], 
 
 
 def test_other_keys_are_ignored_and_logged(paper_room: Callable[..., Any], trial: Trial) -> None:
-    """Expected: x is no answer key of the demonstration; the place of a click outside the buttons is kept."""
+    """X is not an answer key of the demonstration; the position of a click outside the buttons is logged."""
     room = paper_room()
     room.script = [
         ("question", 0.05, send(room, "key", "x")),
@@ -221,10 +223,10 @@ def test_other_keys_are_ignored_and_logged(paper_room: Callable[..., Any], trial
 
 @pytest.mark.parametrize(("kind", "reason"), [("key", "escape"), ("blur", "focus lost")])
 @pytest.mark.parametrize("screen", ["feel", "question"])
-def test_a_cut_trial_is_offered_again_with_time_for_the_fingers(
+def test_an_interrupted_trial_is_repeated_after_a_pause(
     paper_room: Callable[..., Any], trial: Trial, kind: str, reason: str, screen: str
 ) -> None:
-    """Expected: stop, pause, then pause_s from the go-on key before the stimulus returns."""
+    """Stop, pause screen, then `pause_s` from the key before the stimulus is repeated."""
     room = paper_room(answers={"pause_s": 0.2})
     room.script = [
         (screen, 0.05, send(room, kind, "escape" if kind == "key" else "")),
@@ -240,13 +242,15 @@ def test_a_cut_trial_is_offered_again_with_time_for_the_fingers(
 
 
 def intervention(room: Any, what: EventKind | Event) -> Callable[[], None]:
-    """Return a step that lets the experimenter wish something now."""
+    """Return a step in which the experimenter requests something."""
     return lambda: room.requests.append(what if isinstance(what, Event) else Event(0.0, what))
 
 
 @pytest.mark.parametrize("screen", ["feel", "question"])
-def test_the_experimenter_pauses_a_trial_and_goes_on(paper_room: Callable[..., Any], trial: Trial, screen: str) -> None:
-    """Expected: stop, pause, on again at once however soon that is wished, and the trial offered again."""
+def test_the_experimenter_pauses_and_continues_a_trial(
+    paper_room: Callable[..., Any], trial: Trial, screen: str
+) -> None:
+    """The trial is stopped and repeated, even if continuing is requested immediately."""
     room = paper_room(answers={"pause_s": 0.2})
     room.script = [(screen, 0.05, intervention(room, "pause")), ("pause", 0.0, intervention(room, "continue"))]
     with pytest.raises(TrialInterrupted, match="experimenter"):
@@ -257,8 +261,8 @@ def test_the_experimenter_pauses_a_trial_and_goes_on(paper_room: Callable[..., A
     assert room.names[-1] == "pause"
 
 
-def test_a_wish_to_go_on_leads_past_no_other_screen_by_accident(paper_room: Callable[..., Any]) -> None:
-    """Expected: the experimenter's pause on a waiting screen comes back to that screen."""
+def test_continuing_returns_to_the_paused_screen(paper_room: Callable[..., Any]) -> None:
+    """The experimenter's pause on a waiting screen leads back to it."""
     room = paper_room()
     room.script = [
         ("rest", 0.1, intervention(room, "pause")),
@@ -270,10 +274,10 @@ def test_a_wish_to_go_on_leads_past_no_other_screen_by_accident(paper_room: Call
 
 
 @pytest.mark.parametrize("screen", ["feel", "question", "pause", "answered"])
-def test_the_key_for_emergencies_ends_the_session_on_every_screen(
+def test_the_emergency_key_ends_the_session_on_every_screen(
     paper_room: Callable[..., Any], trial: Trial, screen: str
 ) -> None:
-    """Expected: SessionStopped at the next poll, even where the key came while an answer was being taken."""
+    """SessionStopped at the next poll, even while an answer is being processed."""
     room = paper_room(answers={"question_delay_s": 0.05})
     press = send(room, "key", "f12")
     room.script = [("feel", 0.01, press)] if screen == "feel" else [("question", 0.05, press)]
@@ -292,10 +296,8 @@ def test_the_key_for_emergencies_ends_the_session_on_every_screen(
         present()
 
 
-def test_a_session_that_ends_early_is_told_for_a_moment(
-    paper_room: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Expected: one screen of words, no tick, and no error even if the display is gone."""
+def test_an_early_end_is_shown_briefly(paper_room: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    """One screen of text, without ticks, and without an error if the display is gone."""
     room = paper_room(seconds=0.0)
     room.window.dismiss()
     assert room.names == ["session_ended"]
@@ -304,7 +306,7 @@ def test_a_session_that_ends_early_is_told_for_a_moment(
 
 
 def test_a_focus_lost_while_the_fingers_return_pauses_again(paper_room: Callable[..., Any], trial: Trial) -> None:
-    """Expected: no stimulus ever starts for a window that does not get the keys."""
+    """No stimulus starts while the window lacks the keyboard focus."""
     room = paper_room(answers={"pause_s": 0.2})
     room.script = [
         ("question", 0.05, send(room, "key", "escape")),
@@ -320,7 +322,7 @@ def test_a_focus_lost_while_the_fingers_return_pauses_again(paper_room: Callable
 
 
 def test_a_click_does_not_end_a_pause(paper_room: Callable[..., Any], trial: Trial) -> None:
-    """Expected: a click only brings the focus back; the person goes on by a key, when the fingers are in place."""
+    """A click only restores the focus; a key continues, once the fingers are in place."""
     room = paper_room(answers={"pause_s": 0.0})
     room.script = [
         ("question", 0.05, send(room, "blur")),
@@ -337,7 +339,7 @@ def test_a_click_does_not_end_a_pause(paper_room: Callable[..., Any], trial: Tri
 def test_the_close_button_ends_the_session_everywhere(
     paper_room: Callable[..., Any], trial: Trial, screen: str
 ) -> None:
-    """Expected: stopped exactly once by the window, then SessionStopped."""
+    """The stimulus is stopped exactly once, then SessionStopped is raised."""
     room = paper_room()
     if screen == "pause":
         room.script = [("question", 0.05, send(room, "key", "escape"))]
@@ -348,8 +350,8 @@ def test_the_close_button_ends_the_session_everywhere(
     assert room.events("stopped") == [{"reason": "window closed"}]
 
 
-def test_instructions_lead_from_screen_to_screen(paper_room: Callable[..., Any], trial: Trial) -> None:
-    """Expected order: welcome, how to answer, announcement, placement, break; by key or click."""
+def test_instruction_screens_follow_in_order(paper_room: Callable[..., Any], trial: Trial) -> None:
+    """Welcome, how to answer, announcement, placement, break; each ended by a key or click."""
     room = paper_room()
     room.script = [
         ("welcome", 0.3, send(room, "key", "space")),
@@ -366,7 +368,7 @@ def test_instructions_lead_from_screen_to_screen(paper_room: Callable[..., Any],
 
 
 def test_a_press_meant_for_the_last_screen_does_not_skip_the_next(paper_room: Callable[..., Any]) -> None:
-    """Expected: a second press within a quarter of a second is discarded and logged."""
+    """A second press within a quarter of a second is discarded and logged."""
     room = paper_room()
     room.script = [
         ("rest", 0.02, send(room, "key", "space")),
@@ -378,8 +380,8 @@ def test_a_press_meant_for_the_last_screen_does_not_skip_the_next(paper_room: Ca
     assert [event for event, _ in room.log] == ["discarded", "ignored"]
 
 
-def test_escape_on_a_waiting_screen_asks_and_returns_to_it(paper_room: Callable[..., Any]) -> None:
-    """Expected: Space returns to the screen that was on; Q ends the session."""
+def test_escape_on_a_waiting_screen_opens_the_pause_screen(paper_room: Callable[..., Any]) -> None:
+    """Space returns to the previous screen; Q ends the session."""
     room = paper_room()
     room.script = [
         ("rest", 0.3, send(room, "key", "escape")),
@@ -392,8 +394,8 @@ def test_escape_on_a_waiting_screen_asks_and_returns_to_it(paper_room: Callable[
     assert room.names == ["rest", "pause_between_trials", "rest", "pause_between_trials"]
 
 
-def test_the_chosen_answer_is_marked_and_then_the_screen_rests(paper_room: Callable[..., Any], trial: Trial) -> None:
-    """Expected: marked at once, the beam alone 0.4 s after the answer, and the pause counted from it too."""
+def test_the_chosen_answer_is_marked_briefly(paper_room: Callable[..., Any], trial: Trial) -> None:
+    """Marked immediately; the beam alone 0.4 s after the answer; the pause also counts from the answer."""
     room = paper_room()
     room.script = [
         ("question", 0.05, send(room, "key", "left")),
@@ -411,7 +413,7 @@ def test_the_chosen_answer_is_marked_and_then_the_screen_rests(paper_room: Calla
 
 
 def test_goodbye_ends_by_itself_or_by_a_key(paper_room: Callable[..., Any]) -> None:
-    """Expected: eight seconds unless somebody presses a key."""
+    """After eight seconds without a key."""
     room = paper_room()
     room.window.goodbye()
     assert room.clock.now() - room.shown[0][1] == pytest.approx(8.0, abs=0.002)
@@ -422,16 +424,14 @@ def test_goodbye_ends_by_itself_or_by_a_key(paper_room: Callable[..., Any]) -> N
 
 
 def test_an_experimenters_answer_is_recorded_as_such(paper_room: Callable[..., Any], trial: Trial) -> None:
-    """Expected: answered_by says who typed."""
+    """In `answered_by`."""
     room = paper_room(answers={"given_by": "experimenter"})
     room.script = [("question", 0.05, send(room, "key", "right"))]
     assert ask(room, trial).answered_by == "experimenter"
 
 
-def test_an_answer_typed_at_the_console_is_taken_with_its_own_time(
-    paper_room: Callable[..., Any], trial: Trial
-) -> None:
-    """Expected: stamped where it was typed; the window lacks the keyboard all the while, and that pauses nothing."""
+def test_an_answer_typed_at_the_console_keeps_its_time(paper_room: Callable[..., Any], trial: Trial) -> None:
+    """It has the time of typing, and the window's missing focus causes no pause."""
     room = paper_room(answers={"given_by": "experimenter", "question_delay_s": 0.5})
 
     def answer() -> None:
@@ -454,14 +454,14 @@ def test_an_answer_typed_at_the_console_is_taken_with_its_own_time(
 
 
 def test_keys_are_those_of_the_protocol(paper_room: Callable[..., Any], trial: Trial) -> None:
-    """Expected: a foot switch that types F1 to F3 answers; the arrows then do not."""
+    """A foot switch that types F1 to F3 answers; the arrow keys then do not."""
     room = paper_room(answers={"keys": {"left": ("f1",), "both": ("f2",), "right": ("F3",)}})
     room.script = [("question", 0.05, send(room, "key", "left")), ("question", 0.1, send(room, "key", "f3"))]
     assert ask(room, trial).answer == "right"
 
 
-def test_an_answer_may_be_changed_until_it_is_chosen_again(paper_room: Callable[..., Any], trial: Trial) -> None:
-    """Expected: the answer chosen twice, timed by its first choice; the change is logged; no early stop."""
+def test_an_answer_may_be_changed_until_it_is_confirmed(paper_room: Callable[..., Any], trial: Trial) -> None:
+    """The confirmed answer has the time of its first choice; changes are logged; the stimulus continues."""
     room = paper_room(answers={"change_until_confirmed": True})
     room.script = [
         ("question", 0.1, send(room, "key", "left")),
@@ -482,9 +482,9 @@ def test_an_answer_may_be_changed_until_it_is_chosen_again(paper_room: Callable[
 def test_the_longest_stimulus_stops_while_a_chosen_answer_waits(
     paper_room: Callable[..., Any], trial: Trial, after_longest: str
 ) -> None:
-    """Chosen before the end of the stimulus and confirmed after it: the beam comes to rest then, and the answer counts.
+    """An answer is chosen before the end of the stimulus and confirmed after it; the stimulus stops in time.
 
-    A generator that repeats by its own timer would play on until the answer is confirmed.
+    A generator that repeats by its own timer would otherwise play until the confirmation.
     """
     room = paper_room(answers={"change_until_confirmed": True, "after_longest": after_longest})
     room.script = [
@@ -499,7 +499,7 @@ def test_the_longest_stimulus_stops_while_a_chosen_answer_waits(
 def test_a_double_click_or_a_bouncing_foot_switch_does_not_confirm(
     paper_room: Callable[..., Any], trial: Trial
 ) -> None:
-    """Expected: the second press of the same answer within a quarter of a second is discarded, a later one confirms."""
+    """A second press of the same answer within a quarter of a second is discarded; a later one confirms."""
     room = paper_room(answers={"change_until_confirmed": True})
     room.script = [
         ("question", 0.1, send(room, "key", "left")),
@@ -512,8 +512,8 @@ def test_a_double_click_or_a_bouncing_foot_switch_does_not_confirm(
     assert [facts["when"] for facts in room.events("discarded")] == ["as it was chosen"]
 
 
-def test_an_answer_stands_at_once_where_the_protocol_says_nothing(paper_room: Callable[..., Any], trial: Trial) -> None:
-    """Expected: the shipped protocols take the first answer."""
+def test_by_default_the_first_answer_counts(paper_room: Callable[..., Any], trial: Trial) -> None:
+    """No screen asks for a confirmation."""
     room = paper_room()
     room.script = [("question", 0.1, send(room, "key", "left"))]
     ask(room, trial)
@@ -533,7 +533,7 @@ def test_an_answer_stands_at_once_where_the_protocol_says_nothing(paper_room: Ca
 def test_the_way_of_answering_is_recorded(
     paper_room: Callable[..., Any], changes: dict[str, Any], finger_condition: str, way: str, who: str
 ) -> None:
-    """Expected: the protocol's way for the finger condition; with both index fingers busy, lifting unless said."""
+    """The protocol's way for the finger condition; with both index fingers on the beam, lifting by default."""
     room = paper_room(answers=changes)
     room.script = [("question", 0.05, send(room, "key", "left"))]
     response = ask(room, Trial(1, 1, Condition(finger_condition, "A", "C", 100.0)))
@@ -545,8 +545,8 @@ COUNTDOWN = ["ready_two_hands_AC_3", "ready_two_hands_AC_2", "ready_two_hands_AC
 
 
 @pytest.mark.parametrize("screen", ["place_fingers", "start", "rest"])
-def test_a_hand_of_the_beam_that_went_on_is_counted_back(paper_room: Callable[..., Any], screen: str) -> None:
-    """Expected: settling_s from the key, whatever screen it left, in three equal steps."""
+def test_a_countdown_follows_a_key_pressed_by_a_hand_on_the_beam(paper_room: Callable[..., Any], screen: str) -> None:
+    """`settling_s` from the key, after any screen, in three equal steps."""
     room = paper_room(answers={"pause_s": 0.2, "settling_s": 1.5})
     room.script = [(screen, 0.3, send(room, "key", "space"))]
     if screen == "place_fingers":
@@ -565,8 +565,8 @@ def test_a_hand_of_the_beam_that_went_on_is_counted_back(paper_room: Callable[..
     assert room.names[1:] == COUNTDOWN, "a hand that is back is not counted again"
 
 
-def test_an_answer_of_a_hand_of_the_beam_is_followed_by_the_countdown(paper_room: Callable[..., Any]) -> None:
-    """Expected: the mark for 0.4 s, then the countdown, the stimulus 1.5 s after the key."""
+def test_a_countdown_follows_an_answer_by_a_hand_on_the_beam(paper_room: Callable[..., Any]) -> None:
+    """The mark for 0.4 s, then the countdown; the stimulus 1.5 s after the key."""
     room = paper_room(answers={"pause_s": 1.0, "settling_s": 1.5})
     room.script = [("question", 0.05, send(room, "key", "left"))]
     onset = room.clock.now()
@@ -580,8 +580,8 @@ def test_an_answer_of_a_hand_of_the_beam_is_followed_by_the_countdown(paper_room
     assert room.shown[-3][1] - onset - response.reaction_time == pytest.approx(0.4, abs=0.003)
 
 
-def test_a_countdown_that_is_paused_begins_again(paper_room: Callable[..., Any]) -> None:
-    """Expected: from three, from the key that ended the pause on."""
+def test_a_paused_countdown_restarts(paper_room: Callable[..., Any]) -> None:
+    """From three, counted from the key that ended the pause."""
     room = paper_room(answers={"settling_s": 1.5})
     room.script = [
         ("place_fingers", 0.3, send(room, "key", "space")),
@@ -596,7 +596,7 @@ def test_a_countdown_that_is_paused_begins_again(paper_room: Callable[..., Any])
 
 @pytest.mark.parametrize("way", ["foot_switch", "experimenter"])
 def test_hands_that_never_leave_the_beam_need_no_countdown(paper_room: Callable[..., Any], way: str) -> None:
-    """Expected: pause_s alone after the placement."""
+    """Only `pause_s` follows the placement."""
     room = paper_room(answers={"pause_s": 0.2, "ways": {"two_hands": way}})
     room.script = [("place_fingers", 0.3, send(room, "key", "space"))]
     room.window.place_fingers(TWO_HANDS)
@@ -606,8 +606,8 @@ def test_hands_that_never_leave_the_beam_need_no_countdown(paper_room: Callable[
     assert room.clock.now() - pressed == pytest.approx(0.2, abs=0.002)
 
 
-def test_a_placement_that_the_experimenter_confirms_needs_no_countdown(paper_room: Callable[..., Any]) -> None:
-    """Expected: whoever goes on at the console has no hand on the beam."""
+def test_a_placement_confirmed_by_the_experimenter_needs_no_countdown(paper_room: Callable[..., Any]) -> None:
+    """The experimenter at the console has no hand on the beam."""
     room = paper_room(answers={"pause_s": 0.2})
     room.script = [("place_fingers", 0.3, intervention(room, "continue"))]
     room.window.place_fingers(TWO_HANDS)
@@ -616,7 +616,7 @@ def test_a_placement_that_the_experimenter_confirms_needs_no_countdown(paper_roo
 
 
 def test_feedback_is_followed_by_the_countdown(paper_room: Callable[..., Any]) -> None:
-    """Expected: a finger that is lifted while its owner reads gets its whole time afterwards."""
+    """A lifted finger has the whole settling time after the feedback."""
     room = paper_room(answers={"settling_s": 1.5})
     room.script = [("question", 0.05, send(room, "key", "left"))]
     room.window.give_feedback(ask(room, TWO_HANDS), "right")
@@ -625,8 +625,8 @@ def test_feedback_is_followed_by_the_countdown(paper_room: Callable[..., Any]) -
     assert room.clock.now() - read == pytest.approx(1.5, abs=0.003)
 
 
-def test_a_stall_is_told_before_the_stimulus_comes_again(paper_room: Callable[..., Any], trial: Trial) -> None:
-    """Expected: two seconds of words, then the pause before a stimulus."""
+def test_a_stall_is_shown_before_the_stimulus_is_repeated(paper_room: Callable[..., Any], trial: Trial) -> None:
+    """Two seconds of text, then the pause before a stimulus."""
     room = paper_room(answers={"pause_s": 0.2})
     began = room.clock.now()
     room.window.show_stall()
@@ -635,8 +635,8 @@ def test_a_stall_is_told_before_the_stimulus_comes_again(paper_room: Callable[..
     assert room.clock.now() - began == pytest.approx(2.2, abs=0.003)
 
 
-def test_the_beam_is_measured_while_the_window_says_so(paper_room: Callable[..., Any]) -> None:
-    """Hands off is confirmed by whoever sits there; the words about the measurement stay for as long as is asked."""
+def test_the_window_shows_the_measurement_of_the_beam(paper_room: Callable[..., Any]) -> None:
+    """The text "hands off" is confirmed by a key; that about the measurement stays for the given time."""
     room = paper_room()
     room.script = [("hands_off", 0.3, send(room, "key", "space"))]
     room.window.announce("hands_off")
@@ -646,8 +646,8 @@ def test_the_beam_is_measured_while_the_window_says_so(paper_room: Callable[...,
     assert room.clock.now() - began == pytest.approx(1.0, abs=0.003)
 
 
-def test_feedback_is_shown_for_a_moment(paper_room: Callable[..., Any], trial: Trial) -> None:
-    """Expected: agreed, or where it was, 1.5 s each; then the session goes on by itself."""
+def test_feedback_is_shown_for_one_and_a_half_seconds(paper_room: Callable[..., Any], trial: Trial) -> None:
+    """Agreement or the expected side; then the session continues by itself."""
     room = paper_room()
     room.script = [("question", 0.05, send(room, "key", "left"))]
     response = ask(room, trial)
@@ -658,7 +658,7 @@ def test_feedback_is_shown_for_a_moment(paper_room: Callable[..., Any], trial: T
 
 
 def test_practice_rounds_count_from_one_again(paper_room: Callable[..., Any], experiment: Any) -> None:
-    """Expected: the second round of one practice trial is again practice 1 of 1 (demo.yaml has one)."""
+    """The second round of one practice trial is again 1 of 1."""
     room = paper_room()
     room.script = [("question", 0.05, send(room, "key", "left"))]
     room.window.ask(
@@ -669,8 +669,8 @@ def test_practice_rounds_count_from_one_again(paper_room: Callable[..., Any], ex
     assert room.window._current[1] == Progress(1, experiment.protocol.schedule.practice_trials)
 
 
-def test_a_covered_window_is_drawn_again_at_most_four_times_a_second(paper_room: Callable[..., Any]) -> None:
-    """Expected: expose events a millisecond apart for 0.6 s give two further drawings."""
+def test_a_covered_window_is_redrawn_at_most_four_times_a_second(paper_room: Callable[..., Any]) -> None:
+    """Expose events a millisecond apart for 0.6 s cause two redraws."""
     room = paper_room()
     display, shown = room.display, []
 
@@ -694,8 +694,10 @@ def test_a_covered_window_is_drawn_again_at_most_four_times_a_second(paper_room:
     assert stage.show(Picture("any", ())) == began
 
 
-def test_screenshots_are_kept_once_for_each_kind(paper_room: Callable[..., Any], trial: Trial, tmp_path: Path) -> None:
-    """Expected: one file for each picture shown, though it is shown twice."""
+def test_one_screenshot_is_kept_per_kind_of_picture(
+    paper_room: Callable[..., Any], trial: Trial, tmp_path: Path
+) -> None:
+    """One file each, although each is shown twice."""
     room = paper_room(screenshots=tmp_path / "new")
     for _ in range(2):
         room.script = [("question", 0.05, send(room, "key", "left"))]
@@ -704,15 +706,15 @@ def test_screenshots_are_kept_once_for_each_kind(paper_room: Callable[..., Any],
     assert names == {"feel_one_hand_AC.png", "question_one_hand_AC.png", "answered_left.png"}
 
 
-def test_a_folder_that_cannot_be_made_is_a_window_error(paper_room: Callable[..., Any], tmp_path: Path) -> None:
-    """Expected: the message names the folder."""
+def test_an_impossible_screenshot_folder_is_a_window_error(paper_room: Callable[..., Any], tmp_path: Path) -> None:
+    """The message has the folder."""
     (tmp_path / "file").write_text("in the way")
     with pytest.raises(WindowError, match="file/shots for screenshots cannot be made"):
         paper_room(screenshots=tmp_path / "file" / "shots")
 
 
 def test_a_trials_pictures_are_ready_before_it_begins(paper_room: Callable[..., Any], trial: Trial) -> None:
-    """Expected: every picture of a trial but its progress is prepared at the placement."""
+    """All parts of a trial's pictures, except its progress, are prepared at the placement."""
     room = paper_room()
     room.script = [("place_fingers", 0.3, send(room, "key", "space")), ("question", 0.05, send(room, "key", "up"))]
     room.window.place_fingers(trial)
@@ -721,8 +723,8 @@ def test_a_trials_pictures_are_ready_before_it_begins(paper_room: Callable[..., 
     assert len([mark for mark in question.marks if mark not in prepared]) <= 2
 
 
-def test_a_robot_goes_through_a_whole_session(paper_room: Callable[..., Any], experiment: Any) -> None:
-    """Expected: the answers of its observer, typed as press and release, at the observer's reaction times."""
+def test_a_robot_completes_a_session(paper_room: Callable[..., Any], experiment: Any) -> None:
+    """It types its observer's answers, as press and release, at the observer's reaction times."""
     person = Participant(noise=0.0, lapse_rate=0.0, quickest=0.0, decision_time=0.1)
     speeds = {"A": 0.1, "B": 0.15, "C": 0.2, "D": 0.15, "E": 0.1}
     answerer = Answerer(
@@ -748,7 +750,7 @@ def test_a_robot_goes_through_a_whole_session(paper_room: Callable[..., Any], ex
 
 
 def test_closing_closes_the_display(paper_room: Callable[..., Any]) -> None:
-    """Expected: leaving the window's context closes it."""
+    """Leaving the context manager closes it."""
     room = paper_room()
     with room.window as window:
         assert window.describe()["language"] == "English"

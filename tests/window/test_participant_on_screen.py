@@ -1,4 +1,4 @@
-"""The real window on a virtual display, with keys and clicks injected into the display server."""
+"""The real window on a virtual display, with keys and clicks injected at the display server."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ TITLE = "modaltouch under test"
 
 
 def ask(room: Any, trial: Trial) -> Any:
-    """Ask one trial whose stimulus begins now, its pictures drawn at the placement as in a session."""
+    """Ask one trial whose stimulus begins now, with its pictures prepared at the placement as in a session."""
     room.window._make_ready(trial)
     return room.window.ask(trial, PROGRESS, room.present())
 
@@ -35,7 +35,7 @@ def ask(room: Any, trial: Trial) -> Any:
 def test_a_key_of_the_protocol_gives_its_answer(
     room: Callable[..., Any], hands: Any, trial: Trial, key: str, answer: str
 ) -> None:
-    """Expected answers: answers.keys of protocols/demo.yaml."""
+    """By `answers.keys` of protocols/demo.yaml."""
     made = room()
     made.script = [("question", 0.1, lambda: hands.key(key))]
     response = ask(made, trial)
@@ -44,7 +44,7 @@ def test_a_key_of_the_protocol_gives_its_answer(
 
 
 def test_the_answer_none_is_given_by_key_and_by_click(room: Callable[..., Any], hands: Any, trial: Trial) -> None:
-    """Expected: the key of `none`, and a click in the middle of its button, where the protocol offers it."""
+    """By the key of `none` and by a click in the middle of its button."""
     made = room(answers={"keys": {"left": ("left",), "both": ("up",), "right": ("right",), "none": ("down",)}})
     made.script = [("question", 0.1, lambda: hands.key("Down"))]
     response = ask(made, trial)
@@ -58,7 +58,7 @@ def test_the_answer_none_is_given_by_key_and_by_click(room: Callable[..., Any], 
 
 
 def test_reaction_time_runs_from_the_first_burst_to_the_key(room: Callable[..., Any], hands: Any, trial: Trial) -> None:
-    """Expected time: the moment at which the key was injected into the display server."""
+    """Reference: the time at which the key was injected."""
     made = room()
     made.script = [("question", 0.2, lambda: hands.key("Right"))]
     onset = time.perf_counter()
@@ -73,7 +73,7 @@ def test_reaction_time_runs_from_the_first_burst_to_the_key(room: Callable[..., 
 def test_a_click_on_a_button_answers_and_one_beside_it_does_not(
     room: Callable[..., Any], hands: Any, trial: Trial
 ) -> None:
-    """Expected place: the middle button's centre in the layout, 1280 x 800 pixels, y downwards on the display."""
+    """At the middle button's centre in the layout, 1280 x 800 pixels, y downwards on the display."""
     made = room()
     button = made.window._pictures.layout.buttons["both"]
     left, top = hands.origin(TITLE)
@@ -91,7 +91,7 @@ def test_a_click_on_a_button_answers_and_one_beside_it_does_not(
 def test_presses_before_the_question_are_discarded_and_logged(
     room: Callable[..., Any], hands: Any, trial: Trial
 ) -> None:
-    """Expected: the design's rule that a press before the question never counts."""
+    """A press before the question never counts."""
     made = room()
     made.script = [
         ("feel", 0.05, lambda: hands.key("Left")),
@@ -101,10 +101,10 @@ def test_presses_before_the_question_are_discarded_and_logged(
     assert [(facts["key"], facts["when"]) for facts in made.events("discarded")] == [("left", "before the question")]
 
 
-def test_a_key_held_since_before_the_question_counts_only_when_pressed_anew(
+def test_a_key_held_since_before_the_question_does_not_count(
     room: Callable[..., Any], hands: Any, trial: Trial
 ) -> None:
-    """Expected: one discarded press, though X repeats a held key 25 times a second; then the second press."""
+    """It is discarded once, although X repeats it 25 times a second; the next press counts."""
     made = room()
     made.script = [
         ("feel", 0.02, lambda: hands.key("Left", up=False)),
@@ -117,10 +117,10 @@ def test_a_key_held_since_before_the_question_counts_only_when_pressed_anew(
     assert made.events("ignored") == []
 
 
-def test_a_held_key_that_comes_up_and_down_between_two_polls_is_pressed_anew(
+def test_a_held_key_released_and_pressed_between_two_polls_counts(
     room: Callable[..., Any], hands: Any, trial: Trial
 ) -> None:
-    """Expected: a hand that typed while the process stood still has answered; X tells its own repeats from that."""
+    """X distinguishes its own repeats from a key that was really released and pressed."""
     made = room()
 
     def type_at_once() -> None:
@@ -134,7 +134,7 @@ def test_a_held_key_that_comes_up_and_down_between_two_polls_is_pressed_anew(
 
 
 def test_two_keys_at_once_give_the_first_and_flag_the_trial(room: Callable[..., Any], hands: Any, trial: Trial) -> None:
-    """Expected: the first answer counts, a different one within 50 ms flags the trial."""
+    """The first answer counts; a different one within 50 ms flags the trial."""
     made = room()
 
     def press_both() -> None:
@@ -148,10 +148,10 @@ def test_two_keys_at_once_give_the_first_and_flag_the_trial(room: Callable[..., 
     assert [(facts["first"], facts["second"]) for facts in made.events("double")] == [("left", "right")]
 
 
-def test_escape_stops_the_stimulus_and_space_offers_the_trial_again(
+def test_escape_stops_the_stimulus_and_space_repeats_the_trial(
     room: Callable[..., Any], hands: Any, trial: Trial
 ) -> None:
-    """Expected: the stimulus is stopped before the pause is on screen; the session then repeats the trial."""
+    """The stimulus stops before the pause screen appears."""
     made = room()
     made.script = [("question", 0.1, lambda: hands.key("Escape")), ("pause", 0.4, lambda: hands.key("space"))]
     with pytest.raises(TrialInterrupted, match="escape"):
@@ -162,7 +162,7 @@ def test_escape_stops_the_stimulus_and_space_offers_the_trial_again(
 
 
 def test_q_in_the_pause_ends_the_session(room: Callable[..., Any], hands: Any, trial: Trial) -> None:
-    """Expected: Escape asks before it ends the session."""
+    """Escape alone does not."""
     made = room()
     made.script = [("feel", 0.05, lambda: hands.key("Escape")), ("pause", 0.4, lambda: hands.key("q"))]
     with pytest.raises(SessionStopped, match="escape"):
@@ -171,7 +171,7 @@ def test_q_in_the_pause_ends_the_session(room: Callable[..., Any], hands: Any, t
 
 
 def test_the_close_button_ends_the_session(room: Callable[..., Any], hands: Any, trial: Trial) -> None:
-    """Expected: WM_DELETE_WINDOW ends the session at once; PsychoPy alone would only set a flag."""
+    """WM_DELETE_WINDOW ends the session immediately; PsychoPy alone only sets a flag."""
     made = room()
     made.script = [("question", 0.1, lambda: hands.press_close_button(TITLE))]
     with pytest.raises(SessionStopped, match="window closed"):
@@ -180,7 +180,7 @@ def test_the_close_button_ends_the_session(room: Callable[..., Any], hands: Any,
 
 
 def test_a_lost_focus_stops_the_stimulus_and_pauses(room: Callable[..., Any], hands: Any, trial: Trial) -> None:
-    """Expected: keys typed into another window are never taken; the trial is offered again on return."""
+    """Keys typed into another window are ignored; the trial is repeated when the focus returns."""
     made = room()
     hands.take_focus()
     hands.give_focus_back(TITLE)
@@ -206,7 +206,7 @@ def test_a_lost_focus_stops_the_stimulus_and_pauses(room: Callable[..., Any], ha
 def test_a_robot_answers_by_the_windows_own_event_queue(
     room: Callable[..., Any], experiment: Any, trial: Trial, tmp_path: Path
 ) -> None:
-    """Expected: a noiseless observer with twice the speed under the right finger answers right."""
+    """A noiseless observer with twice the speed under the right finger answers right."""
     answerer = Answerer(Participant(noise=0.0, lapse_rate=0.0), lambda _: (0.1, 0.2), np.random.default_rng(1))
     robot = Robot(answerer, experiment.protocol, patience=0.3)
     made = room(robot=robot, screenshots=tmp_path)
@@ -226,7 +226,7 @@ def test_a_robot_answers_by_the_windows_own_event_queue(
 
 
 def test_nothing_is_drawn_while_nothing_changes(room: Callable[..., Any], hands: Any, trial: Trial) -> None:
-    """Expected: two pictures in a trial of more than a second, feel and question."""
+    """A trial of more than a second needs two pictures, feel and question."""
     made = room()
     made.script = [("question", 1.0, lambda: hands.key("Left"))]
     ask(made, trial)

@@ -1,4 +1,4 @@
-"""What each screen says and where the fingers are, read from the pictures as data."""
+"""Contents of each screen, read from the pictures as data."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ def illustrate(experiment: Experiment, hand: str = "right", **changes: Any) -> I
 
 
 def find_words(picture: Picture, text: str) -> Words:
-    """Return the one text of a picture that reads so."""
+    """Return the only text of a picture with these words."""
     (found,) = [mark for mark in picture.marks if isinstance(mark, Words) and mark.text == text]
     return found
 
 
 def tips(marks: tuple[Mark, ...], theme: Theme) -> dict[str, tuple[float, float]]:
-    """Return the highest point of the finger of each colour, its width below as centre."""
+    """Return the position of the fingertip of each colour: the highest point, and the centre of the finger."""
     ends = {}
     for side, colour in (("left", theme.left), ("right", theme.right)):
         (finger,) = [mark for mark in marks if isinstance(mark, Shape) and mark.fill == colour]
@@ -54,7 +54,7 @@ def tips(marks: tuple[Mark, ...], theme: Theme) -> dict[str, tuple[float, float]
 
 @pytest.mark.parametrize(("pair", "condition"), CASES)
 def test_each_finger_lies_on_its_zone(experiment: Experiment, pair: str, condition: tuple[str, str]) -> None:
-    """Expected: the tip of the left colour in the left zone and of the right colour in the right zone."""
+    """The left colour's tip is in the left zone and the right colour's in the right zone."""
     finger_condition, hand = condition
     pictures = illustrate(experiment, hand)
     trial = make_trial(pair, finger_condition)
@@ -79,7 +79,7 @@ def test_each_finger_lies_on_its_zone(experiment: Experiment, pair: str, conditi
 def test_one_finger_and_three_lie_on_their_zones_under_their_names(
     experiment: Experiment, fingers: tuple[str, ...], zones: str
 ) -> None:
-    """Expected: by colour, the left, the between and the right tip in their zones; each finger begins on its palm."""
+    """By colour, each tip is in its zone below its name, and each finger starts at its palm."""
     pictures = replace(illustrate(experiment), fingers={"own": fingers})
     trial = Trial(5, 1, Condition.on(tuple(zones), "own", 100.0))
     picture = pictures.feel(trial, PROGRESS)
@@ -112,7 +112,7 @@ def test_one_finger_and_three_lie_on_their_zones_under_their_names(
 def test_names_of_neighbouring_fingers_are_legible(
     experiment: Experiment, fingers: tuple[str, ...], zones: str, language: str, size: tuple[int, int]
 ) -> None:
-    """Apart, in the order of the fingers, within the window; at 800 x 600 three long names lose a seventh at most."""
+    """Apart, in order and within the window; at 800 x 600 three long names shrink by at most a seventh."""
     texts = Texts.model_validate(YAML(typ="safe").load(Path(f"protocols/texts/{language}.yaml")))
     layout = lay_out(*size, experiment.apparatus.zone_spans, AnswerList.of({}))
     typesetter, names = Typesetter(texts.font), tuple(map(texts.finger, fingers))
@@ -130,7 +130,7 @@ def test_names_of_neighbouring_fingers_are_legible(
 
 @pytest.mark.parametrize("condition", FINGERS)
 def test_the_finger_named_above_a_zone_is_the_one_recorded(experiment: Experiment, condition: tuple[str, str]) -> None:
-    """Expected names: trial.FINGERS, which the record uses, in the words of the English texts."""
+    """The names are those of trial.FINGERS, which the record uses, in the words of the English texts."""
     finger_condition, hand = condition
     pictures = illustrate(experiment, hand)
     picture = pictures.question(make_trial("BD", finger_condition), PROGRESS)
@@ -142,7 +142,7 @@ def test_the_finger_named_above_a_zone_is_the_one_recorded(experiment: Experimen
 
 @pytest.mark.parametrize(("finger_condition", "n_hands"), [("one_hand", 1), ("two_hands", 2)])
 def test_as_many_hands_are_drawn_as_touch_the_beam(experiment: Experiment, finger_condition: str, n_hands: int) -> None:
-    """Expected: one palm for one hand; thumb, palm and the fingers that rest are of one colour."""
+    """One palm per hand; thumb, palm and resting fingers have one colour."""
     marks = illustrate(experiment).feel(make_trial("AC", finger_condition), PROGRESS).marks
     n_parts = sum(isinstance(mark, Shape) and mark.fill == DARK.hand for mark in marks)
     # A palm, a thumb, and the fingers that do not touch: two of them, or three on each of two hands.
@@ -151,7 +151,7 @@ def test_as_many_hands_are_drawn_as_touch_the_beam(experiment: Experiment, finge
 
 @pytest.mark.parametrize(("hand", "side"), [("right", -1), ("left", 1)])
 def test_the_thumb_is_on_the_inner_side(experiment: Experiment, hand: str, side: int) -> None:
-    """Expected: palm down, a right hand has its thumb on the left of the index finger, a left hand on the right."""
+    """Palm down, a right hand's thumb is left of its index finger, a left hand's right of it."""
     marks = illustrate(experiment, hand).feel(make_trial("BD"), PROGRESS).marks
     parts = [mark for mark in marks if isinstance(mark, Shape) and mark.fill == DARK.hand]
     thumb = max(parts, key=lambda part: side * sum(x for x, _ in part.corners) / len(part.corners))
@@ -162,8 +162,8 @@ def test_the_thumb_is_on_the_inner_side(experiment: Experiment, hand: str, side:
 
 
 @pytest.mark.parametrize("screen", ["feel", "question", "placement", "ready"])
-def test_a_picture_does_not_tell_the_level(experiment: Experiment, screen: str) -> None:
-    """Expected: the same picture for 80 and 200 mm/s on the same zones."""
+def test_pictures_do_not_depend_on_the_level(experiment: Experiment, screen: str) -> None:
+    """The picture is the same for 80 and 200 mm/s on the same zones."""
     pictures = illustrate(experiment)
     quiet, loud = (make_trial("AC", velocity=velocity) for velocity in (80.0, 200.0))
     draw = getattr(pictures, screen)
@@ -174,7 +174,7 @@ def test_a_picture_does_not_tell_the_level(experiment: Experiment, screen: str) 
 
 
 def test_both_touched_zones_look_the_same(experiment: Experiment) -> None:
-    """Expected: moved onto each other, the marks of the two zones are equal."""
+    """Shifted onto each other, the marks of the two zones are equal."""
     pictures = illustrate(experiment)
     marks = pictures.feel(make_trial("AC"), PROGRESS).marks
     frames = [mark for mark in marks if isinstance(mark, Shape) and mark.fill == DARK.zone]
@@ -184,7 +184,7 @@ def test_both_touched_zones_look_the_same(experiment: Experiment) -> None:
 
 
 def test_the_question_shows_words_keys_and_progress(experiment: Experiment) -> None:
-    """Expected: the texts of english.yaml, and one triangle for each arrow key on a button."""
+    """The texts of english.yaml, and one triangle for each arrow key."""
     picture = illustrate(experiment).question(make_trial(), PROGRESS)
     texts = experiment.texts
     assert {texts.question, texts.left, texts.both, texts.right, "5 of 12"} <= set(picture.texts)
@@ -193,8 +193,8 @@ def test_the_question_shows_words_keys_and_progress(experiment: Experiment) -> N
     assert len(triangles) == 8
 
 
-def test_keys_without_an_arrow_are_named(experiment: Experiment) -> None:
-    """Expected: a foot switch that types 1, 2 and 3 shows these keys on the buttons."""
+def test_keys_without_an_arrow_are_labelled(experiment: Experiment) -> None:
+    """A foot switch that types 1, 2 and 3 has these digits on the buttons."""
     pictures = illustrate(experiment, keys={"left": ("1",), "both": ("2",), "right": ("3", "num_3", "c")})
     texts = pictures.question(make_trial(), PROGRESS).texts
     assert [text for text in texts if text in ("1", "2", "3")] == ["1", "2", "3"], "a digit of the keypad looks alike"
@@ -202,7 +202,7 @@ def test_keys_without_an_arrow_are_named(experiment: Experiment) -> None:
 
 @pytest.mark.parametrize("n_answers", [2, 3, 4, 5, 6, 7])
 def test_the_arrow_of_a_finger_lies_within_the_frame_of_its_button(experiment: Experiment, n_answers: int) -> None:
-    """However narrow the buttons are, with the outer ones naming a finger."""
+    """For two to seven buttons whose outer ones name a finger."""
     names = [f"answer_{number}" for number in range(n_answers)]
     keys = {name: (f"f{number}",) for number, name in enumerate(names, 1)}
     changes = {"keys": keys, "fingers": {names[0]: ("left",), names[-1]: ("right",)}}
@@ -220,7 +220,7 @@ def test_the_arrow_of_a_finger_lies_within_the_frame_of_its_button(experiment: E
 @pytest.mark.parametrize("finger", ["thumb", "index", "middle", "ring", "little"])
 @pytest.mark.parametrize("hand", ["left", "right"])
 def test_no_hand_exceeds_the_narrowest_window(experiment: Experiment, hand: str, finger: str) -> None:
-    """800 x 600: whichever finger lies at the end of the beam, its whole hand is seen."""
+    """At 800 x 600 the whole hand is visible for any finger at the end of the beam."""
     layout = lay_out(800, 600, experiment.apparatus.zone_spans, AnswerList.of({}))
     for zone in "AE":
         marks = draw_hands(layout, DARK, (zone,), (f"{hand} {finger}",), ("one",), Typesetter())
@@ -228,8 +228,8 @@ def test_no_hand_exceeds_the_narrowest_window(experiment: Experiment, hand: str,
         assert max(map(abs, xs)) < layout.width / 2
 
 
-def test_an_experimenter_who_answers_is_announced(experiment: Experiment) -> None:
-    """Expected: the participant is told to speak, and sees no keys."""
+def test_answers_by_the_experimenter_are_announced(experiment: Experiment) -> None:
+    """The participant is asked to speak, and no keys are shown."""
     pictures = illustrate(experiment, given_by="experimenter")
     picture = pictures.question(make_trial(), PROGRESS)
     assert experiment.texts.experimenter_answers in picture.texts
@@ -239,15 +239,15 @@ def test_an_experimenter_who_answers_is_announced(experiment: Experiment) -> Non
     assert left.box.y == pictures.layout.buttons["left"].y, "in the middle of its button, which has nothing else"
 
 
-def test_practice_is_counted_on_its_own(experiment: Experiment) -> None:
-    """Expected: the practice form of progress."""
+def test_practice_has_its_own_progress(experiment: Experiment) -> None:
+    """As "Practice 1 of 3"."""
     trial = make_trial(practice=True)
     assert "Practice 1 of 3" in illustrate(experiment).feel(trial, Progress(1, 3)).texts
 
 
 @pytest.mark.parametrize(("number", "share"), [(1, 0.0), (7, 0.5), (12, 11 / 12)])
-def test_the_bar_shows_what_is_done(experiment: Experiment, number: int, share: float) -> None:
-    """Expected: the trial that is on is not yet done."""
+def test_the_progress_bar_excludes_the_current_trial(experiment: Experiment, number: int, share: float) -> None:
+    """Before the first of 12 trials it is empty, in the seventh half full."""
     pictures = illustrate(experiment)
     marks = pictures.feel(make_trial(), Progress(number, 12)).marks
     low = pictures.layout.bar.bottom
@@ -257,13 +257,13 @@ def test_the_bar_shows_what_is_done(experiment: Experiment, number: int, share: 
 
 
 def test_the_placement_names_fingers_and_zones(experiment: Experiment) -> None:
-    """Expected: the words of english.yaml, filled in for the paper's test 2."""
+    """The text of english.yaml, filled in for the paper's test 2."""
     words = illustrate(experiment).placement(make_trial("CE", "two_hands")).texts[0]
     assert words == "Rest your left index finger on zone\u00a0C\nand your right index finger on zone\u00a0E"
 
 
-def test_the_pause_says_how_to_go_on_and_how_to_end(experiment: Experiment) -> None:
-    """Expected: both keys by the participant's names for them, and the fingers' places."""
+def test_the_pause_screen_shows_its_keys(experiment: Experiment) -> None:
+    """The keys to continue and to end, and the places of the fingers."""
     picture = illustrate(experiment).pause(make_trial())
     words = " ".join(picture.texts)
     assert "the space bar" in words
@@ -271,8 +271,8 @@ def test_the_pause_says_how_to_go_on_and_how_to_end(experiment: Experiment) -> N
     assert any(isinstance(mark, Shape) and mark.fill == DARK.left for mark in picture.marks)
 
 
-def test_a_pause_between_trials_promises_no_trial_again(experiment: Experiment) -> None:
-    """Expected: the keys, no fingers, and nothing of a vibration that comes again."""
+def test_a_pause_between_trials_announces_no_repetition(experiment: Experiment) -> None:
+    """It shows the keys, but no fingers and no repeated vibration."""
     picture = illustrate(experiment).pause(None)
     words = " ".join(picture.texts)
     assert "the space bar" in words
@@ -281,8 +281,8 @@ def test_a_pause_between_trials_promises_no_trial_again(experiment: Experiment) 
     assert not any(isinstance(mark, Shape) for mark in picture.marks)
 
 
-def test_spaces_that_must_not_break_survive(experiment: Experiment) -> None:
-    """Expected: French puts a no-break space before a question mark, and it stays in a page of text."""
+def test_no_break_spaces_are_kept(experiment: Experiment) -> None:
+    """French has one before a question mark."""
     page = illustrate(experiment).page("rest", "Prêt\u00a0?\nOui.\n\nAllons\n  y")
     assert page.texts == ("Prêt\u00a0? Oui.", "Allons y", "Press the space bar or click to go on")
 
@@ -298,10 +298,10 @@ def test_spaces_that_must_not_break_survive(experiment: Experiment) -> None:
         ("mirrored_swapped", "two_hands", "right", ("right index", "left index")),
     ],
 )
-def test_placements_are_drawn_as_they_are(
+def test_mirrored_and_swapped_placements_are_drawn(
     experiment: Experiment, placement: str, finger_condition: str, hand: str, fingers: tuple[str, str]
 ) -> None:
-    """Expected: a mirrored beam has E on the left; swapped is the other hand, or the hands crossed."""
+    """A mirrored beam has E on the left; swapped is the other hand or crossed hands."""
     pair = "CA" if placement.startswith("mirrored") else "AC"
     trial = Trial(1, 1, Condition(finger_condition, pair[0], pair[1], 100.0, placement))
     assert trial.condition.fingers(hand) == fingers
@@ -317,15 +317,15 @@ def test_placements_are_drawn_as_they_are(
 
 
 def test_no_palm_hides_the_finger_of_crossed_hands(experiment: Experiment) -> None:
-    """On neighbouring zones the hands overlap; both fingers are seen whole."""
+    """On adjacent zones the hands overlap, but both fingers are visible."""
     crossed = Trial(1, 1, Condition("two_hands", "C", "D", 100.0, "swapped"))
     fills = [mark.fill for mark in illustrate(experiment).feel(crossed, PROGRESS).marks if isinstance(mark, Shape)]
     last_palm = max(place for place, fill in enumerate(fills) if fill in (DARK.hand, DARK.hand_edge))
     assert last_palm < min(fills.index(DARK.left), fills.index(DARK.right))
 
 
-def test_pictures_of_mirrored_and_normal_placements_have_names_of_their_own(experiment: Experiment) -> None:
-    """Expected: screenshots of both are kept."""
+def test_pictures_of_mirrored_and_normal_placements_have_different_names(experiment: Experiment) -> None:
+    """So that screenshots of both are kept."""
     pictures = illustrate(experiment)
     turned = Trial(1, 1, Condition("one_hand", "C", "A", 100.0, "mirrored"))
     assert pictures.feel(turned, PROGRESS).name != pictures.feel(make_trial("AC"), PROGRESS).name
@@ -347,23 +347,23 @@ def test_pictures_of_mirrored_and_normal_placements_have_names_of_their_own(expe
         ("two_hands", {"two_hands": "experimenter"}, "Tell the experimenter", "Say your answer aloud"),
     ],
 )
-def test_a_participant_is_told_who_presses_and_with_which_hand(
+def test_the_screens_show_which_hand_answers(
     experiment: Experiment, fingers: str, ways: dict[str, str], placed: str, answered: str
 ) -> None:
-    """Expected: the hand that is not on the beam; where both are, always the same one, which then goes back."""
+    """The free hand; if both are on the beam, always the same one, which then returns."""
     pictures, trial = illustrate(experiment, ways=ways), make_trial("AC", fingers)
     assert placed in pictures.placement(trial).texts[-1]
     assert any(answered in text for text in pictures.question(trial, PROGRESS).texts)
 
 
-def test_the_other_hand_presses_where_hands_are_swapped(experiment: Experiment) -> None:
-    """Expected: the left hand on the beam leaves the right one free."""
+def test_swapped_placements_free_the_other_hand(experiment: Experiment) -> None:
+    """With the left hand on the beam the right one answers."""
     swapped = Trial(1, 1, Condition("one_hand", "A", "C", 100.0, "swapped"))
     assert "Answer with your right hand" in illustrate(experiment).question(swapped, PROGRESS).texts
 
 
-def test_texts_that_know_no_hand_still_read(experiment: Experiment) -> None:
-    """Expected: what files of before lack is left out, or said as it was then."""
+def test_older_texts_without_hands_are_readable(experiment: Experiment) -> None:
+    """Missing texts are left out or replaced by the former ones."""
     missing = ("placed_by_free_hand", "placed_by_hand_on_beam", "placed_by_experimenter", "free_hand_answers")
     texts = experiment.texts.model_copy(update=dict.fromkeys(missing) | {"lift_to_answer": "Lift a finger to answer"})
     pictures = replace(illustrate(experiment), texts=texts)
@@ -371,8 +371,8 @@ def test_texts_that_know_no_hand_still_read(experiment: Experiment) -> None:
     assert "Lift a finger to answer" in pictures.question(make_trial("AC", "two_hands"), PROGRESS).texts
 
 
-def test_the_fingers_are_counted_back_to_the_beam(experiment: Experiment) -> None:
-    """Expected: the words and one number, the beam and the hands as between any two trials."""
+def test_the_countdown_shows_a_text_and_a_number(experiment: Experiment) -> None:
+    """In addition to beam and hands."""
     pictures, trial = illustrate(experiment), make_trial("AC", "two_hands")
     alone, counted = pictures.ready(trial, PROGRESS), pictures.ready(trial, PROGRESS, 3)
     assert set(counted.texts) - set(alone.texts) == {experiment.texts.fingers_back, "3"}
@@ -380,23 +380,23 @@ def test_the_fingers_are_counted_back_to_the_beam(experiment: Experiment) -> Non
 
 
 @pytest.mark.parametrize("expected", ["left", "both", "right"])
-def test_feedback_says_where_it_was_stronger(experiment: Experiment, expected: str) -> None:
-    """Expected: agreement, or the text for the side that was predicted."""
+def test_feedback_shows_where_it_was_stronger(experiment: Experiment, expected: str) -> None:
+    """Agreement, or the text for the predicted side."""
     pictures, texts = illustrate(experiment), experiment.texts
     for answer in ("left", "both", "right"):
         words = pictures.feedback(make_trial(practice=True), Progress(1, 3), answer, expected).texts[0]
         assert words == (texts.practice_agreed if answer == expected else getattr(texts, f"practice_was_{expected}"))
 
 
-def test_an_unknown_pair_of_fingers_has_no_picture(experiment: Experiment, trial: Trial) -> None:
-    """Expected: three zones draw as well as five, and the middle pair has the name of its zones."""
+def test_a_beam_of_three_zones_is_drawn(experiment: Experiment, trial: Trial) -> None:
+    """Its pictures have the names of its zones."""
     layout = lay_out(1280, 800, {"X": (-0.5, -0.2), "Y": (-0.2, 0.2), "Z": (0.2, 0.5)}, AnswerList.of({}))
     pictures = Illustrator(layout, DARK, experiment.texts, experiment.protocol.answers, "right")
     assert pictures.feel(make_trial("XZ"), PROGRESS).name == "feel_one_hand_XZ"
 
 
 def test_four_answers_are_shown_with_their_words_and_keys(experiment: Experiment) -> None:
-    """Expected: the texts' own words; the instruction that names four answers; a key cap on each button."""
+    """The labels of the texts, the instruction for four answers, and a key on each button."""
     keys = {**experiment.protocol.answers.keys, "both": ("up",), "none": ("down",)}
     answers = experiment.protocol.answers.model_copy(update={"keys": keys})
     layout = lay_out(800, 600, experiment.apparatus.zone_spans, answers.offered)
@@ -423,10 +423,10 @@ def test_four_answers_are_shown_with_their_words_and_keys(experiment: Experiment
         ("french", 7, "l’une de ces sept réponses"),
     ],
 )
-def test_the_instructions_count_the_answers_of_the_list(
+def test_the_instructions_state_the_number_of_answers(
     experiment: Experiment, language: str, n_answers: int, words: str
 ) -> None:
-    """Expected: a word for each number that is allowed, in every shipped language; a digit where a file has none."""
+    """In words in every shipped language, and as a digit in a file without number words."""
     keys = {f"grade_{number}": (str(number),) for number in range(n_answers)}
     answers = experiment.protocol.answers.model_copy(update={"keys": keys})
     file = Path(__file__).parents[2] / "protocols" / "texts" / f"{language}.yaml"
@@ -440,7 +440,7 @@ def test_the_instructions_count_the_answers_of_the_list(
 
 
 def test_answers_of_any_names_are_shown_in_the_order_of_the_file(experiment: Experiment) -> None:
-    """Expected: labels from the texts, in boxes of one row, no colour or arrow of a finger; and what is below."""
+    """With labels from the texts, without colours or arrows of fingers; `below` is respected."""
     names = ("stronger", "alike", "weaker", "unsure")
     keys = {name: (key,) for name, key in zip(names, ("up", "space", "down", "0"), strict=True)}
     answers = experiment.protocol.answers.model_copy(update={"keys": keys, "below": ("unsure",)})
@@ -458,7 +458,7 @@ def test_answers_of_any_names_are_shown_in_the_order_of_the_file(experiment: Exp
 
 
 def test_a_catch_trial_looks_like_any_other(experiment: Experiment) -> None:
-    """Expected: feel, question and ready screens of velocity 0 equal those of 200 mm/s, mark by mark."""
+    """The screens of a level of 0 equal those of 200 mm/s."""
     pictures = illustrate(experiment)
     catch, other = make_trial(velocity=0.0), make_trial(velocity=200.0)
     for draw in (pictures.feel, pictures.question, pictures.ready):

@@ -1,4 +1,4 @@
-"""Numbers on a scale and further questions: entered by keys, clicks, a foot switch, the console or the robot."""
+"""Numbers on a scale and further questions: by keys, clicks, a foot switch, the console or the robot."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ PEDALS = {"lower": ["f1"], "confirm": ["f2"], "higher": ["f3"]}
 
 
 def press(room: Any, *keys: str, kind: str = "key") -> Callable[[], None]:
-    """Return a step in which some keys are pressed and released."""
+    """Return a step in which keys are pressed and released."""
 
     def act() -> None:
         for key in keys:
@@ -65,7 +65,7 @@ def scale(given: dict[str, Any]) -> dict[str, Any]:
 def test_a_number_is_entered_by_keys_and_counts_once_confirmed(
     paper_room: Callable[..., Any], trial: Trial, given: dict[str, Any], keys: list[str], value: float
 ) -> None:
-    """Expected by hand; a number that the scale does not take cannot be confirmed, and the first press shows a mark."""
+    """By hand; a number off the scale cannot be confirmed, and the first press shows a marker."""
     room = paper_room(answers=scale(given))
     room.script = [("question", 0.5, press(room, *keys))]
     onset = room.clock.now()
@@ -76,8 +76,8 @@ def test_a_number_is_entered_by_keys_and_counts_once_confirmed(
     assert len(room.ended) == 1
 
 
-def test_a_mark_moves_on_while_its_key_is_held(paper_room: Callable[..., Any], trial: Trial) -> None:
-    """From the middle, after 0.4 s a place each 0.03 s: a second of holding is about twenty places."""
+def test_the_marker_moves_while_its_key_is_held(paper_room: Callable[..., Any], trial: Trial) -> None:
+    """After 0.4 s one step each 0.03 s: a second of holding is about twenty steps."""
     room = paper_room(answers=scale(VAS))
 
     def hold() -> None:
@@ -107,7 +107,7 @@ def test_a_mark_moves_on_while_its_key_is_held(paper_room: Callable[..., Any], t
 def test_a_number_is_entered_by_clicks(
     paper_room: Callable[..., Any], trial: Trial, given: dict[str, Any], places: list[tuple[str, float]], value: float
 ) -> None:
-    """Expected by the place of the click; the button confirms."""
+    """By the position of the click; the button confirms."""
     room = paper_room(answers=scale(given))
     boxes = room.window._first.pictures.layout.buttons
 
@@ -123,7 +123,7 @@ def test_a_number_is_entered_by_clicks(
 
 
 def test_a_scale_times_out_without_a_number(paper_room: Callable[..., Any], trial: Trial) -> None:
-    """What was entered and not confirmed is no answer, but is in the record."""
+    """An unconfirmed entry is not an answer, but is logged."""
     room = paper_room(answers=scale(VAS) | {"time_out_s": 1.0})
     room.script = [("question", 0.2, press(room, "right"))]
     response = rate(room, trial)
@@ -134,7 +134,7 @@ def test_a_scale_times_out_without_a_number(paper_room: Callable[..., Any], tria
 
 
 def test_a_number_is_typed_at_the_console(paper_room: Callable[..., Any], trial: Trial) -> None:
-    """Keys of the console come as answers, going on confirms; the device is the console."""
+    """Its keys arrive as answers, "continue" confirms, and the device is the console."""
     room = paper_room(answers=scale(NUMBER) | {"given_by": "experimenter"})
 
     def type_it() -> None:
@@ -148,7 +148,7 @@ def test_a_number_is_typed_at_the_console(paper_room: Callable[..., Any], trial:
 
 @pytest.fixture
 def sure(paper_room: Callable[..., Any], trial: Trial) -> tuple[Any, Any, float]:
-    """Return a window at which a trial was answered, and the further question of it."""
+    """Return a window in which a trial was answered, its further question, and the onset."""
     section = QuestionSection.model_validate({"question": "How sure?", "keys": {"no": ["left"], "yes": ["right"]}})
     room = paper_room(answers={"then": {"sure": section}})
     room.script = [("question_one", 0.1, press(room, "left"))]
@@ -157,8 +157,8 @@ def sure(paper_room: Callable[..., Any], trial: Trial) -> tuple[Any, Any, float]
     return room, room.window._answers.further["sure"], onset
 
 
-def test_a_further_question_follows_with_a_time_of_its_own(sure: tuple[Any, Any, float], trial: Trial) -> None:
-    """The answer before stays in sight for a moment; a press meant for it does not count."""
+def test_a_further_question_has_its_own_reaction_time(sure: tuple[Any, Any, float], trial: Trial) -> None:
+    """The first answer stays visible briefly; presses meanwhile are discarded."""
     room, asked, onset = sure
     room.script = [("answered", 0.1, press(room, "right")), ("question_sure", 0.4, press(room, "right"))]
     response = room.window.ask_further("sure", asked, trial)
@@ -171,7 +171,7 @@ def test_a_further_question_follows_with_a_time_of_its_own(sure: tuple[Any, Any,
 
 
 def test_a_further_question_is_asked_again_after_a_pause(sure: tuple[Any, Any, float], trial: Trial) -> None:
-    """Nothing plays any more, so the trial need not come again; its time runs anew."""
+    """The stimulus is over, so the trial is not repeated; the reaction time restarts."""
     room, asked, _ = sure
     room.script = [
         ("question_sure", 0.3, press(room, "escape")),
@@ -182,7 +182,7 @@ def test_a_further_question_is_asked_again_after_a_pause(sure: tuple[Any, Any, f
     assert (response.answer, response.reaction_time) == ("no", pytest.approx(0.2, abs=0.01))
 
 
-def test_the_key_for_emergencies_ends_a_further_question(sure: tuple[Any, Any, float], trial: Trial) -> None:
+def test_the_emergency_key_ends_a_further_question(sure: tuple[Any, Any, float], trial: Trial) -> None:
     """As on every other screen."""
     room, asked, _ = sure
     room.script = [("question_sure", 0.1, press(room, "f12"))]
@@ -191,7 +191,7 @@ def test_the_key_for_emergencies_ends_a_further_question(sure: tuple[Any, Any, f
 
 
 def test_a_question_of_the_form_needs_no_trial(paper_room: Callable[..., Any], experiment: Any) -> None:
-    """It has its words and its scale, and no beam."""
+    """It shows its text and its scale, but no beam."""
     room = paper_room()
     section = QuestionSection.model_validate({"question": "How tired?", "scale": LIKERT})
     room.script = [("form_tired", 0.3, press(room, "2", "enter"))]
@@ -202,10 +202,10 @@ def test_a_question_of_the_form_needs_no_trial(paper_room: Callable[..., Any], e
 
 @pytest.mark.parametrize("question", ["Where?", "أين؟"])
 @pytest.mark.parametrize("given", [VAS, LIKERT, NUMBER, VAS | {"step": 0.1}])
-def test_the_robot_reaches_what_the_observer_answers(
+def test_the_robot_enters_the_number_of_its_observer(
     paper_room: Callable[..., Any], experiment: Any, trial: Trial, given: dict[str, Any], question: str
 ) -> None:
-    """It types into the window as a hand does, whichever way the texts are read; so for a question of the form."""
+    """By keys, for either direction of the script, also in the form."""
     section = scale(given)
     answers = AnswerList.of({"scale": given})
     answerer = Answerer(Participant(), lambda trial: (0.08, 0.05), np.random.default_rng(4), answers, section["scale"])
@@ -222,8 +222,8 @@ def test_the_robot_reaches_what_the_observer_answers(
     assert room.window._first.pictures.answers.scale.is_from_right is (question != "Where?")
 
 
-def test_an_entry_says_what_to_do_next() -> None:
-    """The way to a number, step by step, ends by confirming it."""
+def test_an_entry_gives_the_next_action_towards_a_number() -> None:
+    """The last action is to confirm it."""
     given = ScaleSection.model_validate(NUMBER)
     entry, steps = Entry(given), list[str]()
     while (action := entry.towards(30.5)) != "confirm":
@@ -235,7 +235,7 @@ def test_an_entry_says_what_to_do_next() -> None:
 @pytest.mark.parametrize("size", [(800, 600), (1280, 800), (1920, 1080)])
 @pytest.mark.parametrize("given", [VAS, LIKERT | {"words": list("abcde")}, LIKERT | {"highest": 11}, NUMBER])
 def test_no_part_of_a_scale_covers_another(experiment: Any, size: tuple[int, int], given: dict[str, Any]) -> None:
-    """Neither do the words under it, nor the lines of the question's screen below."""
+    """Including its words and the lines below the question."""
     layout = lay_out(*size, {"A": (-0.5, 0.0), "B": (0.0, 0.5)}, AnswerList.of({}), ScaleSection.model_validate(given))
     boxes = [*layout.buttons.values(), layout.note, layout.label]
     for place, box in enumerate(boxes):
@@ -256,7 +256,7 @@ def test_the_bounds_of_a_number_are_written_out(experiment: Any) -> None:
 
 @pytest.mark.parametrize("size", [(800, 600), (1280, 800)])
 def test_the_words_of_all_points_have_one_size_and_are_legible(experiment: Any, size: tuple[int, int]) -> None:
-    """Seven points, the longest words of three: on two lines, a capital of 1.3 % of the window's height and more."""
+    """Seven points with long words: two lines, capitals of at least 1.3 % of the window's height."""
     words = ["very unpleasant indeed", "unpleasant", "rather unpleasant", "neither", "rather pleasant", "pleasant"]
     points = ScaleSection.model_validate({"kind": "likert", "words": [*words, "very pleasant indeed"]})
     layout = lay_out(*size, {"A": (-0.5, 0.0), "B": (0.0, 0.5)}, AnswerList.of({}), points)
@@ -276,10 +276,10 @@ def test_the_words_of_all_points_have_one_size_and_are_legible(experiment: Any, 
         {"kind": "vas", "words": ["weak", "the strongest vibration that anybody could ever think of, on any beam"]},
     ],
 )
-def test_words_of_one_line_begin_where_words_of_two_begin(
+def test_words_of_one_and_two_lines_are_aligned_at_the_top(
     experiment: Any, size: tuple[int, int], given: dict[str, Any]
 ) -> None:
-    """Below their points or line and above the button, whose inks they do not touch."""
+    """Between their points or line and the button."""
     scale = ScaleSection.model_validate(given)
     layout = lay_out(*size, {"A": (-0.5, 0.0), "B": (0.0, 0.5)}, AnswerList.of({}), scale)
     marks = draw_scale(layout, DARK, experiment.texts, scale, "", confirmed=False, keys=True)
@@ -294,10 +294,10 @@ def test_words_of_one_line_begin_where_words_of_two_begin(
 
 
 @pytest.mark.parametrize(("given", "share", "clicked"), [(VAS, 0.25, 75), (LIKERT, None, 5)])
-def test_a_scale_read_from_the_right_begins_at_the_right(
+def test_a_right_to_left_scale_begins_at_the_right(
     paper_room: Callable[..., Any], trial: Trial, given: dict[str, Any], share: float | None, clicked: float
 ) -> None:
-    """The left arrow goes up; the left end is the highest number, on a line as among points, and so are its words."""
+    """The left arrow increases the number, and the left end is the highest, with its word."""
     section = {"keys": {}, "scale": ScaleSection.model_validate(given).from_right()}
     room = paper_room(answers=section)
     room.script = [("question", 0.5, press(room, "left", "left", "right", "left", "enter"))]

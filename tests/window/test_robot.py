@@ -1,4 +1,4 @@
-"""The robot before a paper window: what is not taken is typed again, what is taken never; it does not type for ever."""
+"""The robot without a display: it repeats missed keys, and only those, for a limited time."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ PRESSES = ["space"] * 2 + ["space", "right", "space", "up", "space", "left"] + [
 
 @pytest.fixture
 def robot(experiment: Any) -> Robot:
-    """Give a robot that answers right, both and left, in this order."""
+    """Provide a robot that answers right, both and left, in this order."""
     speeds = {"A": 0.1, "B": 0.15, "C": 0.2, "D": 0.15, "E": 0.1}
     answerer = Answerer(
         Participant(noise=0.0, lapse_rate=0.0, quickest=0.0, decision_time=0.1),
@@ -34,7 +34,7 @@ def robot(experiment: Any) -> Robot:
 
 
 def deafen(room: Any, misses: Callable[[int], bool]) -> None:
-    """Have a window miss some of the presses, by their number from 0."""
+    """Make a window miss some of the presses, by their number from 0."""
     type_key, n_presses = room.display.type_key, 0
 
     def type_or_miss(key: str, *, down: bool) -> None:
@@ -49,7 +49,7 @@ def deafen(room: Any, misses: Callable[[int], bool]) -> None:
 
 
 def sit(room: Any, trials: list[Trial] = TRIALS) -> list[str]:
-    """Go through a session, and return the answers."""
+    """Go through a session and return the answers."""
     room.window.welcome(trials[0])
     given = []
     for trial in trials:
@@ -64,14 +64,12 @@ def sit(room: Any, trials: list[Trial] = TRIALS) -> list[str]:
 
 
 def presses(room: Any) -> list[str]:
-    """Return the keys that went down, in order."""
+    """Return the pressed keys in order."""
     return [key for key, down in room.display.typed if down]
 
 
-def test_a_key_that_is_not_taken_is_typed_again_and_one_that_is_never(
-    paper_room: Callable[..., Any], robot: Robot
-) -> None:
-    """Every other press is lost: each key comes twice, and none is typed into a screen that does not want it."""
+def test_only_missed_keys_are_typed_again(paper_room: Callable[..., Any], robot: Robot) -> None:
+    """Every other press is lost: each key is typed twice, and no screen gets a key too many."""
     room = paper_room(robot=robot, seconds=60)
     deafen(room, lambda number: number % 2 == 0)
     assert sit(room) == ["right", "both", "left"]
@@ -83,7 +81,7 @@ def test_a_key_that_is_not_taken_is_typed_again_and_one_that_is_never(
 
 @pytest.mark.parametrize("seed", range(20))
 def test_a_process_that_is_stopped_types_each_key_once(paper_room: Callable[..., Any], robot: Robot, seed: int) -> None:
-    """0.8 s pass again and again between any two steps of the window: the same presses, none of them too early."""
+    """Stalls of 0.8 s between any two steps of the window cause neither repeated nor early presses."""
     rng, clock = random.Random(seed), VirtualClock(100.0)
     room = paper_room(robot=robot, clock=clock, seconds=200)
     stops_at, now = 100.0, clock.now
@@ -102,7 +100,7 @@ def test_a_process_that_is_stopped_types_each_key_once(paper_room: Callable[...,
 
 
 def test_an_answer_that_is_to_be_confirmed_is_typed_twice(paper_room: Callable[..., Any], robot: Robot) -> None:
-    """The second press comes once the first was read on the screen, not as a bounce of it."""
+    """The second press follows the displayed choice, so that it does not count as a bounce."""
     room = paper_room(robot=robot, answers={"change_until_confirmed": True}, seconds=30)
     assert sit(room, TRIALS[:1]) == ["right"]
     assert presses(room) == ["space", "space", "space", "right", "right", "space"]
@@ -110,10 +108,10 @@ def test_an_answer_that_is_to_be_confirmed_is_typed_twice(paper_room: Callable[.
 
 
 @pytest.mark.parametrize(("n_taken", "screen", "key"), [(0, "welcome", "space"), (3, "question_one_hand_AC", "right")])
-def test_a_minute_in_which_nothing_moves_ends_the_session_with_a_sentence(
+def test_a_minute_without_progress_ends_the_session(
     paper_room: Callable[..., Any], robot: Robot, n_taken: int, screen: str, key: str
 ) -> None:
-    """The screen that stays, and what was typed into it, again and again for 60 s and not a second longer."""
+    """The message has the screen that stays and the key that was typed for 60 s."""
     room = paper_room(robot=robot, seconds=200)
     deafen(room, lambda number: number >= n_taken)
     with pytest.raises(
@@ -124,10 +122,8 @@ def test_a_minute_in_which_nothing_moves_ends_the_session_with_a_sentence(
     assert room.clock.now() - room.shown[-1][1] == pytest.approx(60, abs=1.5)
 
 
-def test_a_session_that_was_stopped_for_an_hour_has_not_lost_its_minute(
-    paper_room: Callable[..., Any], robot: Robot
-) -> None:
-    """Ctrl-Z and `fg`: tries are counted, not hours; the next press is taken."""
+def test_a_suspended_session_keeps_its_minute(paper_room: Callable[..., Any], robot: Robot) -> None:
+    """After Ctrl-Z and `fg` the next press counts, since tries are counted, not time."""
     room = paper_room(robot=robot, seconds=4000)
     deafen(room, lambda number: number == 0)
     room.script = [("welcome", 0.5, lambda: room.clock.sleep(3600))]

@@ -1,4 +1,4 @@
-"""The PsychoPy window itself: start-up in every kind of trouble, and texts that fit at every size."""
+"""The PsychoPy window: start-up problems, and texts that fit at every size."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ except WindowError as error:
 
 
 def open_in_a_process(**environment: str) -> subprocess.CompletedProcess[str]:
-    """Open a window in a fresh interpreter and return what it printed and how it ended."""
+    """Open a window in a new interpreter and return its output and exit status."""
     plain = {name: value for name, value in os.environ.items() if name != "DISPLAY"}
     return subprocess.run(
         [sys.executable, "-c", OPEN], env=plain | environment, capture_output=True, text=True, timeout=120, check=False
@@ -50,54 +50,54 @@ def open_in_a_process(**environment: str) -> subprocess.CompletedProcess[str]:
 
 
 def set_type(screen: Any, words: Words) -> Any:
-    """Return the words as the window sets them."""
+    """Return the words as typeset by the window."""
     return screen._typesetter.set_type(words, screen.size[1])
 
 
 def fits(screen: Any, words: Words) -> bool:
-    """Return whether the words, as they are set, lie inside their box."""
+    """Return whether the typeset words lie inside their box."""
     height = screen.size[1]
     return bool(set_type(screen, words).fits(words.box.width * height, words.box.height * height))
 
 
 def shrinks(screen: Any, words: Words) -> float:
-    """Return the share of its intended size at which a text is drawn, 1 where it fits as it is."""
+    """Return the fraction of its intended size at which a text is drawn."""
     return float(set_type(screen, words).share)
 
 
-def test_without_a_display_the_error_says_what_to_do() -> None:
-    """Expected: PsychoPy's own message is 'Cannot connect to "None"'."""
+def test_without_a_display_the_error_has_a_remedy() -> None:
+    """PsychoPy's own message is 'Cannot connect to "None"'."""
     done = open_in_a_process()
     assert done.returncode == 1
     assert "WindowError: the answer window needs a display, but DISPLAY is not set" in done.stderr
     assert "--answers simulated" in done.stderr
 
 
-def test_a_display_that_is_not_there_is_named() -> None:
-    """Expected: the display's name, and what to check."""
+def test_an_unreachable_display_is_reported() -> None:
+    """By its name."""
     done = open_in_a_process(DISPLAY=":987")
     assert done.returncode == 1
     assert "WindowError: the answer window cannot reach the display ':987'" in done.stderr
 
 
-def test_a_display_without_opengl_is_named() -> None:
-    """Expected: a virtual display started without GLX, and what it lacks."""
+def test_a_display_without_opengl_is_reported() -> None:
+    """A virtual display without GLX."""
     with virtual_display((640, 480), "-extension", "GLX") as name:
         done = open_in_a_process(DISPLAY=name)
     assert done.returncode == 1
     assert f"WindowError: the display '{name}' cannot draw with OpenGL" in done.stderr
 
 
-def test_a_display_of_few_colours_is_named() -> None:
-    """Expected: at 16 bits pyglet waits for ever for a window that X refuses to make."""
+def test_a_display_with_few_colours_is_reported() -> None:
+    """At 16 bits pyglet would wait forever for a window that X refuses."""
     with virtual_display((640, 480), "-screen", "0", "640x480x16") as name:
         done = open_in_a_process(DISPLAY=name)
     assert done.returncode == 1
     assert f"WindowError: the display '{name}' has colours of 16 bits, but 24 are needed" in done.stderr
 
 
-def test_a_home_that_cannot_be_written_does_not_matter_and_nothing_is_printed(display: str) -> None:
-    """Expected: PsychoPy alone raises PermissionError there, and prints a warning about monitors elsewhere."""
+def test_an_unwritable_home_causes_no_error_or_output(display: str) -> None:
+    """PsychoPy alone raises PermissionError there, and prints a warning about monitors elsewhere."""
     done = open_in_a_process(DISPLAY=display, HOME="/dev/null")
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
 
@@ -113,7 +113,7 @@ def make_experiment_texts(language: str) -> Texts:
 @pytest.mark.parametrize("language", sorted(path.stem for path in (ROOT / "protocols" / "texts").glob("*.yaml")))
 @pytest.mark.parametrize("size", [(800, 600), (768, 1024), (3840, 2160)])
 def test_every_text_fits_its_place(experiment: Experiment, language: str, size: tuple[int, int]) -> None:
-    """Expected: no text of a shipped language leaves its box, nor shrinks below 60 % of its size."""
+    """No text of a shipped language leaves its box or shrinks below 60 % of its size."""
     layout = lay_out(*size, experiment.apparatus.zone_spans, AnswerList.of({}))
     texts = make_experiment_texts(language)
     pictures = Illustrator(layout, DARK, texts, experiment.protocol.answers, "right")
@@ -130,10 +130,10 @@ GRADES = ("Much weaker", "Weaker", "A bit weaker", "About the same", "A bit stro
 
 @pytest.mark.parametrize("labels", [GRADES, ("Clearly stronger under the left", "Clearly stronger under the right")])
 @pytest.mark.parametrize("size", [(800, 600), (1280, 800), (3840, 2160)])
-def test_labels_of_any_answers_are_read_on_their_buttons(
+def test_long_labels_are_legible_on_their_buttons(
     screen: Any, experiment: Experiment, size: tuple[int, int], labels: tuple[str, ...]
 ) -> None:
-    """Expected: every label fits, in type of 2 % of the window's height at least: 5 mm on a screen of 27 cm."""
+    """Every label fits in type of at least 2 % of the window's height: 5 mm on a screen of 27 cm."""
     keys = {f"grade_{number}": (str(number),) for number in range(len(labels))}
     answers = experiment.protocol.answers.model_copy(update={"keys": keys})
     texts = experiment.texts.model_copy(update={"answers": dict(zip(keys, labels, strict=True))})
@@ -148,13 +148,13 @@ def test_labels_of_any_answers_are_read_on_their_buttons(
 
 
 def test_a_text_too_long_is_made_smaller(screen: Any) -> None:
-    """Expected: shrunk until it fits, or found not to fit."""
+    """It shrinks until it fits, unless the box is too small."""
     assert fits(screen, Words("A text that is far too long for its box", Box(0, 0, 0.4, 0.2), 0.08, "#FFFFFF"))
     assert not fits(screen, Words("A text that is far too long for its box", Box(0, 0, 0.05, 0.03), 0.08, "#FFFFFF"))
 
 
-def test_what_is_drawn_is_where_and_what_the_picture_says(screen: Any, tmp_path: Path) -> None:
-    """Expected colours: those of the marks, at the pixels of 1280 x 800 that the geometry gives."""
+def test_pixels_agree_with_the_picture(screen: Any, tmp_path: Path) -> None:
+    """Colours of the marks at pixels given by the geometry, 1280 x 800."""
     from PIL import Image
 
     marks = (
@@ -172,13 +172,13 @@ def test_what_is_drawn_is_where_and_what_the_picture_says(screen: Any, tmp_path:
 
 
 def test_a_screenshot_that_cannot_be_written_is_a_window_error(screen: Any, tmp_path: Path) -> None:
-    """Expected: the message names the file."""
+    """The message has the file."""
     with pytest.raises(WindowError, match="absent/x.png cannot be written"):
         screen.flip(tmp_path / "absent" / "x.png")
 
 
-def test_a_monitor_that_is_not_there_is_refused(screen: Any) -> None:
-    """Expected: PsychoPy alone would silently take another one."""
+def test_a_missing_monitor_is_refused(screen: Any) -> None:
+    """PsychoPy alone would silently use another one."""
     from modaltouch.window.screen import Screen
 
     with pytest.raises(WindowError, match="given screen 3, but this display has 1; allowed: 0 to 0"):
@@ -186,7 +186,7 @@ def test_a_monitor_that_is_not_there_is_refused(screen: Any) -> None:
 
 
 def test_a_window_larger_than_the_monitor_is_cut_to_it(screen: Any) -> None:
-    """Expected: the virtual monitor's 3840 x 2160 pixels, so that no button lies beyond its edge."""
+    """To the virtual monitor's 3840 x 2160 pixels, so that all buttons are visible."""
     from modaltouch.window.screen import Screen
 
     large = Screen(size=(5000, 3000))
@@ -194,8 +194,8 @@ def test_a_window_larger_than_the_monitor_is_cut_to_it(screen: Any) -> None:
     large.close()
 
 
-def test_the_start_record_says_what_drew(screen: Any) -> None:
-    """Expected: backend, versions, renderer and size."""
+def test_the_start_record_describes_the_window(screen: Any) -> None:
+    """Backend, versions, renderer and size."""
     about = screen.describe()
     assert about["backend"] == "psychopy"
     assert about["size_px"] == [1280, 800]
@@ -205,7 +205,7 @@ def test_the_start_record_says_what_drew(screen: Any) -> None:
 
 @pytest.mark.parametrize("theme", THEMES)
 def test_a_session_opens_in_either_theme(display: str, experiment: Experiment, theme: str, tmp_path: Path) -> None:
-    """Expected: the theme's ground in the corner of the first screen, and a window whose record can open it again."""
+    """The first screen has the theme's background, and the record can reopen the window."""
     from PIL import Image
 
     from modaltouch.window import WindowOptions
@@ -234,7 +234,7 @@ def test_a_session_opens_in_either_theme(display: str, experiment: Experiment, t
 
 
 def test_the_screens_of_the_site_are_those_of_the_window(screen: Any, tmp_path: Path, monkeypatch: Any) -> None:
-    """Expected: every pixel of the real window, within the rounding of its eight bits."""
+    """All pixels agree with the real window, within the rounding of eight bits."""
     from generator import screens
 
     experiment = Findings.read(ROOT / "protocols" / "detection_with_confidence.yaml").experiment()

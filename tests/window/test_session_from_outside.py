@@ -1,4 +1,4 @@
-"""A whole session through ``modaltouch run``, led from outside by real keys and clicks alone."""
+"""A whole session by ``modaltouch run``, operated only by real keys and clicks."""
 
 from __future__ import annotations
 
@@ -33,20 +33,20 @@ AS_NOBODY = (
 
 @pytest.fixture(scope="module")
 def empty_display() -> Iterator[str]:
-    """Give a display with no other window on it, so that every key goes to the session."""
+    """Provide a display without other windows, so that the session gets every key."""
     with virtual_display((1920, 1080)) as name:
         yield name
 
 
 @pytest.fixture
 def outside_hands(empty_display: str, make_hands: Callable[[str], Any]) -> Any:
-    """Give hands on that display."""
+    """Provide hands on that display."""
     return make_hands(empty_display)
 
 
 @pytest.fixture
 def protocol(edit: Callable[..., Path]) -> Path:
-    """Give six of the paper's trials without the protocol's pauses."""
+    """Provide six of the paper's trials without pauses."""
     return edit(
         "differentiated_stimulation.yaml",
         ("[80, 100, 150, 200]", "[200]"),
@@ -58,7 +58,7 @@ def protocol(edit: Callable[..., Path]) -> Path:
 
 @pytest.fixture
 def start(empty_display: str, tmp_path: Path, protocol: Path) -> Iterator[Callable[..., subprocess.Popen[str]]]:
-    """Start a session for a person at the window, as the tests' own user or as an ordinary one."""
+    """Start a session in the window, as the tests' own user or as an ordinary one."""
     opened: list[subprocess.Popen[str]] = []
 
     def begin(*, as_nobody: bool = False) -> subprocess.Popen[str]:
@@ -103,7 +103,7 @@ def start(empty_display: str, tmp_path: Path, protocol: Path) -> Iterator[Callab
 
 
 def events(results: Path) -> list[dict[str, Any]]:
-    """Return what the session log says so far, a line that is being written left out."""
+    """Return the complete lines of the session log so far."""
     logs = list(results.rglob("session.jsonl"))
     if not logs:
         return []
@@ -113,7 +113,7 @@ def events(results: Path) -> list[dict[str, Any]]:
 
 
 def wait_for_window(hands: Any, process: subprocess.Popen[str]) -> None:
-    """Return once the window is on the display."""
+    """Wait until the window is on the display."""
     end = time.monotonic() + 90
     while time.monotonic() < end and process.poll() is None:
         try:
@@ -127,12 +127,12 @@ def wait_for_window(hands: Any, process: subprocess.Popen[str]) -> None:
 
 
 @pytest.mark.parametrize("user", ["tests' own", "ordinary"])
-def test_keys_and_clicks_lead_through_a_whole_session(
+def test_a_whole_session_by_keys_and_clicks(
     start: Callable[..., subprocess.Popen[str]], outside_hands: Any, tmp_path: Path, user: str
 ) -> None:
-    """Expected: six answers, those given, by key and by mouse in turn; every step by Enter; as any user.
+    """Six answers as given, alternately by key and by mouse, for root and for an ordinary user.
 
-    Whoever is not root is an ordinary user already; root drops its rights for the second run.
+    As root, the second run drops its rights.
     """
     as_nobody = user == "ordinary" and os.getuid() == 0
     process = start(as_nobody=as_nobody)
@@ -175,7 +175,7 @@ def test_keys_and_clicks_lead_through_a_whole_session(
     ("way", "returncode", "reason"),
     [("close button", 130, "window closed"), ("Ctrl-C", 130, "SIGINT"), ("F12", 130, "emergency stop")],
 )
-def test_a_session_that_is_ended_keeps_what_it_has(
+def test_a_session_that_is_ended_early_keeps_its_record(
     start: Callable[..., subprocess.Popen[str]],
     outside_hands: Any,
     tmp_path: Path,
@@ -183,7 +183,7 @@ def test_a_session_that_is_ended_keeps_what_it_has(
     returncode: int,
     reason: str,
 ) -> None:
-    """Expected: exit status 130 and the reason in the log: window closed, Ctrl-C, or the key for emergencies."""
+    """Exit status 130, and the reason in the log: window closed, Ctrl-C, or the emergency key."""
     process = start()
     wait_for_window(outside_hands, process)
     while not events(tmp_path):

@@ -1,4 +1,4 @@
-"""The participant without a window."""
+"""The simulated participant, without a window."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ PROGRESS = Progress(1, 1)
 
 
 def make_answerer(seed: int = 1) -> Answerer:
-    """Return a participant who feels nearly equal speeds, so that chance decides."""
+    """Return a participant who feels nearly equal speeds, so that the answers are random."""
     participant = Observer().draw(np.random.default_rng(0))
     return Answerer(participant, lambda trial: (0.1, 0.1 * 1.2), np.random.default_rng(seed))
 
@@ -27,7 +27,7 @@ def make_trial(index: int, *, practice: bool = False) -> Trial:
 
 
 def test_a_resumed_session_gets_the_same_answers() -> None:
-    """Expected: the answers to trials 11 to 20 alone equal those after trials 1 to 10."""
+    """Answers to trials 11 to 20 do not depend on whether trials 1 to 10 were asked."""
     whole = make_answerer()
     at_once = [whole.answer(make_trial(index)) for index in range(1, 21)]
     resumed = make_answerer()
@@ -35,25 +35,25 @@ def test_a_resumed_session_gets_the_same_answers() -> None:
 
 
 def test_a_repeated_trial_gets_the_same_answer() -> None:
-    """Expected: asking twice advances no shared stream."""
+    """Asking twice advances no shared stream."""
     answerer = make_answerer()
     assert answerer.answer(make_trial(3)) == answerer.answer(make_trial(3))
 
 
-def test_trials_seeds_and_practice_have_streams_of_their_own() -> None:
-    """Expected: reaction times, which are continuous, differ between all of them."""
+def test_trials_seeds_and_practice_have_separate_streams() -> None:
+    """Their reaction times, which are continuous, all differ."""
     times = {make_answerer(seed).answer(make_trial(index))[1] for seed in (1, 2) for index in range(1, 6)}
     times |= {make_answerer().answer(make_trial(index, practice=True))[1] for index in range(1, 6)}
     assert len(times) == 15
 
 
 def present(told: list[str], ends: float = 60.0) -> Presentation:
-    """Return a stimulus that began at 0 s and notes what becomes of it."""
+    """Return a stimulus that began at 0 s and notes its stop and end."""
     return Presentation(0.0, ends, lambda: told.append("end"), lambda: told.append("stop"))
 
 
 def test_the_reaction_time_passes_on_the_clock() -> None:
-    """Expected: a second's answer takes a second of virtual time, ticks meanwhile, and ends its stimulus."""
+    """An answer after a second takes a second of virtual time, with ticks, and ends its stimulus."""
     told: list[str] = []
     ticks: list[None] = []
     clock = VirtualClock()
@@ -69,8 +69,8 @@ def test_the_reaction_time_passes_on_the_clock() -> None:
     assert len(ticks) > 1000 * response.reaction_time
 
 
-def test_a_stimulus_that_nobody_answers_in_time_ends() -> None:
-    """At its longest it stops; the question stays, or the trial times out where the protocol says so."""
+def test_an_unanswered_stimulus_stops_after_its_longest_duration() -> None:
+    """The question stays, or the trial times out, as the protocol says."""
     for after_longest, answer in (("ask", "both"), ("time_out", "time_out")):
         told: list[str] = []
         clock = VirtualClock()
@@ -82,8 +82,8 @@ def test_a_stimulus_that_nobody_answers_in_time_ends() -> None:
         assert (response.reaction_time == pytest.approx(0.2)) is (answer == "time_out")
 
 
-def test_where_the_stimulus_stops_first_the_answer_follows_the_question() -> None:
-    """Expected: stopped when its last burst is over, and the reaction time counted from there."""
+def test_the_answer_may_follow_the_end_of_the_stimulus() -> None:
+    """The stimulus stops after its last burst, and the reaction time counts from there."""
     told: list[str] = []
     clock = VirtualClock()
     window = SimulatedParticipant(make_answerer(), tick=lambda: None, stimulus_until="question", clock=clock)
@@ -93,8 +93,8 @@ def test_where_the_stimulus_stops_first_the_answer_follows_the_question() -> Non
     assert clock.now() == pytest.approx(2.0 + response.reaction_time)
 
 
-def test_what_the_tick_raises_passes_through() -> None:
-    """Expected: a signal ends a simulated session as it ends a real one."""
+def test_exceptions_of_the_tick_propagate() -> None:
+    """A signal ends a simulated session as it ends a real one."""
 
     def tick() -> None:
         raise KeyboardInterrupt
@@ -105,7 +105,7 @@ def test_what_the_tick_raises_passes_through() -> None:
 
 
 def test_a_generator_without_a_seed_sequence_is_refused() -> None:
-    """Expected: the message says which generators have one."""
+    """The message describes the allowed generators."""
 
     class Dice(np.random.bit_generator.ISeedSequence):
         """Another source of seeds."""

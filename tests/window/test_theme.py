@@ -1,4 +1,4 @@
-"""Contrast of the colours, by the formula of WCAG 2.1."""
+"""Contrast of the colours, by WCAG 2.1."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def contrast(first: str, second: str) -> float:
 
 @pytest.mark.parametrize("theme", THEMES.values(), ids=list(THEMES))
 def test_words_are_readable(theme: Theme) -> None:
-    """Expected ratios: 7 (AAA) for words, 4.5 (AA) for words of second rank and fingers' names."""
+    """Ratios of 7 (AAA) for text, and 4.5 (AA) for secondary text and finger names."""
     assert contrast(theme.text, theme.ground) > 7
     assert contrast(theme.text, theme.button) > 7
     for colour in (theme.dim, theme.left, theme.right):
@@ -33,7 +33,7 @@ def test_words_are_readable(theme: Theme) -> None:
 
 @pytest.mark.parametrize("theme", THEMES.values(), ids=list(THEMES))
 def test_shapes_stand_out(theme: Theme) -> None:
-    """Expected ratio: 3 for parts of a picture (WCAG 2.1, section 1.4.11)."""
+    """A ratio of 3 for parts of a picture (WCAG 2.1, section 1.4.11)."""
     for colour in (theme.beam_edge, theme.button_edge, theme.hand_edge, theme.left, theme.right):
         assert contrast(colour, theme.ground) > 3
     assert contrast(theme.text, theme.zone) > 3
@@ -48,7 +48,7 @@ MACHADO_PROTAN = ((0.152286, 1.052583, -0.204868), (0.114503, 0.786281, 0.099216
 def test_left_and_right_differ_without_red_or_green(
     theme: Theme, matrix: tuple[tuple[float, float, float], ...]
 ) -> None:
-    """Expected: apart in blue by a third of its range (matrices of Machado et al., IEEE TVCG 15, 2009)."""
+    """In blue by a third of its range (matrices of Machado et al., IEEE TVCG 15, 2009)."""
 
     def blue(colour: str) -> float:
         rgb = [(int(colour[place : place + 2], 16) / 255) ** 2.2 for place in (1, 3, 5)]
@@ -58,5 +58,5 @@ def test_left_and_right_differ_without_red_or_green(
 
 
 def test_a_mix_lies_between_its_colours() -> None:
-    """Expected: the ends at shares 0 and 1, the mean at one half."""
+    """The ends at fractions 0 and 1, the mean at one half."""
     assert [mixed("#000000", "#FF8000", share) for share in (0, 0.5, 1)] == ["#000000", "#804000", "#FF8000"]

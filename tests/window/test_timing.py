@@ -1,4 +1,4 @@
-"""Measurement of frames and keys on the virtual display, and the verdict's words."""
+"""Measurement of frames and keys on the virtual display, and the wording of the verdict."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ GOOD: dict[str, Any] = {
 
 @pytest.mark.window
 def test_keys_injected_at_the_display_are_all_seen_in_time(screen: Any) -> None:
-    """Expected: none lost, and stamped about a poll (1 ms) after injection; no frame waits on a virtual display."""
+    """None is lost, each is stamped about one poll (1 ms) after injection; frames do not wait on a virtual display."""
     measured, verdict = time_window(screen, n_frames=30, n_keys=20)
     assert measured["n_lost"] == 0
     assert measured["key_path"] == "display server"
@@ -34,14 +34,14 @@ def test_keys_injected_at_the_display_are_all_seen_in_time(screen: Any) -> None:
 
 @pytest.mark.window
 def test_without_an_x_server_the_windows_own_queue_is_measured(screen: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Expected: the path is named, since it leaves out the display server."""
+    """The result states the path, since it leaves out the display server."""
     monkeypatch.setattr("sys.platform", "darwin")
     measured, _ = time_window(screen, n_frames=10, n_keys=10)
     assert (measured["key_path"], measured["n_lost"]) == ("event queue", 0)
 
 
-def test_a_good_machine_is_said_to_be_good() -> None:
-    """Expected: both verdicts good, with the monitor's rate."""
+def test_the_verdict_on_a_good_machine() -> None:
+    """Both parts are good, with the monitor's rate."""
     assert (
         judge_window(GOOD)
         == "On the screen: Keys are stamped within 1.1 ms (95 %): good. Frames follow the monitor at 60 Hz: good."
@@ -61,11 +61,11 @@ def test_a_good_machine_is_said_to_be_good() -> None:
         ),
     ],
 )
-def test_a_fault_is_named_with_what_to_do(change: dict[str, Any], words: str) -> None:
-    """Expected: the figure and the remedy."""
+def test_faults_are_reported_with_figure_and_remedy(change: dict[str, Any], words: str) -> None:
+    """For each kind of fault."""
     assert words in judge_window(GOOD | change)
 
 
-def test_a_window_that_saw_nothing_says_so() -> None:
-    """Expected: the keys that were lost, and no word on frames."""
+def test_a_window_that_lost_all_keys_is_reported() -> None:
+    """Without a sentence on frames."""
     assert judge_window(GOOD | {"n_lost": 60, "key_delay_p95_ms": None}).endswith("until none is.")

@@ -1,6 +1,6 @@
-"""Typesetting: shapes, order and lines of every script, held against tables of the fonts and of Unicode.
+"""Typesetting: shapes, order and lines of every script, against tables of the fonts and of Unicode.
 
-Expected widths come from the fonts' own tables, read by fontTools: no HarfBuzz takes part in them.
+Expected widths come from the fonts' own tables, read by fontTools, without HarfBuzz.
 """
 
 from __future__ import annotations
@@ -19,23 +19,23 @@ from modaltouch.window.typesetting import Font, TypeBlock, Typesetter, find_font
 
 
 def set_type(text: str, *, width: float = 1.0, height: float = 1.0, size: float = 0.1, bold: bool = False) -> TypeBlock:
-    """Return a text as a window of 1000 pixels sets it."""
+    """Return a text as typeset in a window of 1000 pixels."""
     return Typesetter().set_type(Words(text, Box(0, 0, width, height), size, "#FFFFFF", bold), 1000)
 
 
 def lines(block: TypeBlock) -> list[str]:
-    """Return the letters of each line from left to right, each run as it is read."""
+    """Return the letters of each line from left to right, each run in reading order."""
     return ["|".join(run.text for run in line.runs) for line in block.lines]
 
 
 def font_of(letter: str) -> TTFont:
-    """Return the tables of the font that draws a letter."""
+    """Return the tables of the font used for a letter."""
     (font,) = Typesetter().choose_fonts(letter)
     return TTFont(font.path, fontNumber=0)
 
 
 def advances(font: TTFont, glyphs: list[str]) -> float:
-    """Return the width of glyphs side by side [em]."""
+    """Return the width of adjacent glyphs [em]."""
     return sum(font["hmtx"][glyph][0] for glyph in glyphs) / font["head"].unitsPerEm
 
 
@@ -48,7 +48,7 @@ def advances(font: TTFont, glyphs: list[str]) -> float:
     ],
 )
 def test_arabic_letters_join(word: str, forms: str) -> None:
-    """Expected: initial, medial and final forms, and the ligature of lam and alef, as Unicode's presentation forms."""
+    """Initial, medial and final forms, and the ligature of lam and alef, as in Unicode's presentation forms."""
     assert "".join(unicodedata.normalize("NFKC", form) for form in forms) == word
     font = font_of(word[0])
     expected = advances(font, [font.getBestCmap()[ord(form)] for form in forms])
@@ -58,14 +58,14 @@ def test_arabic_letters_join(word: str, forms: str) -> None:
 
 
 def test_hebrew_is_as_wide_as_its_letters() -> None:
-    """Expected: the sum of advances; Hebrew neither joins nor forms ligatures."""
+    """The sum of advances; Hebrew has neither joining nor ligatures."""
     font = font_of("ש")
     expected = advances(font, [font.getBestCmap()[ord(letter)] for letter in "שלום"])
     assert Typesetter().measure("שלום") == pytest.approx(expected, abs=0.05)
 
 
 def ligature(font: TTFont, feature: str, glyphs: list[str]) -> str:
-    """Return the glyph that a feature of the font puts in place of several."""
+    """Return the glyph that a feature of the font substitutes for several."""
     table = font["GSUB"].table
     indices = {
         i
@@ -80,15 +80,15 @@ def ligature(font: TTFont, feature: str, glyphs: list[str]) -> str:
 
 
 def test_devanagari_consonants_form_conjuncts() -> None:
-    """Expected: the akhand ligature that the font has for ka, virama, ssa."""
+    """The font's akhand ligature of ka, virama, ssa."""
     font = font_of("क")
     letters = [font.getBestCmap()[ord(letter)] for letter in "क्ष"]
     expected = advances(font, [ligature(font, "akhn", letters)])
     assert Typesetter().measure("क्ष") == pytest.approx(expected, abs=0.02)
 
 
-def test_a_devanagari_vowel_sign_stands_before_its_consonant() -> None:
-    """Expected: कि ends as क ends; PsychoPy's own text lost the sign."""
+def test_a_devanagari_vowel_sign_is_drawn_before_its_consonant() -> None:
+    """कि ends like क; PsychoPy's own text lost the sign."""
 
     def ink(text: str) -> Any:
         return Typesetter().cover(Words(text, Box(0, 0, 1, 1), 0.2, "#FFFFFF"), (1000, 1000))
@@ -111,24 +111,24 @@ def test_a_devanagari_vowel_sign_stands_before_its_consonant() -> None:
     ],
 )
 def test_the_order_of_letters_is_that_of_uax_9(text: str, expected: list[str]) -> None:
-    """Expected: rules P2, W2, N1 and L2 by hand."""
+    """Rules P2, W2, N1 and L2, applied by hand."""
     assert lines(set_type(text, width=9)) == expected
 
 
-def test_brackets_between_runs_run_as_their_paragraph_does() -> None:
-    """Expected: rule N1 by hand; the bracket is a run of its own where the font of the letters has none."""
+def test_brackets_between_runs_have_the_direction_of_the_paragraph() -> None:
+    """Rule N1 by hand; the bracket is a separate run if the letters' font lacks it."""
     (line,) = lines(set_type("اضغط (Esc)", width=9))
     assert line in (")|Esc|(|اضغط ", ")|Esc|اضغط (")
 
 
-def test_a_paragraph_runs_one_way_whatever_its_lines_begin_with() -> None:
-    """Expected: a second line that begins with Latin letters still runs from right to left."""
+def test_a_paragraph_has_one_direction() -> None:
+    """A second line that begins with Latin letters still runs from right to left."""
     width = 0.1 * Typesetter().measure("اضغط على مفتاح") + 0.01
     assert lines(set_type("اضغط على مفتاح Esc من فضلك", width=width)) == ["اضغط على مفتاح", "من فضلك| |Esc"]
 
 
 def test_ideographs_break_anywhere_but_before_and_after_their_punctuation() -> None:
-    """Expected: UAX 14 classes CL, EX, NS and OP: none of them at the wrong end of a line, all letters kept."""
+    """UAX 14 classes CL, EX, NS and OP: none at the wrong end of a line; no letter is lost."""
     text = "答案没有对错之分，请说出（您的）感觉。「はい」とこたえてくだ​さい。ちょっとまって！"
     for width in np.arange(0.3, 1.2, 0.1):
         found = lines(set_type(text, width=float(width), height=9))
@@ -137,22 +137,22 @@ def test_ideographs_break_anywhere_but_before_and_after_their_punctuation() -> N
         assert len(found) > 3
 
 
-def test_words_break_at_spaces_alone() -> None:
-    """Expected: as few lines as there is room for, of like lengths; a space that must not break holds its word."""
+def test_words_break_only_at_spaces() -> None:
+    """As few lines as possible, of similar lengths; a no-break space holds its word."""
     assert lines(set_type("Where did you feel the vibration", width=1.5)) == ["Where did you feel", "the vibration"]
     assert lines(set_type("la vibration\u00a0?", width=0.5)) == ["la", "vibration\u00a0?"]
     assert lines(set_type("one\n\ntwo")) == ["one", "", "two"]
 
 
 @pytest.mark.parametrize("bold", [False, True])
-def test_words_beside_each_other_stand_on_one_line(bold: bool) -> None:
-    """Expected: a letter below the baseline, as in Right, leaves it where Left and Both have theirs."""
+def test_adjacent_words_share_a_baseline(bold: bool) -> None:
+    """Also if only one has a letter with a descender, as in Left and Right."""
     extents = [set_type(word, bold=bold).lines[0] for word in ("Left", "Right", "Both", "Gauche", "Gleich stark (j)")]
     assert len({(line.ascent, line.descent) for line in extents}) == 1
 
 
 def test_digits_and_punctuation_are_in_the_font_of_their_letters() -> None:
-    """Expected: Arabic comma and digits in one Arabic font, Latin in Noto Sans, an ideographic full stop in theirs."""
+    """Arabic comma and digits in the Arabic font, Latin in Noto Sans, an ideographic full stop in its own."""
 
     def names(text: str) -> list[str]:
         return [font.path.rpartition("/")[2].partition("-")[0] for font in Typesetter().choose_fonts(text)]
@@ -166,8 +166,8 @@ def test_digits_and_punctuation_are_in_the_font_of_their_letters() -> None:
 
 @pytest.mark.parametrize("name", ["NotoSans", "DejaVuSans"])
 @pytest.mark.parametrize("bold", [False, True])
-def test_the_fonts_that_come_along_have_the_letters_of_western_europe(name: str, bold: bool) -> None:
-    """So that no font need be read for them; expected: all of code page 1252, by the tables of the fonts."""
+def test_the_bundled_fonts_have_the_letters_of_western_europe(name: str, bold: bool) -> None:
+    """All of code page 1252, by the fonts' tables, so that no other font is read."""
     font = find_font(name, bold=bold)
     assert font is not None
     letters = bytes(range(32, 256)).decode("cp1252", errors="ignore")
@@ -176,8 +176,8 @@ def test_the_fonts_that_come_along_have_the_letters_of_western_europe(name: str,
     assert missing in ([], ["\x7f"])
 
 
-def test_a_named_font_is_asked_first_and_a_font_without_bold_is_emboldened() -> None:
-    """Expected: DejaVu Sans, which comes along, for Latin and Arabic; strokes where a font has no bold companion."""
+def test_a_named_font_comes_first_and_may_be_emboldened() -> None:
+    """DejaVu Sans for Latin and Arabic; a font without a bold companion gets thicker strokes."""
     assert {font.path.rpartition("/")[2] for font in Typesetter("DejaVuSans.ttf").choose_fonts("قلم A")} == {
         "DejaVuSans.ttf"
     }
@@ -193,7 +193,7 @@ def test_a_named_font_is_asked_first_and_a_font_without_bold_is_emboldened() -> 
     "label", ["明显在左手食指下面更强一些", "أقوى بوضوح تحت السبابة اليسرى", "Clearly stronger here"]
 )
 def test_a_long_answer_takes_two_lines_before_it_shrinks(label: str) -> None:
-    """Expected: two lines or three in a button of four, in larger type than one line would allow."""
+    """Two or three lines on one of four buttons, in larger type than one line would allow."""
     answers = AnswerList.of({"keys": [f"answer_{number}" for number in range(4)]})
     button = lay_out(1280, 800, {"A": (-0.5, 0.5)}, answers).buttons["answer_0"]
     box = Box(0, 0, 0.9 * button.width, 0.52 * button.height)

@@ -1,4 +1,4 @@
-"""Sound devices of the tests: ALSA's null device in a process of its own, and a stream at PortAudio's boundary."""
+"""Sound devices of the tests: ALSA's null device in a separate process, and a fake PortAudio stream."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ NO_CARD = "pcm.!default { type hw card 31 }\nctl.!default { type null }\n"
 
 @pytest.fixture
 def in_a_process() -> Callable[[str, Path], subprocess.CompletedProcess[str]]:
-    """Run a script with an ALSA of its own."""
+    """Run a script with its own ALSA configuration."""
 
     def run(script: str, alsa: Path) -> subprocess.CompletedProcess[str]:
         env = {**os.environ, "ALSA_CONFIG_PATH": str(alsa), "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
@@ -33,13 +33,13 @@ def in_a_process() -> Callable[[str, Path], subprocess.CompletedProcess[str]]:
 
 @pytest.fixture
 def no_card() -> str:
-    """An ALSA configuration whose only device is a card that is not there."""
+    """An ALSA configuration whose only device is a missing card."""
     return NO_CARD
 
 
 @pytest.fixture
 def null_device(tmp_path: Path) -> Path:
-    """An ALSA that takes every sample and forgets it."""
+    """An ALSA configuration that discards every sample."""
     file = tmp_path / "asound.conf"
     file.write_text("pcm.!default { type null }\nctl.!default { type null }\n")
     return file
@@ -47,14 +47,14 @@ def null_device(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def no_device(tmp_path: Path) -> Path:
-    """An ALSA whose only device is a card that is not there."""
+    """An ALSA configuration whose only device is a missing card."""
     file = tmp_path / "asound.conf"
     file.write_text(NO_CARD)
     return file
 
 
 class Device:
-    """Stands at the boundary of PortAudio: a stream that asks for samples when told to, and can be unplugged."""
+    """A fake PortAudio stream, which requests samples on demand and can be unplugged."""
 
     latency = 0.1
 
@@ -77,7 +77,7 @@ class Device:
 
 @pytest.fixture
 def devices(monkeypatch: pytest.MonkeyPatch) -> list[Device]:
-    """The streams that were opened, newest last; `default_device` finds one as long as the list is not frozen."""
+    """The streams opened so far, newest last."""
     opened: list[Device] = []
 
     def open_stream(**options: Any) -> Device:
@@ -96,7 +96,7 @@ def devices(monkeypatch: pytest.MonkeyPatch) -> list[Device]:
 
 @pytest.fixture
 def unplug(monkeypatch: pytest.MonkeyPatch) -> Callable[[Device], None]:
-    """Take a device away, now and for whoever looks for one."""
+    """Remove a device, also for later searches."""
 
     def nothing(name: str = "") -> dict[str, Any]:
         raise DeviceError("there is no sound device")

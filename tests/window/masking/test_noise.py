@@ -1,4 +1,4 @@
-"""Masking noise as samples: its spectrum, its seam, its level, its fades; no device is opened."""
+"""Masking noise as samples: spectrum, periodicity, level and fades; no device is opened."""
 
 from __future__ import annotations
 
@@ -26,20 +26,20 @@ def octave_levels(noise: np.ndarray) -> np.ndarray:
 
 
 def test_pink_noise_has_equal_power_in_every_octave() -> None:
-    """Within 0.5 dB over nine octaves: what pink means, measured by an independent method."""
+    """Within 0.5 dB over nine octaves, by Welch's method."""
     levels = octave_levels(make_noise("pink", RATE))
     assert np.ptp(levels) < 0.5
 
 
 def test_white_noise_has_equal_power_in_every_hertz() -> None:
-    """3.01 dB more in each octave than in the one below, within 0.5 dB."""
+    """Each octave has 3.01 dB more than the one below, within 0.5 dB."""
     levels = octave_levels(make_noise("white", RATE))
     assert np.abs(np.diff(levels) - 10 * math.log10(2)).max() < 0.5
 
 
 @pytest.mark.parametrize("kind", ["pink", "white"])
-def test_nothing_lies_outside_what_can_be_heard(kind: str) -> None:
-    """Below 20 Hz, which would move the loudspeaker alone, and above 20 kHz: less than -80 dB of the whole."""
+def test_the_noise_is_limited_to_the_audible_band(kind: str) -> None:
+    """Below 20 Hz and above 20 kHz there is less than -80 dB of the total power."""
     power = np.abs(np.fft.rfft(make_noise(kind, RATE).astype(float))) ** 2  # type: ignore[arg-type]
     frequency = np.fft.rfftfreq(round(10 * RATE), 1 / RATE)
     outside = power[(frequency < LOWEST) | (frequency > HIGHEST)].sum()
@@ -49,7 +49,7 @@ def test_nothing_lies_outside_what_can_be_heard(kind: str) -> None:
 @pytest.mark.parametrize("rate", [8000.0, 44_100.0, RATE])
 @pytest.mark.parametrize("kind", ["pink", "white"])
 def test_the_period_has_no_seam(kind: str, rate: float) -> None:
-    """The step from its last sample to its first is one of a thousand like it: no larger than the largest inside."""
+    """The step from the last to the first sample is no larger than the largest step inside."""
     noise = make_noise(kind, rate)  # type: ignore[arg-type]
     assert abs(noise[0] - noise[-1]) <= np.abs(np.diff(noise)).max()
     assert np.sqrt(np.mean(noise.astype(float) ** 2)) == pytest.approx(1, rel=1e-5)
@@ -59,7 +59,7 @@ def test_the_period_has_no_seam(kind: str, rate: float) -> None:
 
 
 def test_the_noise_is_the_same_in_every_session() -> None:
-    """Its phases come from numpy's promised words: first samples and their sum as first made."""
+    """Its phases come from a stream that NumPy guarantees."""
     make_noise.cache_clear()
     first = make_noise("pink", RATE).copy()
     make_noise.cache_clear()
@@ -69,7 +69,7 @@ def test_the_noise_is_the_same_in_every_session() -> None:
 
 @pytest.mark.parametrize("kind", ["pink", "white"])
 def test_at_its_highest_level_the_peak_just_reaches_full_scale(kind: str) -> None:
-    """Crest factors of Gaussian noise of this length are about 5: at most some -11 dB FS (0 dB FS is a sine's)."""
+    """The crest factor is about 5, so the highest level is about -11 dB FS (0 dB FS is a full-scale sine)."""
     apparatus = Apparatus.model_construct(sound=Sound(sampling_rate_Hz=RATE))
     level = MaskingNoise(MaskingSection(noise=kind, level_dB_FS=-20.0), apparatus).highest_level  # type: ignore[arg-type]
     peak = np.abs(make_noise(kind, RATE)).max() * amplitude_at(level)  # type: ignore[arg-type]
@@ -78,7 +78,7 @@ def test_at_its_highest_level_the_peak_just_reaches_full_scale(kind: str) -> Non
 
 
 def test_a_level_is_the_rms_against_a_sine_of_full_scale() -> None:
-    """AES17: 0 dB FS is the rms of a sine of full scale, 0.7071; -20 dB FS a tenth of it."""
+    """AES17: 0 dB FS is the rms of a full-scale sine, 0.7071; -20 dB FS is a tenth of it."""
     assert amplitude_at(0) == pytest.approx(math.sqrt(0.5))
     assert amplitude_at(-20) == pytest.approx(math.sqrt(0.5) / 10)
 
@@ -86,7 +86,7 @@ def test_a_level_is_the_rms_against_a_sine_of_full_scale() -> None:
 @settings(max_examples=40, deadline=None)
 @given(st.lists(st.integers(1, 900), min_size=1, max_size=30), st.integers(1, 400))
 def test_blocks_of_any_size_join_without_a_gap(sizes: list[int], n_fade: int) -> None:
-    """Once faded in, what is played is the period, again and again, however the device asks for it."""
+    """After the fade-in the period is played repeatedly, whatever block sizes the device requests."""
     period = np.random.default_rng(1).standard_normal(257).astype(np.float32)
     playback = LoopedNoise(period, n_fade)
     playback.fade(on=True)
@@ -103,7 +103,7 @@ def test_blocks_of_any_size_join_without_a_gap(sizes: list[int], n_fade: int) ->
 
 
 def test_fades_rise_and_fall_without_a_jump() -> None:
-    """On a constant: from 0 to 1 along half a sine in the time asked for, never faster than its steepest slope."""
+    """On a constant: half a sine from 0 to 1 in the given time, with no step beyond its steepest slope."""
     playback = LoopedNoise(np.ones(100, dtype=np.float32), 1000)
     out = np.empty((1, 1), dtype=np.float32)
     heard = [0.0]

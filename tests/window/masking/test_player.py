@@ -1,4 +1,4 @@
-"""Masking noise on a device: ALSA's null device in a process of its own, no device at all, and one that is lost."""
+"""Masking noise on a device: ALSA's null device in a separate process, no device, and a lost device."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ ALSA = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="ALSA is 
 
 @ALSA
 def test_the_device_gets_the_noise_faded_in_and_out(in_a_process: Any, null_device: Path) -> None:
-    """The very samples: silence, a fade, the period at -20 dB FS, a fade, and the device is let go."""
+    """It gets silence, a fade, the period at -20 dB FS and a fade, and is then released."""
     script = """
 import json
 import numpy as np
@@ -75,8 +75,8 @@ print(json.dumps({
 
 
 @ALSA
-def test_without_a_device_masking_is_refused_or_recorded_as_lacking(in_a_process: Any, no_device: Path) -> None:
-    """A protocol that demands it does not begin; one that does not goes on, its record saying why it is silent."""
+def test_without_a_device_masking_is_refused_or_recorded_as_missing(in_a_process: Any, no_device: Path) -> None:
+    """A protocol that requires it does not begin; otherwise the record has the reason."""
     script = """
 import json
 from modaltouch.protocol.apparatus import Apparatus, Sound
@@ -105,14 +105,14 @@ print(json.dumps(said))
 
 @ALSA
 @pytest.mark.parametrize(("there", "state"), [(True, "ok"), (False, "warning")])
-def test_the_doctor_says_whether_there_is_a_sound_device(
+def test_the_doctor_reports_the_sound_device(
     in_a_process: Any,
     no_card: str,
     null_device: Path,
     there: bool,
     state: str,
 ) -> None:
-    """Never a fault: only a protocol that demands noise needs it."""
+    """A missing device is a warning, since only some protocols need it."""
     if not there:
         null_device.write_text(no_card)
     script = """
@@ -131,10 +131,10 @@ print(json.dumps(sound._asdict()))
 
 
 @ALSA
-def test_a_session_that_demands_noise_does_not_begin_without(
+def test_a_session_that_requires_noise_does_not_begin_without_a_device(
     in_a_process: Any, tmp_path: Path, no_device: Path, edit: Any
 ) -> None:
-    """Exit status 3 with the remedy, before any window or record; `required: false` gets past the sound device."""
+    """Exit status 3 with the remedy, before any window or record."""
     old = "answers:\n  given_by"
     protocol = edit("demo.yaml", (old, "masking: {noise: pink, level_dB_FS: -20}\n" + old))
     words = ["run", str(protocol), "-p", "p01", "--rig", "simulated", "--yes", "--results", str(tmp_path / "results")]
@@ -147,12 +147,12 @@ def test_a_session_that_demands_noise_does_not_begin_without(
 
 
 def events_of(log: list[tuple[str, dict[str, Any]]]) -> list[str]:
-    """Return what was told, in words."""
+    """Return the events as short strings."""
     return [f"{name} {facts.get('state', '')}".strip() for name, facts in log]
 
 
 def make(section: MaskingSection) -> tuple[PlayedMasking, list[tuple[str, dict[str, Any]]]]:
-    """Return masking and what it tells."""
+    """Return masking and its events."""
     log: list[tuple[str, dict[str, Any]]] = []
     return PlayedMasking(
         section,
@@ -161,8 +161,8 @@ def make(section: MaskingSection) -> tuple[PlayedMasking, list[tuple[str, dict[s
     ), log
 
 
-def test_a_trial_waits_for_the_noise_to_be_at_its_level(devices: list[Any]) -> None:
-    """Before the first trial the fade is over: 50 ms of samples, asked for by the device while the session ticks."""
+def test_a_trial_waits_until_the_noise_is_faded_in(devices: list[Any]) -> None:
+    """50 ms of samples, requested by the device during the session's ticks."""
     masking, _ = make(SECTION)
     assert masking.is_on is False
     masking.start()
@@ -180,7 +180,7 @@ def test_a_trial_waits_for_the_noise_to_be_at_its_level(devices: list[Any]) -> N
 
 
 def test_a_stimulus_without_masking_waits_for_silence(devices: list[Any]) -> None:
-    """The noise fades out before it, and in again before the next with masking."""
+    """The noise fades out before it, and in again before the next trial with masking."""
     masking, log = make(SECTION)
     masking.start()
     masking.ensure(lambda: devices[0].ask(2400))
@@ -194,14 +194,14 @@ def test_a_stimulus_without_masking_waits_for_silence(devices: list[Any]) -> Non
 
 
 def test_the_level_at_the_ear_follows_from_the_calibration() -> None:
-    """60 dB SPL where a sine of full scale gives 100 dB SPL: -40 dB FS."""
+    """If a full-scale sine gives 100 dB SPL, 60 dB SPL are -40 dB FS."""
     section = MaskingSection(noise="pink", level_dB_SPL=60.0)
     assert section.level(Sound(full_scale_dB_SPL=100.0)) == -40
     assert section.level(Sound()) is None
 
 
-def test_a_device_that_comes_back_goes_on(devices: list[Any]) -> None:
-    """Lost during a trial, which is then not masked; before the next one it is opened again."""
+def test_a_lost_device_is_opened_again(devices: list[Any]) -> None:
+    """The trial during which it was lost is not masked; the next one is."""
     masking, log = make(SECTION)
     masking.start()
     masking.ensure(lambda: devices[-1].ask(2400))
@@ -219,7 +219,7 @@ def test_a_device_that_stays_away_ends_the_session_or_is_recorded(
     unplug: Any,
     required: bool,
 ) -> None:
-    """Demanded: MaskingError before the next trial. Not demanded: told once more, and never on again."""
+    """If masking is required: MaskingError before the next trial; otherwise a second event, and silence."""
     masking, log = make(SECTION.model_copy(update={"required": required}))
     masking.start()
     masking.ensure(lambda: devices[-1].ask(2400))
@@ -237,8 +237,8 @@ def test_a_device_that_stays_away_ends_the_session_or_is_recorded(
     assert events_of(log) == ["masking on", "masking_lost", "masking_lost"]
 
 
-def test_a_device_that_asks_for_nothing_is_lost(devices: list[Any], monkeypatch: pytest.MonkeyPatch) -> None:
-    """PortAudio calls some lost devices active; one that takes no samples for a second plays nothing."""
+def test_a_device_that_requests_no_samples_is_lost(devices: list[Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    """PortAudio reports some lost devices as active; one that takes no samples for a second is lost."""
     masking, log = make(SECTION)
     masking.start()
     masking.ensure(lambda: devices[-1].ask(2400))
@@ -249,7 +249,7 @@ def test_a_device_that_asks_for_nothing_is_lost(devices: list[Any], monkeypatch:
 
 
 class Stuck:
-    """A stream that opens and does not start."""
+    """A stream that opens but does not start."""
 
     closed: ClassVar[list[Any]] = []
 
@@ -264,16 +264,16 @@ class Stuck:
 
 
 @pytest.mark.usefixtures("devices")
-def test_a_device_that_refuses_to_start_is_let_go(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Opened, but it does not start: refused with what to change, and closed for others."""
+def test_a_device_that_does_not_start_is_released(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The error has the remedy, and the device is closed for other programs."""
     monkeypatch.setattr(sounddevice, "OutputStream", Stuck)
     with pytest.raises(MaskingError, match="'earphones' refuses 48000 Hz .*change sound.sampling_rate_Hz"):
         make(SECTION)
     assert len(Stuck.closed) == 1
 
 
-def test_no_masking_is_wanted_where_the_protocol_has_none() -> None:
-    """Nothing is opened, nothing recorded."""
+def test_without_masking_in_the_protocol_nothing_is_opened() -> None:
+    """Nothing is recorded either."""
     masking = Masking()
     assert masking.describe() is None
     assert masking.is_on is None
