@@ -1,4 +1,4 @@
-"""A session in real time, through the window, on a twin in another process: does its record say what was played.
+"""A session in real time, through the window, on a twin in another process: the record against what was played.
 
 ``python tests/session/accounted.py --repetitions 10 --out results/benchmarks/accounted.json``
 """
@@ -23,7 +23,7 @@ PROTOCOL = ROOT / "protocols" / "differentiated_stimulation.yaml"
 
 
 def write_protocol(folder: Path, repetitions: int) -> Path:
-    """Return the paper's protocol with more repetitions and without breaks, beside the files that it names."""
+    """Write the paper's protocol with more repetitions and no breaks, with the files that it refers to."""
     text = PROTOCOL.read_text(encoding="utf-8")
     for name in ("apparatus", "texts"):
         text = text.replace(f"{name}: {name}/", f"{name}: {PROTOCOL.parent}/{name}/")
@@ -34,7 +34,7 @@ def write_protocol(folder: Path, repetitions: int) -> Path:
 
 
 def sit(folder: Path, repetitions: int) -> tuple[Session, list[dict[str, Any]]]:
-    """Return a session as it was recorded, and the bursts that the twin says it played."""
+    """Return a recorded session, and the bursts that the twin reports as played."""
     folder.mkdir(parents=True, exist_ok=True)
     played = folder / "played.jsonl"
     command = [sys.executable, "-m", "modaltouch", "rig", "simulate", "--played", str(played)]
@@ -54,7 +54,7 @@ def sit(folder: Path, repetitions: int) -> tuple[Session, list[dict[str, Any]]]:
 
 
 def compare(session: Session, played: list[dict[str, Any]]) -> dict[str, Any]:
-    """Return how the record of every presentation agrees with the bursts that were played in it."""
+    """Compare the record of every presentation with the bursts played in it."""
     events = [event for event in session.events if event["event"] in ("trial", "trial_cut") and event.get("bursts")]
     wrong, outside, lengths, gaps, before = [], 0, [], [], 0.0
     for event in events:
@@ -93,7 +93,7 @@ def compare(session: Session, played: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def main() -> int:
-    """Sit, compare and write what came of it."""
+    """Run the session, compare, and write the result."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("--repetitions", type=int, default=10, help="of each of the paper's 24 conditions")
     parser.add_argument("--folder", type=Path, default=Path("build/accounted"))

@@ -1,4 +1,4 @@
-"""Sessions run in processes of their own, so that they can be killed like a lab's."""
+"""Sessions in separate processes, so that they can be killed."""
 
 import multiprocessing
 import os
@@ -18,7 +18,7 @@ PROTOCOL = REPOSITORY / "protocols" / "differentiated_stimulation.yaml"
 
 @pytest.fixture(scope="session")
 def context():
-    """Processes forked from a server that has the imports behind it."""
+    """Processes forked from a server that has loaded the imports."""
     context = multiprocessing.get_context("forkserver")
     # questplus brings pandas and xarray along, which a session of fixed levels does not load; xarray in its turn looks
     # for pint, which is here with the tests' own tools.
@@ -31,7 +31,7 @@ def context():
 
 @pytest.fixture
 def start(context):
-    """Start ``modaltouch`` with some words in a process of its own."""
+    """Start ``modaltouch`` with some arguments in a separate process."""
     started = []
 
     def begin(*words):
@@ -48,7 +48,7 @@ def start(context):
 
 @pytest.fixture
 def finish(start):
-    """Run ``modaltouch`` with some words to its end and give the exit status."""
+    """Run ``modaltouch`` with some arguments and return the exit status."""
 
     def run(*words, timeout=150):
         process = start(*words)
@@ -61,7 +61,7 @@ def finish(start):
 
 @pytest.fixture
 def wait_for_trials():
-    """Wait until a session log holds a number of answers."""
+    """Wait until a session log has a number of answers."""
     return _wait_for_trials
 
 
@@ -90,7 +90,7 @@ def _answers_of(log):
 
 @pytest.fixture
 def log_of():
-    """Where a simulated session of a participant is recorded."""
+    """Return the log of a participant's simulated session."""
 
     def place(results, participant, session=1):
         folder = results / "simulated" / "differentiated_stimulation" / f"sub-{participant}" / f"ses-{session}"

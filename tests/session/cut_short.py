@@ -1,14 +1,14 @@
-"""Runs ``modaltouch`` in this process and cuts it short as its plan says; made for `runpy.run_path`.
+"""Run ``modaltouch`` in this process and interrupt it according to a plan; for `runpy.run_path`.
 
-The plan (`PLAN`, put among this module's globals) holds the command's ``words``, the file ``witness`` that takes a
-byte for every answer confirmed to the participant, whether it runs by the rules of ``windows``, and ``cut``, one of
+The plan (`PLAN`, set among this module's globals) has the command's ``words``, the file ``witness`` that gets a byte
+for every answer confirmed to the participant, whether the rules of ``windows`` apply, and ``cut``, one of
 
-- ``{}``: nothing happens from inside
+- ``{}``: no interruption from inside
 - ``{"stimulus": k, "signal": s}``: signal s while the k-th stimulus plays
-- ``{"call": k, "torn": f}``: SIGKILL at the k-th call that changes a file; with a fraction f above 0, a write of which
-  that part has reached the disk, as a power cut leaves it
-- ``{"raise_after_s": t}``: an exception out of nowhere, t seconds from now
-- ``{"largest_file": n}``: the kernel refuses whatever would make a file longer than n bytes
+- ``{"call": k, "torn": f}``: SIGKILL at the k-th call that changes a file; with a fraction f above 0, at a write of
+  which that fraction has reached the disk, as after a power cut
+- ``{"raise_after_s": t}``: an unexpected exception after t seconds
+- ``{"largest_file": n}``: the kernel refuses files longer than n bytes
 - ``{"clock_back_s": s}``: the wall clock goes back by that much at every reading
 """
 
@@ -28,7 +28,7 @@ from modaltouch.window.simulated import SimulatedParticipant
 
 
 def witness(path):
-    """Note outside of this process, for each answer, that the participant saw it confirmed."""
+    """Note outside this process that the participant saw an answer confirmed."""
     descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
     confirm = SimulatedParticipant.confirm
 
@@ -54,7 +54,7 @@ def cut_at_stimulus(number, signal_number):
 
 
 def die():
-    """End as a power cut does, with nothing tidied up."""
+    """End without any cleanup, as in a power cut."""
     os.kill(os.getpid(), signal.SIGKILL)
 
 
@@ -84,7 +84,7 @@ def cut_at_call(number, torn):
 
 
 def raise_after(seconds):
-    """Raise in the middle of whatever the main thread does."""
+    """Raise in the main thread after some time."""
 
     def handler(number, frame):
         raise RuntimeError("out of nowhere")
@@ -94,7 +94,7 @@ def raise_after(seconds):
 
 
 def turn_clock_back(seconds):
-    """Let the wall clock run backwards."""
+    """Make the wall clock run backwards."""
     real, readings = modaltouch.record.log.datetime, 0
 
     class Backwards(real):
@@ -108,7 +108,7 @@ def turn_clock_back(seconds):
 
 
 def cut_short(plan):
-    """Do what the plan says and run the command."""
+    """Arrange the interruption of the plan and run the command."""
     hasten()
     if plan.get("windows"):
         import_module("pyvisa_py")  # imported by those rules it would look for Windows itself

@@ -1,4 +1,4 @@
-"""Runs ``modaltouch`` with simulated participants who answer twenty times sooner than the model has it."""
+"""Run ``modaltouch`` with simulated participants who answer twenty times as fast as the model."""
 
 from modaltouch.__main__ import main
 from modaltouch.window.simulated import Answerer
@@ -7,7 +7,7 @@ HASTE = 20.0
 
 
 def hasten():
-    """Let every simulated participant of this process answer sooner; what is answered stays."""
+    """Make every simulated participant of this process answer faster; the answers are unchanged."""
     answer = Answerer.answer
 
     def quickly(self, trial):
@@ -19,6 +19,6 @@ def hasten():
 
 
 def run(words):
-    """Run ``modaltouch`` with some words."""
+    """Run ``modaltouch`` with some arguments."""
     hasten()
     return main(words)

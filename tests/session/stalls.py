@@ -1,4 +1,4 @@
-"""Demonstrations whose processes are stopped and continued at seeded moments, again and again: do they end well.
+"""Demonstrations whose processes are stopped and continued at seeded moments.
 
 ``python tests/session/stalls.py --demos 20 --out results/benchmarks/stalls.json``
 """
@@ -67,7 +67,7 @@ class Outcome:
 
     @property
     def is_well(self) -> bool:
-        """Whether it ended as it would have undisturbed."""
+        """Whether it ended as an undisturbed demonstration does."""
         return self.status == 0 and self.verified
 
 
@@ -156,7 +156,7 @@ def _watchdogs(session: int) -> list[int]:
 
 
 def main() -> int:
-    """Run the demonstrations and write what came of them."""
+    """Run the demonstrations and write the results."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("--demos", type=int, default=20)
     parser.add_argument("--first-seed", type=int, default=1)

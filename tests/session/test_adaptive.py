@@ -16,7 +16,7 @@ RUN = ("--rig", "simulated", "--answers", "simulated", "--yes")
 
 @pytest.fixture
 def short(tmp_path, protocol_path):
-    """Return the shipped adaptive protocol with short runs, by another rule."""
+    """Return the shipped adaptive protocol with short runs and a given rule."""
 
     def write(method):
         return _shorten(tmp_path, protocol_path, method)
@@ -35,10 +35,10 @@ def _shorten(tmp_path, protocol_path, method):
 
 
 @pytest.mark.parametrize(("method", "n_trials"), [("staircase", 6), ("staircase", 17), ("quest_plus", 12)])
-def test_a_killed_run_goes_on_with_the_very_same_level(
+def test_a_killed_run_continues_at_the_same_level(
     tmp_path, short, start, finish, kill, wait_for_trials, answers_of, method, n_trials
 ):
-    """SIGKILL and resume: levels and answers as in the session that nobody interrupts; verify recomputes them."""
+    """SIGKILL and resume: levels and answers are those of an uninterrupted session; verify recomputes them."""
     protocol = short(method)
     logs = [tmp_path / name / "simulated/threshold/sub-p07/ses-1/beh/session.jsonl" for name in ("a", "b")]
     assert finish("run", protocol, "-p", "p07", *RUN, "--results", tmp_path / "a", timeout=120) == 0
@@ -57,8 +57,8 @@ def test_a_killed_run_goes_on_with_the_very_same_level(
     assert start_record["schedule"]["levels"] == "adaptive"
 
 
-def test_a_level_that_does_not_follow_is_noticed(tmp_path, short, finish):
-    """A level changed in the record, every check made to fit."""
+def test_a_forged_level_is_detected(tmp_path, short, finish):
+    """A level is changed in the record, with all checksums recomputed."""
     assert finish("run", short("staircase"), "-p", "p07", *RUN, "--results", tmp_path) == 0
     log = tmp_path / "simulated/threshold/sub-p07/ses-1/beh/session.jsonl"
     check, lines = GENESIS, []
@@ -72,10 +72,10 @@ def test_a_level_that_does_not_follow_is_noticed(tmp_path, short, finish):
     assert any("the record says 77 mm/s" in problem for problem in problems)
 
 
-def test_a_killed_session_goes_on_with_the_stimuli_it_had(
+def test_a_killed_session_continues_with_its_stimuli(
     tmp_path, protocol_path, start, finish, kill, wait_for_trials, answers_of
 ):
-    """SIGKILL and resume with two stimuli in the memories: trials and answers as in the uninterrupted session."""
+    """SIGKILL and resume with two stimuli in memory: trials and answers of an uninterrupted session."""
     protocol = protocol_path.with_name("two_fields.yaml")
     logs = [tmp_path / name / "simulated/two_fields/sub-p07/ses-1/beh/session.jsonl" for name in ("a", "b")]
     assert finish("run", protocol, "-p", "p07", *RUN, "--results", tmp_path / "a", timeout=120) == 0

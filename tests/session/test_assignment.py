@@ -1,4 +1,4 @@
-"""Who gets which balanced order: by number as ever, or the least filled in the records, dropouts made good."""
+"""Assignment of balanced orders: by number, or the least filled in the records, with dropouts replaced."""
 
 from __future__ import annotations
 
@@ -36,14 +36,14 @@ FOUR = changed(placements=("normal", "mirrored"))
 
 
 def place_of(results: Path, participant: str, session: int = 1) -> SessionFolder:
-    """Return where a session of a participant is recorded."""
+    """Return the folder of a participant's session."""
     return SessionFolder(results, "simulated", PAPER.protocol, participant, session)
 
 
 def sit(
     place: SessionFolder, protocol: Protocol, *, complete: bool, drawn_as: int | None = None
 ) -> tuple[int, SessionLog]:
-    """Record a session as the program does, as far as the assignment reads it; return its turn and its open log."""
+    """Record a session as far as the assignment reads it; return its turn and its open log."""
     drawn_as = drawn_as or place.session
     turn, _ = assign_turn(place, protocol, drawn_as)
     schedule = Schedule.draw(protocol, place.participant, 1, drawn_as, given=turn)
@@ -53,8 +53,8 @@ def sit(
     return turn.number, log
 
 
-def test_participants_take_the_turns_one_after_the_other(tmp_path: Path) -> None:
-    """Two orders in two placements: four turns, then again from the first, whatever the participants are called."""
+def test_participants_get_consecutive_turns(tmp_path: Path) -> None:
+    """Two orders in two placements: four turns, then the first again, for any participant ids."""
     turns = []
     for name in ("zoe", "p99", "a1", "ben", "c3", "dan"):
         turn, log = sit(place_of(tmp_path, name), FOUR, complete=True)
@@ -64,7 +64,7 @@ def test_participants_take_the_turns_one_after_the_other(tmp_path: Path) -> None
 
 
 def test_a_gap_left_by_a_dropout_is_filled_next(tmp_path: Path) -> None:
-    """The second of four drops out: the fifth gets the second's turn, the sixth begins the next round."""
+    """The second of four drops out: the fifth gets the second's turn, the sixth starts the next round."""
     turns = []
     for number in range(1, 7):
         turn, log = sit(place_of(tmp_path, f"p{number}"), FOUR, complete=number != 2)
@@ -74,7 +74,7 @@ def test_a_gap_left_by_a_dropout_is_filled_next(tmp_path: Path) -> None:
 
 
 def test_turns_are_balanced_within_a_group(tmp_path: Path) -> None:
-    """Whoever is of the other group fills none of its turns."""
+    """Participants of another group do not count."""
     for number in (1, 2):
         place = place_of(tmp_path, f"p{number}")
         turn, _ = assign_turn(place, FOUR, 1, "near")
@@ -86,8 +86,8 @@ def test_turns_are_balanced_within_a_group(tmp_path: Path) -> None:
     assert turns == [2, 0]
 
 
-def test_the_gap_counts_from_the_last_line_of_the_session_before(tmp_path: Path) -> None:
-    """Even if that is its first: a session that was killed as it began."""
+def test_the_gap_counts_from_the_last_line_of_the_previous_session(tmp_path: Path) -> None:
+    """Even if that is its first, as in a session killed at its start."""
     _, log = sit(place_of(tmp_path, "p1"), FOUR, complete=True)
     log.close()
     ended = datetime.fromisoformat(read_session(log.path).events[-1]["time"])
@@ -100,8 +100,8 @@ def test_the_gap_counts_from_the_last_line_of_the_session_before(tmp_path: Path)
     )
 
 
-def test_a_session_that_runs_now_fills_its_turn(tmp_path: Path) -> None:
-    """Its log is locked by its process, so it is no dropout; once its process is gone, it is one."""
+def test_a_running_session_fills_its_turn(tmp_path: Path) -> None:
+    """Its log is locked by its process; without the process it is a dropout."""
     first, log = sit(place_of(tmp_path, "p1"), FOUR, complete=False)
     beside, balance = assign_turn(place_of(tmp_path, "p2"), FOUR, 1)
     assert (first, beside.number, balance["filled"]) == (0, 1, {"0": 1})
@@ -110,8 +110,8 @@ def test_a_session_that_runs_now_fills_its_turn(tmp_path: Path) -> None:
     assert (after["filled"], after["left_incomplete"]) == ({}, {"0": 1})
 
 
-def test_an_incomplete_session_decides_between_turns_filled_alike(tmp_path: Path) -> None:
-    """It may be resumed yet: as long as others are as empty, its turn comes last."""
+def test_an_incomplete_session_breaks_ties_between_turns(tmp_path: Path) -> None:
+    """It may still be resumed, so among equally filled turns its turn comes last."""
     _, log = sit(place_of(tmp_path, "p1"), FOUR, complete=False)
     log.close()
     assert [assign_turn(place_of(tmp_path, name), FOUR, 1)[0].number for name in ("p2", "p3")] == [1, 1]
@@ -119,8 +119,8 @@ def test_an_incomplete_session_decides_between_turns_filled_alike(tmp_path: Path
 
 @settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.lists(st.booleans(), min_size=1, max_size=24), st.integers(0, 10**9))
-def test_whoever_drops_out_the_turns_stay_balanced(tmp_path: Path, complete: list[bool], study: int) -> None:
-    """After every participant, the numbers of those who completed each turn differ by one at most."""
+def test_turns_stay_balanced_despite_dropouts(tmp_path: Path, complete: list[bool], study: int) -> None:
+    """After every participant the numbers of completed sessions per turn differ by at most one."""
     results = tmp_path / f"{study}-{len(complete)}-{sum(complete)}-{len(list(tmp_path.iterdir()))}"
     filled = Counter(dict.fromkeys(range(4), 0))
     for number, completed in enumerate(complete, start=1):
@@ -130,8 +130,8 @@ def test_whoever_drops_out_the_turns_stay_balanced(tmp_path: Path, complete: lis
         assert max(filled.values()) - min(filled.values()) <= 1
 
 
-def test_sessions_of_one_participant_take_turns_whatever_others_fill(tmp_path: Path) -> None:
-    """The second session has the turn after the first's; it counts no more for others than its participant does."""
+def test_sessions_of_one_participant_have_consecutive_turns(tmp_path: Path) -> None:
+    """The second session has the turn after the first, and a participant counts once for others."""
     first, log = sit(place_of(tmp_path, "p1"), FOUR, complete=True)
     log.close()
     other, log = sit(place_of(tmp_path, "p2"), FOUR, complete=True)
@@ -147,7 +147,7 @@ def test_sessions_of_one_participant_take_turns_whatever_others_fill(tmp_path: P
 
 
 def test_sessions_drawn_by_number_count_with_their_own_turn(tmp_path: Path) -> None:
-    """A study that changes its rule goes on from what is there: p02 by number has the second turn."""
+    """A study may change its rule: p02, assigned by number, has the second turn."""
     place = place_of(tmp_path, "p02")
     schedule = Schedule.draw(PAPER, "p02", 1)
     facts = {"participant": "p02", "session": 1, "seed": 1}
@@ -156,8 +156,8 @@ def test_sessions_drawn_by_number_count_with_their_own_turn(tmp_path: Path) -> N
     assert assign_turn(place_of(tmp_path, "p07"), FOUR, 1)[1]["filled"] == {"1": 1}
 
 
-def test_a_given_turn_is_in_the_record_and_draws_the_same_schedule_again(tmp_path: Path) -> None:
-    """Order, placement and reason come from the record alone; without a given turn there is no trace of it."""
+def test_a_given_turn_is_restored_from_the_record(tmp_path: Path) -> None:
+    """With order, placement and reason; without a given turn the record has no such key."""
     turn, _ = assign_turn(place_of(tmp_path, "p9"), FOUR, 1)
     schedule = Schedule.draw(FOUR, "p9", 1, given=replace(turn, number=3))
     start = {"schedule": schedule.as_dict()}
@@ -180,7 +180,7 @@ def test_a_given_turn_is_in_the_record_and_draws_the_same_schedule_again(tmp_pat
     ],
 )
 def test_turns_repeat_after_their_period_and_not_before(changes: dict[str, Any], period: int) -> None:
-    """Orders of finger conditions, placements and rows, told apart by drawing them for two periods."""
+    """Orders of finger conditions, placements and rows, drawn for two periods."""
     protocol = changed(**changes)
     assert Turn.period(protocol) == period
     drawn = [Schedule.draw(protocol, f"p{n}", 1) for n in range(1, 2 * period + 1)]
@@ -205,7 +205,7 @@ def test_turns_repeat_after_their_period_and_not_before(changes: dict[str, Any],
 
 
 def test_the_next_session_is_the_next_free_number(tmp_path: Path) -> None:
-    """The first, the second of two; then there is none left, and an incomplete one is to be resumed."""
+    """The first, then the second of two; after that none, and an incomplete one must be resumed."""
     protocol = changed(sessions=2)
     place = place_of(tmp_path, "p1")
     for number in (1, 2):
@@ -221,8 +221,8 @@ def test_the_next_session_is_the_next_free_number(tmp_path: Path) -> None:
         next_session(other, protocol.schedule.sessions)
 
 
-def test_a_session_begun_anew_counts_once(tmp_path: Path) -> None:
-    """Session 1 was closed and begun anew as 2: the next is number 3 in its folder and the participant's second."""
+def test_a_restarted_session_counts_once(tmp_path: Path) -> None:
+    """Session 1 was restarted as 2: the next is number 3 in its folder and the participant's second."""
     place = place_of(tmp_path, "p1")
     _, log = sit(place, FOUR, complete=False)
     log.append("closed", begun_anew_as=2)
@@ -232,8 +232,8 @@ def test_a_session_begun_anew_counts_once(tmp_path: Path) -> None:
     assert (following.session, drawn_as) == (3, 2)
 
 
-def test_completeness_is_read_from_the_last_line_or_else_from_all_of_them(tmp_path: Path) -> None:
-    """A stop that says complete; a stop that does not; a kill after the last answer; a cut line at the end."""
+def test_completeness_is_read_from_the_last_line_or_from_all(tmp_path: Path) -> None:
+    """A complete stop, an incomplete stop, a kill after the last answer, and a torn last line."""
     logs = {}
     for name, complete in (("done", False), ("left", False), ("killed", True), ("torn", True)):
         _, log = sit(place_of(tmp_path, name), FOUR, complete=complete)

@@ -1,4 +1,4 @@
-"""Turns from the records on disk: two sessions that begin at once, and a session cut and resumed much later."""
+"""Turns from the records on disk: two simultaneous sessions, and a session interrupted and resumed much later."""
 
 import re
 import signal
@@ -12,7 +12,7 @@ RUN = ("--rig", "simulated", "--answers", "simulated", "--yes")
 
 @pytest.fixture
 def balanced(tmp_path, protocol_path):
-    """The paper's protocol with turns from the records, and two sessions each."""
+    """The paper's protocol with turns from the records, and two sessions per participant."""
     import shutil
 
     shutil.copytree(protocol_path.parent, tmp_path / "protocols")
@@ -22,8 +22,8 @@ def balanced(tmp_path, protocol_path):
     return file
 
 
-def test_two_sessions_that_begin_at_once_get_different_turns(tmp_path, start, balanced, log_of):
-    """Whoever creates the record first has the first turn; the other sees it and has the second."""
+def test_simultaneous_sessions_get_different_turns(tmp_path, start, balanced, log_of):
+    """The first to create its record has the first turn; the other has the second."""
     both = [start("run", balanced, "-p", name, *RUN, "--results", tmp_path) for name in ("anna", "bert")]
     for process in both:
         process.join(60)
@@ -34,10 +34,8 @@ def test_two_sessions_that_begin_at_once_get_different_turns(tmp_path, start, ba
     assert starts[0]["schedule"]["finger_conditions_by"] == "least filled in the records"
 
 
-def test_a_cut_session_keeps_its_turn_whatever_came_since(
-    tmp_path, start, finish, kill, balanced, log_of, wait_for_trials
-):
-    """Killed, its turn given to another, then resumed: the order comes from its own record, and verifies."""
+def test_an_interrupted_session_keeps_its_turn(tmp_path, start, finish, kill, balanced, log_of, wait_for_trials):
+    """Killed, its turn given to another, then resumed: the order comes from its own record."""
     cut = start("run", balanced, "-p", "anna", *RUN, "--results", tmp_path)
     log = log_of(tmp_path, "anna")
     wait_for_trials(log, 7)

@@ -1,4 +1,4 @@
-"""Whole sessions by Windows' rules for files, cut short and taken up again (tests/record/windows_rules.py)."""
+"""Whole sessions under Windows' file rules, interrupted and resumed (tests/record/windows_rules.py)."""
 
 import runpy
 from pathlib import Path
@@ -16,7 +16,7 @@ PROTOCOL = "demo"
 
 @pytest.fixture(scope="module")
 def by_rules(context, protocol_path, tmp_path_factory):
-    """Return a function that starts ``modaltouch`` with some words in a process of its own, by Windows' rules."""
+    """Return a function that starts ``modaltouch`` in a separate process under Windows' file rules."""
     started = []
 
     def begin(*words, cut=None, witness=None):
@@ -42,12 +42,12 @@ def protocol(protocol_path):
 
 
 def log_in(results):
-    """Return where the participant's session is recorded."""
+    """Return the log of the participant's session."""
     return results / "simulated" / PROTOCOL / "sub-p07" / "ses-1" / "beh" / "session.jsonl"
 
 
 def status(process):
-    """Return the exit status of a process, once it has ended."""
+    """Return the exit status of a process after its end."""
     process.join(60)
     assert process.exitcode is not None, "did not end within 60 s"
     return process.exitcode
@@ -55,14 +55,14 @@ def status(process):
 
 @pytest.fixture(scope="module")
 def whole(by_rules, protocol, tmp_path_factory):
-    """The log of a session that nobody interrupts."""
+    """The log of an uninterrupted session."""
     results = tmp_path_factory.mktemp("whole")
     assert status(by_rules("run", protocol, "-p", "p07", *RUN, "--results", results)) == 0
     return log_in(results)
 
 
 def test_a_session_is_recorded_and_verified(whole, by_rules):
-    """Complete, sound, byte for byte what Unix would have written, with its view; nothing is left beside it."""
+    """Complete, valid, byte for byte as on Unix, with its view, and without temporary files."""
     assert read_session(whole).complete
     assert audit_session(Session.find(whole)).problems == ()
     for path in whole.parents[3].rglob("*"):
@@ -83,8 +83,8 @@ CUTS = {
 
 
 @pytest.mark.parametrize("cut", CUTS.values(), ids=list(CUTS))
-def test_a_session_that_is_cut_short_goes_on(tmp_path, whole, by_rules, protocol, answers_of, cut):
-    """No answer that was confirmed is lost, and the others come in the same order."""
+def test_an_interrupted_session_continues(tmp_path, whole, by_rules, protocol, answers_of, cut):
+    """No confirmed answer is lost, and the order is that of an uninterrupted session."""
     log, witness = log_in(tmp_path), tmp_path / "witness"
     words = "run", protocol, "-p", "p07", *RUN, "--results", tmp_path
     assert status(by_rules(*words, cut=cut, witness=witness)) != 0
@@ -98,8 +98,8 @@ def test_a_session_that_is_cut_short_goes_on(tmp_path, whole, by_rules, protocol
     assert audit_session(Session.find(log)).problems == ()
 
 
-def test_of_two_runs_at_once_one_is_refused(tmp_path, by_rules, protocol):
-    """Whichever comes first; the record is one session's."""
+def test_one_of_two_simultaneous_runs_is_refused(tmp_path, by_rules, protocol):
+    """The record is that of one session."""
     runs = [by_rules("run", protocol, "-p", "p07", *RUN, "--results", tmp_path) for _ in range(2)]
     assert sorted(status(process) for process in runs) == [0, 4]
     assert read_session(log_in(tmp_path)).complete

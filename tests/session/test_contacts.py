@@ -1,4 +1,4 @@
-"""One finger and three: presented, answered, recorded, resumed, verified, analysed and reported."""
+"""One and three fingers: presented, answered, recorded, resumed, verified, analysed and reported."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ DESIGNS = {
 
 
 def protocol_with(folder: Path, name: str, *changes: tuple[str, str]) -> Path:
-    """Return the demonstration with one finger or three, a catch trial, and two presentations of each condition."""
+    """Return the demonstration with one or three fingers, a catch trial, and two presentations per condition."""
     fingers, zones, keys = DESIGNS[name]
     text = (ROOT / "protocols" / "demo.yaml").read_text(encoding="utf-8")
     shared = (
@@ -65,8 +65,8 @@ def answered(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
     return preflight, simulate_session(preflight, "p01", folder / "results")
 
 
-def test_the_record_is_whole_and_its_speeds_are_those_under_each_finger(answered: tuple[Preflight, Session]) -> None:
-    """`verify` recomputes order, amplitudes and speeds from the texts; the BIDS view has a column for each finger."""
+def test_the_record_has_the_speeds_under_each_finger(answered: tuple[Preflight, Session]) -> None:
+    """`verify` recomputes order, amplitudes and speeds; the BIDS view has a column per finger."""
     preflight, session = answered
     assert session.complete
     assert audit_session(session).problems == ()
@@ -93,8 +93,8 @@ def test_the_record_is_whole_and_its_speeds_are_those_under_each_finger(answered
     assert [driven[f"finger_{side}"] for side in sides] == fingers[preflight.experiment.protocol.protocol]
 
 
-def test_a_session_that_was_cut_goes_on_as_it_would_have(answered: tuple[Preflight, Session], tmp_path: Path) -> None:
-    """A log that ends within a line, as a kill leaves it."""
+def test_an_interrupted_session_continues_unchanged(answered: tuple[Preflight, Session], tmp_path: Path) -> None:
+    """The log ends within a line, as after a kill."""
     _, whole = answered
     log = tmp_path / whole.path.parent.relative_to(whole.path.parents[5]) / whole.path.name
     log.parent.mkdir(parents=True)
@@ -110,7 +110,7 @@ def test_a_session_that_was_cut_goes_on_as_it_would_have(answered: tuple[Preflig
 
 
 def test_answers_are_counted_under_their_zones(answered: tuple[Preflight, Session], tmp_path: Path) -> None:
-    """From the records and from a table of them alike; a turned beam is told by its own order, A first."""
+    """Alike from the records and from a table; a turned beam is counted with A first."""
     _, session = answered
     labels = {"one": ["A", "C"], "three": ["A-C-E", "B-C-D"]}[session.protocol]
     responses = read_responses(session.path)
@@ -123,8 +123,8 @@ def test_answers_are_counted_under_their_zones(answered: tuple[Preflight, Sessio
     assert (again.counts == recorded.counts).all()
 
 
-def test_the_report_names_three_zones_and_the_speed_under_each(tmp_path: Path) -> None:
-    """Speeds from left to right, as the BIDS view has them."""
+def test_the_report_shows_three_zones_with_their_speeds(tmp_path: Path) -> None:
+    """From left to right, as in the BIDS view."""
     session = simulate_session(protocol_with(tmp_path, "three"), "p01", tmp_path / "results")
     analyse(session.path, tmp_path / "out")
     report = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
@@ -134,8 +134,8 @@ def test_the_report_names_three_zones_and_the_speed_under_each(tmp_path: Path) -
     assert " | ".join(speeds) in report
 
 
-def test_listed_cells_mix_one_finger_two_and_three(tmp_path: Path) -> None:
-    """Each finger condition has cells of as many zones; the analysis takes each crossed part by itself."""
+def test_listed_cells_may_mix_one_two_and_three_fingers(tmp_path: Path) -> None:
+    """Each finger condition has cells with as many zones; each crossed part is analysed separately."""
     cells = (
         "cells:\n    - {pair: [C], peak_velocities_mm_s: [80], finger_conditions: [tip]}\n"
         "    - {pair: [A, C], peak_velocities_mm_s: [80], finger_conditions: [one_hand]}\n"
@@ -160,8 +160,8 @@ def test_listed_cells_mix_one_finger_two_and_three(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", list(DESIGNS))
-def test_what_only_knows_two_fingers_refuses_others(tmp_path: Path, name: str) -> None:
-    """`power`, `prereg` and `fit` simulate a comparison of two fingers; a made-up number would be worse than none."""
+def test_planning_refuses_other_numbers_of_fingers(tmp_path: Path, name: str) -> None:
+    """`power`, `prereg` and `fit` simulate a comparison of two fingers."""
     preflight = examine(protocol_with(tmp_path, name)).require()
     with pytest.raises(InputError, match="finger_conditions: given (tip|spread), but no observer models"):
         designs_for(preflight, Observer.usual_name(preflight.experiment.protocol))

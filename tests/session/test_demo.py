@@ -1,4 +1,4 @@
-"""``make demo``'s whole way: simulated rig, real window, simulated participant typing, analysis, report."""
+"""`make demo`: simulated rig, real window, simulated participant typing, analysis, report."""
 
 import os
 import subprocess
@@ -11,8 +11,8 @@ from modaltouch.record.session import read_session
 
 
 @pytest.mark.window
-def test_the_demonstration_needs_no_screen_and_leaves_record_screenshots_and_report(tmp_path):
-    """A whole short session; prints where the report and the screenshots are."""
+def test_the_demonstration_runs_without_a_screen(tmp_path):
+    """A short session with record, screenshots and report, whose paths are printed."""
     environment = {name: value for name, value in os.environ.items() if name != "DISPLAY"}
     command = [sys.executable, "-m", "modaltouch", "demo", "--results", str(tmp_path / "results")]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=170)

@@ -1,4 +1,4 @@
-"""A full disk, a folder that cannot be written, and a second session in the same place, with real processes."""
+"""A full disk, an unwritable folder, and a second session in the same place, with real processes."""
 
 import os
 import subprocess
@@ -15,7 +15,7 @@ CAN_MOUNT = os.name == "posix" and os.geteuid() == 0
 
 @contextmanager
 def small_disk(folder, kilobytes):
-    """A disk of a few kilobytes at a folder."""
+    """Mount a disk of a few kilobytes."""
     folder.mkdir()
     subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={kilobytes}k", "tmpfs", folder], check=True)
     try:
@@ -25,7 +25,7 @@ def small_disk(folder, kilobytes):
 
 
 def remount(folder, options):
-    """Change a mounted disk's options."""
+    """Change the options of a mounted disk."""
     subprocess.run(["mount", "-o", f"remount,{options}", folder], check=True)
 
 
@@ -33,7 +33,7 @@ needs_mount = pytest.mark.skipif(not CAN_MOUNT, reason="only root mounts a small
 
 
 def modaltouch(*words):
-    """Run ``modaltouch`` in a process of its own; return its exit status and what it said of a failure."""
+    """Run ``modaltouch`` in a separate process; return its exit status and its error output."""
     command = [sys.executable, "-m", "modaltouch", *map(str, words)]
     ended = subprocess.run(command, capture_output=True, text=True, timeout=100, check=False)
     return ended.returncode, ended.stderr
@@ -44,7 +44,7 @@ def modaltouch(*words):
 def test_a_full_disk_ends_the_session_and_a_larger_one_completes_it(
     tmp_path, finish, protocol_path, log_of, answers_of, kilobytes
 ):
-    """Exit status 4 with the file's name; what was answered is kept; once there is room, it goes on to the end."""
+    """Exit status 4 with the file; answers are kept, and with more space the session continues to its end."""
     with small_disk(tmp_path / "disk", kilobytes) as disk:
         log = log_of(disk, "p07")
         status, said = modaltouch("run", protocol_path, "-p", "p07", *RUN, "--results", disk)
@@ -60,10 +60,10 @@ def test_a_full_disk_ends_the_session_and_a_larger_one_completes_it(
 
 
 @needs_mount
-def test_a_disk_that_became_read_only_is_told_and_nothing_is_changed(
+def test_a_read_only_disk_is_reported_and_nothing_is_changed(
     tmp_path, start, finish, kill, protocol_path, log_of, wait_for_trials
 ):
-    """Neither a new session nor a resumed one begins; with the disk writable again it goes on."""
+    """Neither a new nor a resumed session begins; once writable, the session continues."""
     with small_disk(tmp_path / "disk", 8000) as disk:
         log = log_of(disk, "p07")
         session = start("run", protocol_path, "-p", "p07", *RUN, "--results", disk)
@@ -80,8 +80,8 @@ def test_a_disk_that_became_read_only_is_told_and_nothing_is_changed(
 
 
 @pytest.mark.parametrize("attempt", range(4))
-def test_of_two_runs_at_once_on_one_session_one_is_refused(tmp_path, start, protocol_path, log_of, attempt):
-    """As from two machines on a shared folder: one session is recorded whole, the other touches nothing."""
+def test_one_of_two_simultaneous_runs_of_a_session_is_refused(tmp_path, start, protocol_path, log_of, attempt):
+    """As from two machines on a shared folder: one session is recorded, the other changes nothing."""
     runs = [start("run", protocol_path, "-p", "p07", *RUN, "--results", tmp_path) for _ in range(2)]
     for process in runs:
         process.join(60)
@@ -91,10 +91,10 @@ def test_of_two_runs_at_once_on_one_session_one_is_refused(tmp_path, start, prot
     assert session.complete
 
 
-def test_two_resumes_at_once_give_one_session(
+def test_simultaneous_resumes_give_one_session(
     tmp_path, start, kill, protocol_path, log_of, wait_for_trials, answers_of
 ):
-    """The lock of the log admits one; no trial is answered twice."""
+    """The log's lock admits one; no trial is answered twice."""
     log = log_of(tmp_path, "p07")
     session = start("run", protocol_path, "-p", "p07", *RUN, "--results", tmp_path)
     wait_for_trials(log, 5)
@@ -109,8 +109,8 @@ def test_two_resumes_at_once_give_one_session(
     assert len(answers) == len(set(answers))
 
 
-def test_participants_who_begin_at_once_are_all_listed(tmp_path, start, protocol_path):
-    """Four sessions of one results tree: each is recorded, and participants.tsv names all of them."""
+def test_simultaneous_participants_are_all_listed(tmp_path, start, protocol_path):
+    """Four sessions of one results tree: each is recorded and is in participants.tsv."""
     names = ("p01", "p02", "p03", "p04")
     runs = [start("run", protocol_path, "-p", name, *RUN, "--results", tmp_path) for name in names]
     for process in runs:
@@ -120,8 +120,8 @@ def test_participants_who_begin_at_once_are_all_listed(tmp_path, start, protocol
     assert sorted(listed.read_text().split()) == ["participant_id", *(f"sub-{name}" for name in names)]
 
 
-def test_files_of_a_session_are_its_owners_alone(tmp_path, protocol_path):
-    """Participant data are readable by nobody else, whatever the umask."""
+def test_only_the_owner_can_read_the_files_of_a_session(tmp_path, protocol_path):
+    """Whatever the umask."""
     before = os.umask(0)
     try:
         status, said = modaltouch("run", protocol_path, "-p", "p07", *RUN, "--results", tmp_path / "results")

@@ -1,13 +1,13 @@
-"""An answer confirmed on screen survives anything, at any instant (docs/explanation/promises.md).
+"""An answer confirmed on screen survives any interruption (docs/explanation/promises.md).
 
-Sessions run in processes of their own against a rig in this one. Each is cut short at a seeded point, resumed and cut
-again until it is complete. After every cut: no answer confirmed to the participant is missing, the answers are those
-of the uninterrupted session in its order, no output is on, and whatever there is of the BIDS view is valid. The shipped
-protocols have a quarter of the points each, every kind of cut among them: fixed levels, catch trials, several stimuli,
-adaptive runs, of which the levels, too, are those of the uninterrupted session.
+Sessions run in separate processes against a rig in this one. Each is interrupted at a seeded point, resumed and
+interrupted again until it is complete. After every interruption: no answer confirmed to the participant is missing,
+answers and order are those of an uninterrupted session, no output is on, and the BIDS view, as far as it exists, is
+valid. The shipped protocols share the points equally, with every kind of interruption: fixed levels, catch trials,
+several stimuli, and adaptive runs, whose levels must be those of the uninterrupted session, too.
 
-``MODALTOUCH_KILL_POINTS`` sets how many points there are in all, ``MODALTOUCH_FIRST_SEED`` where their seeds begin;
-``make soak`` takes more and writes what came of them.
+``MODALTOUCH_KILL_POINTS`` sets the total number of points, ``MODALTOUCH_FIRST_SEED`` the first seed; ``make soak`` uses
+more and writes the results.
 """
 
 import json
@@ -66,7 +66,7 @@ OFF_WITHIN = 3.0
 
 @dataclass
 class Tally:
-    """What came of the kill points."""
+    """Results of the kill points."""
 
     points: Counter = field(default_factory=Counter)
     points_of: Counter = field(default_factory=Counter)
@@ -80,7 +80,7 @@ class Tally:
     slowest_off_s: float = 0.0
 
     def add(self, other):
-        """Take the points of another protocol in."""
+        """Add the points of another protocol."""
         for name, value in vars(other).items():
             mine = getattr(self, name)
             setattr(self, name, max(mine, value) if name == "slowest_off_s" else mine + value)
@@ -88,7 +88,7 @@ class Tally:
 
 @pytest.fixture(scope="module")
 def soaked():
-    """Take in what came of every protocol, and write it down where the soak wants it."""
+    """Collect the results of all protocols, and write them for the soak."""
     tally = Tally()
     yield tally
     if SOAK:
@@ -99,13 +99,13 @@ def soaked():
 
 @pytest.fixture(scope="module")
 def simulator(protocol_path):
-    """A rig that outlives the sessions, so that its outputs can be looked at after each."""
+    """A rig that outlives the sessions, so that its outputs can be checked after each."""
     with Simulator(Apparatus.read(protocol_path.parent / "apparatus" / "beam_100x6x2.yaml")) as simulator:
         yield simulator
 
 
 class Subject:
-    """One participant whose session is cut short again and again."""
+    """A participant whose session is interrupted repeatedly."""
 
     def __init__(self, context, simulator, protocol, results, participant):
         self.simulator = simulator
@@ -116,7 +116,7 @@ class Subject:
         self._witness = results.parent / f"{results.name}-{participant}.witness"
 
     def start(self, cut):
-        """Begin or go on, in a process of its own."""
+        """Begin or continue in a separate process."""
         words = ("run", self._protocol, "-p", self._participant, "--rig", self.simulator.address, "--yes")
         words = (*words, "--answers", "simulated", "--results", self._results)
         if self.log.exists():
@@ -130,12 +130,12 @@ class Subject:
 
     @property
     def confirmed(self):
-        """How many answers the participant saw confirmed."""
+        """Number of answers confirmed to the participant."""
         return self._witness.stat().st_size if self._witness.exists() else 0
 
     @property
     def answers(self):
-        """Every answer in the log, those that a later one replaced included."""
+        """All answers in the log, including superseded ones."""
         if not self.log.exists():
             return []
         return [
@@ -146,7 +146,7 @@ class Subject:
 
     @property
     def done(self):
-        """Answers that count, in their order, with their levels; without what differs between presentations."""
+        """Answers that count, in order, with their levels, without members that differ between presentations."""
         kept = read_session(self.log).trials if self.log.exists() else ()
         return [
             (e["trial"]["practice"], e["trial"]["index"], e["trial"]["condition"], e["response"]["answer"])
@@ -156,13 +156,13 @@ class Subject:
 
     @property
     def complete(self):
-        """Whether nothing is left to ask."""
+        """Whether all trials are answered."""
         return self.log.exists() and read_session(self.log).complete
 
 
 @pytest.fixture
 def subject(context, simulator, protocol_path, tmp_path, tmp_path_factory):
-    """Make participants whose sessions can be cut short."""
+    """Make participants whose sessions can be interrupted."""
     folder = tmp_path_factory.mktemp("shipped") / "protocols"
     shutil.copytree(protocol_path.parent, folder)
     for file in folder.glob("*.yaml"):
@@ -184,7 +184,7 @@ def subject(context, simulator, protocol_path, tmp_path, tmp_path_factory):
 
 
 def end(process, kind, rng, simulator, seconds):
-    """End a session from outside as the kind says, at an instant of the seed's choosing; return its exit status."""
+    """End a session from outside at a seeded instant; return its exit status."""
     if kind.startswith("SIG") and kind.isalpha():
         process.join(rng.uniform(0, seconds))
         if process.exitcode is None:
@@ -208,7 +208,7 @@ def end(process, kind, rng, simulator, seconds):
 
 
 def plan_of(kind, rng, seconds, size):
-    """Return what is to happen inside the process."""
+    """Return the plan for an interruption inside the process."""
     if kind == "SIGKILL in a stimulus":
         return {"stimulus": rng.randint(1, 12), "signal": int(signal.SIGKILL)}
     if kind == "SIGKILL at a call":
@@ -225,7 +225,7 @@ def plan_of(kind, rng, seconds, size):
 
 
 def seconds_until_off(simulator):
-    """Wait until no output is on and return how long it took [s]; infinity if one stays on."""
+    """Wait until no output is on and return the time taken [s]; infinity if one stays on."""
     start, waited = time.monotonic(), 0.0
     while any(simulator.outputs):
         if waited > OFF_WITHIN:
@@ -236,7 +236,7 @@ def seconds_until_off(simulator):
 
 
 def view_is_valid(log):
-    """Return whether whatever there is of the BIDS view is whole, and says nothing that the log does not."""
+    """Return whether the BIDS view, as far as it exists, is complete and agrees with the log."""
     dataset = log.parents[3]
     try:
         for path in dataset.rglob("*.json"):
@@ -253,7 +253,7 @@ def view_is_valid(log):
 
 
 def kinds_by_turns(rng):
-    """Yield kinds of cut in a random order: each once, then each as often as it should be."""
+    """Yield kinds of interruption in a random order: each once, then each with its frequency."""
     yield from rng.sample(list(KINDS), len(KINDS))
     while True:
         pack = [kind for kind, n in KINDS.items() for _ in range(n)]
@@ -262,7 +262,7 @@ def kinds_by_turns(rng):
 
 
 def cut_until_complete(person, whole, seconds, rng, tally, kinds):
-    """Cut a session short, once by each kind, and let it end; count what a promise was broken by."""
+    """Interrupt a session once by each kind and let it end; count broken promises."""
     for _ in range(ATTEMPTS):
         kind = None if person.complete else next(kinds, None)
         if kind is None:

@@ -1,4 +1,4 @@
-"""Rate, number of bursts, law and masking as factors: each is one of several stimuli, and recorded as it was played."""
+"""Rate, number of bursts, law and masking as factors: stimuli that differ in them, recorded as played."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ conditions:
 
 
 def test_each_stimulus_has_its_own_rate_and_number_of_bursts(edit: Callable[..., Path], tmp_path: Path) -> None:
-    """2 s at 7 and at 3.5 bursts per second, and three bursts; `verify` asks for the same."""
+    """2 s at 7 and at 3.5 Hz, and three bursts; `verify` expects the same."""
     preflight = examine(edit("demo.yaml", ("conditions:\n", STIMULI), UNTIL_QUESTION)).require()
     session = simulate_session(preflight, "p01", tmp_path)
     assert session.start["schedule"]["n_trials"] == 48
@@ -49,8 +49,8 @@ def test_the_law_may_differ_between_stimuli(edit: Callable[..., Path], tmp_path:
         ("quiet: {masked: false}", "but there is no noise; allowed: only with a section masking"),
     ],
 )
-def test_what_the_protocol_has_no_use_for_is_refused(edit: Callable[..., Path], stimuli: str, told: str) -> None:
-    """At the stimulus that asks for it."""
+def test_unusable_keys_of_a_stimulus_are_refused(edit: Callable[..., Path], stimuli: str, told: str) -> None:
+    """At the stimulus that has them."""
     problems = examine(edit("demo.yaml", ("conditions:\n", f"stimuli:\n  {stimuli}\n\nconditions:\n"))).problems
     assert [told in each.message for each in problems] == [True]
     assert problems[0].path.startswith("stimuli.")

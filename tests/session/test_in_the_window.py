@@ -1,4 +1,4 @@
-"""Whole sessions through the real window with real key presses, on a rig in a process of its own."""
+"""Whole sessions through the real window with real key presses, on a rig in a separate process."""
 
 import os
 import signal
@@ -22,7 +22,7 @@ APPARATUS = Path(__file__).parents[2] / "protocols" / "apparatus" / "beam_100x6x
 
 
 class Hands:
-    """Press keys on an X display, as a person's do."""
+    """Press keys on an X display."""
 
     KEYS = ("space", "Left", "Escape", "q")
 
@@ -38,7 +38,7 @@ class Hands:
 
     @contextmanager
     def hurrying(self):
-        """Type Space and the left arrow in turn, as fast as a hurried participant."""
+        """Type Space and the left arrow alternately, as fast as a hurried participant."""
         stop = threading.Event()
 
         def type_on():
@@ -64,13 +64,13 @@ class Hands:
 
 @pytest.fixture
 def protocol(edit):
-    """The demonstration, without the time that a person needs between two trials."""
+    """The demonstration without pauses between trials."""
     return edit("demo.yaml", ("\nanswers:\n", "\nanswers:\n  pause_s: 0.2\n  settling_s: 0.05\n"))
 
 
 @pytest.fixture
 def rig():
-    """The VISA address of a simulator in a process of its own."""
+    """The VISA address of a simulator in a separate process."""
     command = [sys.executable, "-m", "modaltouch", "rig", "simulate", "--apparatus", str(APPARATUS)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         yield process.stdout.readline().strip()
@@ -79,7 +79,7 @@ def rig():
 
 @pytest.fixture
 def outputs(rig):
-    """Look at the instrument's front panel, which its lock does not shut, which outputs are on."""
+    """Return which outputs are on, by the front panel, which the lock does not block."""
     resource = pyvisa.ResourceManager("@py").open_resource(rig.replace("inst0", "panel0"))
     resource.timeout = 5000
     yield lambda: (resource.query("OUTP1?").strip(), resource.query("OUTP2?").strip())
@@ -88,7 +88,7 @@ def outputs(rig):
 
 @contextmanager
 def session(display_name, *words):
-    """Run ``modaltouch`` with some words on a display."""
+    """Run ``modaltouch`` with some arguments on a display."""
     command = [sys.executable, "-m", "modaltouch", *map(str, words)]
     environment = {**os.environ, "DISPLAY": display_name}
     with subprocess.Popen(
@@ -101,7 +101,7 @@ def session(display_name, *words):
 
 
 def wait_until(holds, what, timeout=120.0):
-    """Wait for something to hold."""
+    """Wait until a condition holds."""
     end = time.monotonic() + timeout
     while not holds():
         assert time.monotonic() < end, f"{what} did not come true within {timeout} s"
@@ -114,8 +114,8 @@ def n_answers(log):
 
 
 @pytest.mark.window
-def test_a_session_whose_display_dies_loses_nothing_and_is_finished_on_another(tmp_path, protocol, rig, outputs):
-    """Xlib would end the process past every ``finally``: it is told to stay, and the session ends in order."""
+def test_a_session_survives_the_death_of_its_display(tmp_path, protocol, rig, outputs):
+    """Xlib would exit without any ``finally``; the session ends normally and is resumed on another display."""
     log = tmp_path / "simulated" / "demo" / "sub-p01" / "ses-1" / "beh" / "session.jsonl"
     with (
         virtual_display((1280, 800)) as name,
@@ -158,8 +158,8 @@ def test_a_session_whose_display_dies_loses_nothing_and_is_finished_on_another(t
 
 @pytest.mark.window
 @pytest.mark.parametrize("ending", ["escape", "SIGTERM"])
-def test_a_session_ended_on_purpose_is_off_and_kept(tmp_path, protocol, rig, outputs, ending):
-    """Escape asks first, then Q ends; SIGTERM ends at once. Exit status 130 and the reason in the record."""
+def test_a_session_ended_on_purpose_is_kept_with_outputs_off(tmp_path, protocol, rig, outputs, ending):
+    """Escape asks first, then Q ends; SIGTERM ends immediately. Exit status 130, reason in the record."""
     log = tmp_path / "simulated" / "demo" / "sub-p01" / "ses-1" / "beh" / "session.jsonl"
     with (
         virtual_display((1280, 800)) as name,

@@ -1,4 +1,4 @@
-"""Trials of several intervals, the whole way: presented, recorded, resumed, verified, in the table."""
+"""Trials of several intervals: presented, recorded, resumed, verified and tabulated."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ SHORT = (("repetitions: 8", "repetitions: 1"), ("practice_trials: 4", "practice_
 
 
 def write(folder: Path, *changes: tuple[str, str]) -> Path:
-    """Write the shipped comparison, short and otherwise changed."""
+    """Write a short version of the shipped comparison with other changes."""
     text = (SHIPPED / "comparison_2ifc.yaml").read_text(encoding="utf-8")
     for old, new in (*SHORT, *changes):
         assert text.count(old) == 1, old
@@ -56,8 +56,8 @@ def of(session: Session, *kinds: str) -> list[dict[str, Any]]:
     return [event for event in session.events if event["event"] in kinds]
 
 
-def test_each_interval_is_fired_confirmed_and_recorded_by_itself(recorded: Session) -> None:
-    """Levels in the order of the trial, five whole bursts each, amplitudes as their level has them."""
+def test_each_interval_is_fired_confirmed_and_recorded(recorded: Session) -> None:
+    """Levels in the order of the trial, five whole bursts each, amplitudes in proportion to the level."""
     assert recorded.complete
     for event in of(recorded, "trial"):
         trial, levels = Trial.from_dict(event["trial"]), [100.0, 100.0]
@@ -75,7 +75,7 @@ def test_each_interval_is_fired_confirmed_and_recorded_by_itself(recorded: Sessi
 
 
 def test_the_gap_passes_with_the_outputs_off(recorded: Session) -> None:
-    """From the end of the fifth burst of 50 ms at 7 Hz to the next first one at least 0.5 s, and no second more."""
+    """At least 0.5 s, and less than a second more, from the end of the fifth burst to the next first burst."""
     for event in of(recorded, "trial"):
         first, second = (each["confirmed"]["onset"] for each in event["intervals"])
         assert 0.499 <= second - (first + 4 / 7 + 0.05) < 1.5
@@ -85,8 +85,8 @@ def test_the_gap_passes_with_the_outputs_off(recorded: Session) -> None:
     assert [state for state, _ in groupby(switched)] == [*["OFF", "ON"] * 14, "OFF"]
 
 
-def test_it_is_verified_and_stands_in_the_table(recorded: Session) -> None:
-    """Order, levels, amplitudes, bursts and instants of all intervals are computed again."""
+def test_intervals_are_verified_and_tabulated(recorded: Session) -> None:
+    """Order, levels, amplitudes, bursts and instants of all intervals are recomputed."""
     assert audit_session(recorded).problems == ()
     rows = [row for row in recorded.table() if not row["practice"]]
     assert sorted(row["velocity_mm_s"] for row in rows) == [70, 80, 90, 110, 125, 140]
@@ -99,8 +99,8 @@ def test_it_is_verified_and_stands_in_the_table(recorded: Session) -> None:
     assert {"interval", "standard_mm_s", "correct"} <= set(table.read_text().splitlines()[0].split("\t"))
 
 
-def test_an_interval_changed_after_the_answer_is_noticed(recorded: Session) -> None:
-    """The line of the finished trial repeats the earlier intervals of the line of its answer."""
+def test_an_interval_changed_after_the_answer_is_detected(recorded: Session) -> None:
+    """The line of the finished trial must repeat the earlier intervals of the answer's line."""
     events = copy.deepcopy(recorded.events)
     place, trial = next((n, each) for n, each in enumerate(events, start=1) if each["event"] == "trial")
     assert trial["intervals"][0]["bursts"]["whole"] > 0
@@ -110,10 +110,8 @@ def test_an_interval_changed_after_the_answer_is_noticed(recorded: Session) -> N
 
 
 @pytest.mark.parametrize("interval", [1, 2])
-def test_a_session_that_was_killed_in_an_interval_goes_on_with_that_trial(
-    recorded: Session, tmp_path: Path, interval: int
-) -> None:
-    """The whole trial comes again, in the intervals that its order has."""
+def test_a_session_killed_in_an_interval_repeats_that_trial(recorded: Session, tmp_path: Path, interval: int) -> None:
+    """With all its intervals in the same order."""
     results = recorded.path.parents[5]
     shutil.copytree(results / "simulated", tmp_path / "simulated")
     log = tmp_path / recorded.path.relative_to(results)
@@ -131,8 +129,8 @@ def test_a_session_that_was_killed_in_an_interval_goes_on_with_that_trial(
     ]
 
 
-def test_an_interval_that_is_not_confirmed_has_the_trial_asked_again(tmp_path: Path) -> None:
-    """A knob is turned in the first interval of the second trial: that is cut, and both intervals come again."""
+def test_an_unconfirmed_interval_causes_the_trial_to_be_repeated(tmp_path: Path) -> None:
+    """A knob is turned in the first interval of the second trial; both intervals are repeated."""
     preflight = examine(write(tmp_path)).require()
     turned: list[int] = []
     setup = wire_run(preflight, "p01", answers="simulated", results=tmp_path)
@@ -163,8 +161,8 @@ def test_an_interval_that_is_not_confirmed_has_the_trial_asked_again(tmp_path: P
     assert answered["presentation"] == 2
 
 
-def test_no_gap_is_waited_for_where_the_outputs_cannot_be_switched_off(tmp_path: Path) -> None:
-    """The session ends at once, not after a gap with a beam that may still move."""
+def test_the_session_ends_if_the_outputs_cannot_be_switched_off(tmp_path: Path) -> None:
+    """Without waiting for the gap, since the beam may still move."""
     file = write(tmp_path, ("gap_s: 0.5", "gap_s: 30.0"))
     setup, failed = wire_run(examine(file).require(), "p01", answers="simulated", results=tmp_path), list[float]()
 
@@ -190,7 +188,7 @@ def test_no_gap_is_waited_for_where_the_outputs_cannot_be_switched_off(tmp_path:
 
 
 def test_silence_is_an_interval_without_bursts(tmp_path: Path) -> None:
-    """Detection: the interval of the vibration is the right one, and at these levels the observer names it."""
+    """Detection: the interval with the vibration is right, and at these levels the observer names it."""
     levels = ("peak_velocities_mm_s: [70, 80, 90, 110, 125, 140]", "peak_velocities_mm_s: [90, 150]")
     silent = ("standard: {velocity_mm_s: 100}", "standard: {velocity_mm_s: 0}")
     file = write(tmp_path, levels, silent, ("asked: stronger", "asked: comparison"))
@@ -203,8 +201,8 @@ def test_silence_is_an_interval_without_bursts(tmp_path: Path) -> None:
     assert [row["correct"] for row in session.table()] == [True] * 3
 
 
-def test_three_intervals_of_two_stimuli_name_the_odd_one(tmp_path: Path) -> None:
-    """A field that reaches the other finger among sharp ones, at one level: the odd interval is felt."""
+def test_the_odd_one_of_three_intervals_is_recognised(tmp_path: Path) -> None:
+    """A blunt field among sharp ones, at one level."""
     stimuli = "stimuli:\n  sharp: {}\n  blunt: {field: {shape: raised_cosine, base_mm: 110}}\n\nconditions:"
     file = write(
         tmp_path,
@@ -224,7 +222,7 @@ def test_three_intervals_of_two_stimuli_name_the_odd_one(tmp_path: Path) -> None
 
 
 def test_a_further_question_counts_from_the_last_interval(recorded: Session) -> None:
-    """Asked half a second after the answer, as at a window: sound wherever the comparison stands, 2 s before not."""
+    """Half a second after the answer is valid wherever the comparison is; 2 s earlier is a fault."""
     scale = QuestionSection.model_validate({"scale": {"kind": "likert"}})
     protocol = examine(SHIPPED / "comparison_2ifc.yaml").require().experiment.protocol
     asked = protocol.answers.model_copy(update={"then": {"sure": scale}})
@@ -290,8 +288,8 @@ def test_the_console_tells_which_interval_plays(recorded: Session) -> None:
 
 
 @pytest.mark.parametrize("rule", ["correct", "second"])
-def test_a_run_follows_from_right_answers_or_from_one_that_is_named(tmp_path: Path, rule: str) -> None:
-    """Verification computes every level from the answers before; no success lifts it, no failure lowers it."""
+def test_a_run_follows_right_answers_or_a_given_answer(tmp_path: Path, rule: str) -> None:
+    """Verification recomputes every level; a success never raises it, a failure never lowers it."""
     places = "[1, 2]" if rule == "correct" else "[2]"
     run = f"adaptive: {{method: staircase, trials: 8, start_mm_s: 130, success: {rule}, guess_rate: 0.5, "
     file = write(

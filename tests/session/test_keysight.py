@@ -1,4 +1,4 @@
-"""A session with another generator: run, recorded, checked against itself, resumed."""
+"""A session with a Keysight generator: run, recorded, verified."""
 
 from pathlib import Path
 
@@ -16,13 +16,13 @@ BEAM, OTHER = "apparatus/beam_100x6x2.yaml", "apparatus/keysight_33522b.yaml"
 
 @pytest.fixture
 def session(edit, tmp_path):
-    """A simulated session of the demo with a 33522B in the place of the AFG3022B."""
+    """A simulated session of the demo with a 33522B instead of the AFG3022B."""
     preflight = examine(edit("demo.yaml", (BEAM, OTHER))).require()
     return begin(wire_run(preflight, "p01", answers="simulated", results=tmp_path / "results"))
 
 
 def test_a_session_runs_records_and_verifies(session):
-    """Every answer is there, the record names the instrument, and the check computes its amplitudes and codes again."""
+    """All answers are recorded, with the instrument, and verification recomputes amplitudes and codes."""
     assert session.complete
     assert session.start["rig"]["identity"].split(",")[1:3] == ["33522B", "SIMULATED"]
     verdict = audit_session(Session.find(Path(session.path).parent))
@@ -30,8 +30,8 @@ def test_a_session_runs_records_and_verifies(session):
     assert verdict.lines[-1] == "complete"
 
 
-def test_what_was_commanded_is_the_amplitude_of_the_record(session):
-    """In each line what was sent is what was read back: less than the full scale, of which the record is a part."""
+def test_the_commanded_amplitude_is_that_of_the_waveform(session):
+    """Sent and read-back amplitudes agree and are below the full scale, of which the waveform uses a part."""
     full = session.start["stimulus"]["amplitude_Vpp"]
     for event in session.trials:
         commanded = event["commanded"]["amplitude_Vpp"]

@@ -1,4 +1,4 @@
-"""A session that is cut at any moment loses no answer and goes on in the same order."""
+"""A session interrupted at any moment loses no answer and continues in the same order."""
 
 import json
 import signal
@@ -14,7 +14,7 @@ KILL_POINTS = [(n, seed) for seed, n in enumerate((0, 1, 3, 4, 12, 16, 26))]
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory, context, protocol_path):
-    """The answers of a session that nobody interrupts."""
+    """The answers of an uninterrupted session."""
     from modaltouch.__main__ import main
 
     results = tmp_path_factory.mktemp("whole")
@@ -28,10 +28,10 @@ def whole(tmp_path_factory, context, protocol_path):
 
 
 @pytest.mark.parametrize(("n_trials", "seed"), KILL_POINTS)
-def test_a_killed_session_goes_on_where_it_stopped(
+def test_a_killed_session_continues_where_it_stopped(
     whole, kill_after, finish, protocol_path, log_of, answers_of, n_trials, seed
 ):
-    """SIGKILL between or inside trials: no answer lost, the rest in the order of the uninterrupted session."""
+    """SIGKILL between or within trials: no answer is lost, and the order is that of an uninterrupted session."""
     words = ("run", protocol_path, "-p", "p07", *RUN)
     log = kill_after(words, lambda results: log_of(results, "p07"), n_trials, seed)
     before = answers_of(log)
@@ -46,7 +46,7 @@ def test_a_killed_session_goes_on_where_it_stopped(
 def test_a_killed_session_keeps_its_catch_trials(
     tmp_path, kill_after, finish, protocol_path, answers_of, n_trials, seed
 ):
-    """SIGKILL and resume: the same trials, catch trials with them, and the same answers as without."""
+    """SIGKILL and resume: the same trials and answers, catch trials included."""
     protocol = protocol_path.with_name("with_catch_trials.yaml")
 
     def log_in(results):
@@ -70,7 +70,7 @@ def test_a_killed_session_keeps_its_catch_trials(
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_a_signal_ends_a_session_in_order(tmp_path, start, kill, protocol_path, log_of, wait_for_trials, number):
+def test_a_signal_ends_a_session_normally(tmp_path, start, kill, protocol_path, log_of, wait_for_trials, number):
     """Exit status 130, the reason in the record, and a BIDS table with every answer."""
     log = log_of(tmp_path, "p07")
     session = start("run", protocol_path, "-p", "p07", *RUN, "--results", tmp_path)
@@ -85,7 +85,7 @@ def test_a_signal_ends_a_session_in_order(tmp_path, start, kill, protocol_path, 
 
 
 def test_an_existing_session_is_refused_and_kept(tmp_path, finish, protocol_path, log_of):
-    """Exit status 4, and not a byte of the first session is touched."""
+    """Exit status 4, with the first session unchanged to the byte."""
     words = ("run", protocol_path, "-p", "p07", *RUN, "--results", tmp_path)
     assert finish(*words) == 0
     kept = log_of(tmp_path, "p07").read_bytes()
@@ -93,18 +93,16 @@ def test_an_existing_session_is_refused_and_kept(tmp_path, finish, protocol_path
     assert log_of(tmp_path, "p07").read_bytes() == kept
 
 
-def test_a_complete_session_is_left_as_it_is(tmp_path, finish, protocol_path, log_of):
-    """There is nothing left to ask: resume says so, succeeds, and touches no byte of the log."""
+def test_resuming_a_complete_session_changes_nothing(tmp_path, finish, protocol_path, log_of):
+    """It succeeds and leaves the log unchanged to the byte."""
     assert finish("run", protocol_path, "-p", "p07", *RUN, "--results", tmp_path) == 0
     kept = log_of(tmp_path, "p07").read_bytes()
     assert finish("resume", log_of(tmp_path, "p07").parent) == 0
     assert log_of(tmp_path, "p07").read_bytes() == kept
 
 
-def test_the_same_seed_gives_the_same_trials_and_another_participant_others(
-    tmp_path, finish, protocol_path, log_of, answers_of
-):
-    """The order is a pure function of protocol, participant and seed."""
+def test_the_order_depends_on_seed_and_participant(tmp_path, finish, protocol_path, log_of, answers_of):
+    """It is a pure function of protocol, participant and seed."""
     for name in ("one", "two"):
         assert finish("run", protocol_path, "-p", "p08", *RUN, "--results", tmp_path / name) == 0
     assert finish("run", protocol_path, "-p", "p09", *RUN, "--results", tmp_path / "one") == 0
@@ -116,7 +114,7 @@ def test_the_same_seed_gives_the_same_trials_and_another_participant_others(
 def test_a_resumed_session_needs_none_of_its_files(
     tmp_path, start, finish, kill, protocol_path, log_of, wait_for_trials
 ):
-    """The record holds protocol, apparatus and texts, so it is repeatable years later."""
+    """The record has protocol, apparatus and texts."""
     import shutil
 
     copy = tmp_path / "protocols"
@@ -131,7 +129,7 @@ def test_a_resumed_session_needs_none_of_its_files(
 
 
 def test_the_bids_view_is_valid_after_a_kill(tmp_path, start, kill, protocol_path, log_of, wait_for_trials):
-    """Architecture: the view is valid at every moment; every row of the table is an answer of the log."""
+    """Every row of the table is an answer of the log."""
     log = log_of(tmp_path, "p07")
     session = start("run", protocol_path, "-p", "p07", *RUN, "--results", tmp_path)
     wait_for_trials(log, 9)

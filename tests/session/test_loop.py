@@ -1,4 +1,4 @@
-"""The one loop, with a rig of paper and a participant who says what the test wants."""
+"""The session loop with a fake rig and a scripted participant."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ SPEEDS = {"A": 0.12, "B": 0.115, "C": 0.2, "D": 0.115, "E": 0.12}
 
 @dataclass
 class PaperRig:
-    """Fires nothing, and notes what it was told."""
+    """Fires nothing and notes its calls."""
 
     told: list[str] = field(default_factory=list)
     fired: list[dict[str, object]] = field(default_factory=list)
@@ -82,7 +82,7 @@ class PaperRig:
 
 @dataclass
 class Person:
-    """Answers by a rule, and notes every screen."""
+    """Answers by a rule and notes every screen."""
 
     rule: Callable[[Trial], str]
     seen: list[str] = field(default_factory=list)
@@ -141,25 +141,25 @@ class Keys(Console):
 
 
 def right_answer(trial: Trial) -> str:
-    """Say what somebody says who feels the speeds of SPEEDS without noise."""
+    """Return the answer of a noiseless participant to SPEEDS."""
     left, right = (SPEEDS[zone] for zone in trial.condition.zones)
     return "both" if left == right else ("left" if left > right else "right")
 
 
 def wrong_answer(trial: Trial) -> str:
-    """Say anything else."""
+    """Return another answer."""
     return "left" if right_answer(trial) == "both" else "both"
 
 
 @pytest.fixture(scope="module")
 def experiment() -> Experiment:
-    """Give the shipped demonstration."""
+    """Provide the shipped demonstration."""
     return Findings.read(Path(__file__).resolve().parents[2] / "protocols" / "demo.yaml").experiment()
 
 
 @pytest.fixture
 def sit(experiment: Experiment, tmp_path: Path) -> Iterator[Callable[..., SessionRun]]:
-    """Give sittings whose logs are closed in the end."""
+    """Provide session runs whose logs are closed at the end."""
     logs: list[SessionLog] = []
 
     def make(rule: Callable[[Trial], str] = right_answer, **schedule: Any) -> SessionRun:
@@ -196,12 +196,12 @@ def events(sitting: SessionRun, name: str) -> list[dict[str, Any]]:
 
 
 def seen(sitting: SessionRun) -> list[str]:
-    """Return what the person saw."""
+    """Return the screens that the person saw."""
     return sitting.window.seen  # type: ignore[attr-defined,no-any-return]
 
 
 def test_every_trial_is_answered_once_in_order(sit: Callable[..., SessionRun]) -> None:
-    """Expected: one practice trial and twelve that count, each fired, stopped and written down."""
+    """One practice trial and twelve main trials, each fired, stopped and recorded."""
     sitting = sit()
     conduct(sitting)
     done = [(event["trial"]["practice"], event["trial"]["index"]) for event in events(sitting, "trial")]
@@ -322,7 +322,7 @@ def test_the_last_trial_can_be_repeated_while_the_participant_is_thanked(sit: Ca
 
 
 def pressing(sitting: SessionRun, *moments: int) -> SessionRun:
-    """Return the sitting with `repeat` pressed while the answers of these numbers, from 1, are confirmed."""
+    """Return the session run with `repeat` pressed while the answers of these numbers, from 1, are confirmed."""
     console, confirmed = Keys(), list[Response]()
     experimenter = Experimenter(console)
     sitting.log.listener = experimenter.tell
@@ -340,12 +340,12 @@ def pressing(sitting: SessionRun, *moments: int) -> SessionRun:
 
 
 def asked(sitting: SessionRun) -> list[str]:
-    """Return what was asked, in order."""
+    """Return the questions asked, in order."""
     return [name for name in seen(sitting) if name.split()[0] in ("practice", "trial") and " " in name]
 
 
-def test_a_practice_trial_is_repeated_with_what_was_to_be_felt(sit: Callable[..., SessionRun]) -> None:
-    """Expected: asked again at once, commented again, the first answer withdrawn and kept; the round goes on."""
+def test_a_practice_trial_can_be_repeated(sit: Callable[..., SessionRun]) -> None:
+    """Asked again immediately, with feedback; the first answer is withdrawn but kept, and the round continues."""
     sitting = pressing(sit(practice_trials=3, practice_feedback=True), 2)
     conduct(sitting)
     names = asked(sitting)
@@ -362,7 +362,7 @@ def test_a_practice_trial_is_repeated_with_what_was_to_be_felt(sit: Callable[...
 
 
 def test_a_round_is_judged_by_the_repeated_answer(sit: Callable[..., SessionRun]) -> None:
-    """The last trial of a round, answered wrongly and repeated before the round is judged: passed by the second."""
+    """The last trial of a round is answered wrongly and repeated: the round is passed by the second answer."""
     given: list[Trial] = []
 
     def rule(trial: Trial) -> str:
@@ -378,8 +378,8 @@ def test_a_round_is_judged_by_the_repeated_answer(sit: Callable[..., SessionRun]
     assert judged["n_agreed"] == judged["n_judged"]
 
 
-def test_practice_that_is_over_is_not_repeated_and_the_console_says_so() -> None:
-    """R between practice and the first trial that counts: dropped there, and told, not done amid the trials."""
+def test_finished_practice_is_not_repeated() -> None:
+    """R between practice and the first main trial has no effect, and the console says so."""
     console, status = Keys(), Status()
     experimenter = Experimenter(console, status=status)
     practice = {"event": "trial", "n": 5, "clock": 1.0, "trial": {"practice": True, "index": 3},
@@ -399,8 +399,8 @@ def test_practice_that_is_over_is_not_repeated_and_the_console_says_so() -> None
     assert experimenter.take_repeat() is None, "a judged round stays as it was judged"
 
 
-def test_fingers_are_placed_anew_only_where_they_change(sit: Callable[..., SessionRun]) -> None:
-    """Expected: a placement before a trial exactly where pair or finger condition differ from the trial before."""
+def test_fingers_are_placed_again_only_if_they_change(sit: Callable[..., SessionRun]) -> None:
+    """Before each trial whose pair or finger condition differs from that of the trial before."""
     sitting = sit()
     conduct(sitting)
     trials = [event["trial"]["condition"] for event in events(sitting, "trial")]
@@ -411,8 +411,8 @@ def test_fingers_are_placed_anew_only_where_they_change(sit: Callable[..., Sessi
     assert {"finger_left", "finger_right", "zone_left", "zone_right", "placement", "way"} <= set(first)
 
 
-def test_an_answer_is_confirmed_only_once_it_is_written(sit: Callable[..., SessionRun]) -> None:
-    """Expected: when the window confirms, the log's last line is that answer; the stimulus is not over yet."""
+def test_an_answer_is_confirmed_only_after_it_is_written(sit: Callable[..., SessionRun]) -> None:
+    """When the window confirms, the log's last line is the answer; the stimulus is not over yet."""
     sitting = sit()
     confirm = sitting.window.confirm
     last: list[str] = []
@@ -432,8 +432,8 @@ def test_an_answer_is_confirmed_only_once_it_is_written(sit: Callable[..., Sessi
         assert event["bursts"]["whole"] == 8
 
 
-def test_a_cut_trial_is_offered_again(sit: Callable[..., SessionRun]) -> None:
-    """Expected: the same trial fired twice, the cut in the log, one answer."""
+def test_an_interrupted_trial_is_repeated(sit: Callable[..., SessionRun]) -> None:
+    """The same trial is fired twice, with the interruption in the log and one answer."""
     sitting = sit()
     sitting.window.cut.append("escape")  # type: ignore[attr-defined]
     conduct(sitting)
@@ -443,7 +443,7 @@ def test_a_cut_trial_is_offered_again(sit: Callable[..., SessionRun]) -> None:
 
 
 def test_a_stimulus_that_does_not_start_is_tried_again(sit: Callable[..., SessionRun]) -> None:
-    """Expected: no question before it has started; three attempts, then RigError."""
+    """No question is asked before it has started; after three attempts RigError."""
     sitting = sit()
     sitting.rig.unstarted = 1  # type: ignore[attr-defined]
     conduct(sitting)
@@ -455,10 +455,10 @@ def test_a_stimulus_that_does_not_start_is_tried_again(sit: Callable[..., Sessio
     assert "practice 1" not in seen(sitting)
 
 
-def test_an_answer_to_an_unconfirmed_stimulus_is_kept_and_its_trial_offered_again(
+def test_an_answer_to_an_unconfirmed_stimulus_is_kept_and_the_trial_repeated(
     sit: Callable[..., SessionRun],
 ) -> None:
-    """Expected: two answers to the first trial, the second in place of the first; three in a row end the session."""
+    """The second answer supersedes the first; three unconfirmed ones in a row end the session."""
     sitting = sit()
     sitting.rig.unconfirmed = 1  # type: ignore[attr-defined]
     conduct(sitting)
@@ -472,8 +472,8 @@ def test_an_answer_to_an_unconfirmed_stimulus_is_kept_and_its_trial_offered_agai
         conduct(sitting)
 
 
-def test_stalls_use_up_no_attempt_and_are_told_to_the_participant(sit: Callable[..., SessionRun]) -> None:
-    """Expected: ten stalls in a row, ten words to the participant, and the session goes on."""
+def test_stalls_use_up_no_attempt(sit: Callable[..., SessionRun]) -> None:
+    """After ten stalls in a row, each shown to the participant, the session continues."""
     sitting = sit()
     sitting.rig.stalled = 10  # type: ignore[attr-defined]
     conduct(sitting)
@@ -481,8 +481,8 @@ def test_stalls_use_up_no_attempt_and_are_told_to_the_participant(sit: Callable[
     assert Session(sitting.log.path, tuple(sitting.log.events)).n_answered == 12
 
 
-def test_a_computer_that_is_always_held_up_is_told_of_at_last(sit: Callable[..., SessionRun]) -> None:
-    """Expected: after 30 presentations of a trial the session ends, and nothing is said against the instrument."""
+def test_permanent_stalls_end_the_session(sit: Callable[..., SessionRun]) -> None:
+    """After 30 presentations of a trial, without blaming the instrument."""
     sitting = sit()
     sitting.rig.stalled = 30  # type: ignore[attr-defined]
     with pytest.raises(RigError, match=r"30 presentations could not be confirmed .held up.*close other programs, then"):
@@ -492,8 +492,8 @@ def test_a_computer_that_is_always_held_up_is_told_of_at_last(sit: Callable[...,
     conduct(sitting)
 
 
-def test_a_stimulus_that_ends_by_itself_gets_no_answer(sit: Callable[..., SessionRun]) -> None:
-    """The link is lost while the participant feels: the trial is cut, in the record, and offered again."""
+def test_a_lost_stimulus_is_not_answered(sit: Callable[..., SessionRun]) -> None:
+    """If the link is lost, the trial is recorded as interrupted and repeated."""
     sitting = sit()
     sitting.window.cut.append(StimulusLost("the bursts ended"))  # type: ignore[attr-defined]
     conduct(sitting)
@@ -507,7 +507,7 @@ def test_a_stimulus_that_ends_by_itself_gets_no_answer(sit: Callable[..., Sessio
 
 
 def test_an_instrument_that_dies_in_a_stimulus_confirms_nothing(sit: Callable[..., SessionRun]) -> None:
-    """The outputs cannot be switched off at the end: the answer is on the disk, unconfirmed, and the session ends."""
+    """The outputs cannot be switched off: the answer is recorded as unconfirmed, and the session ends."""
     sitting = sit()
     sitting.rig.breaks = True  # type: ignore[attr-defined]
     with pytest.raises(RigError, match="could not be confirmed off"):
@@ -517,8 +517,8 @@ def test_an_instrument_that_dies_in_a_stimulus_confirms_nothing(sit: Callable[..
     assert trial["confirmed"]["reason"] == "the link broke"
 
 
-def test_an_emergency_stop_cuts_the_burst_and_is_recorded_as_cut(sit: Callable[..., SessionRun]) -> None:
-    """Expected: outputs off at once, not after the burst, and a line that says what was played until then."""
+def test_an_emergency_stop_interrupts_the_burst(sit: Callable[..., SessionRun]) -> None:
+    """Outputs off immediately, and a line with the bursts played until then."""
     sitting = sit()
     sitting.window.cut.append(SessionStopped("emergency stop"))  # type: ignore[attr-defined]
     with pytest.raises(SessionStopped, match="emergency stop"):
@@ -535,7 +535,7 @@ def test_practice_is_judged_by_its_criterion(
     rule: Callable[[Trial], str],
     passed: bool,
 ) -> None:
-    """Expected: one round where it is passed, all rounds where it is not, and then the session goes on."""
+    """One round if it is passed, else all rounds; then the session continues."""
     sitting = sit(rule, practice_trials=3, practice_criterion=0.6, practice_rounds=2)
     conduct(sitting)
     rounds = events(sitting, "practice_round")
@@ -546,8 +546,8 @@ def test_practice_is_judged_by_its_criterion(
     assert sum(not event["trial"]["practice"] for event in events(sitting, "trial")) == 12
 
 
-def test_failed_practice_ends_the_session_where_the_protocol_says_so(sit: Callable[..., SessionRun]) -> None:
-    """Expected: thanks, then SessionStopped; no trial that counts, and the same again on resumption."""
+def test_failed_practice_may_end_the_session(sit: Callable[..., SessionRun]) -> None:
+    """SessionStopped after the last screen, without a main trial; the same after resuming."""
     sitting = sit(wrong_answer, practice_trials=2, practice_criterion=1.0, after_failed_practice="stop")
     with pytest.raises(SessionStopped, match="practice not passed"):
         conduct(sitting)
@@ -559,7 +559,7 @@ def test_failed_practice_ends_the_session_where_the_protocol_says_so(sit: Callab
 
 
 def test_a_round_answered_before_a_kill_is_judged_after_it(sit: Callable[..., SessionRun]) -> None:
-    """Expected: killed between the last practice answer and its verdict, the session gives the verdict first."""
+    """Killed between the last practice answer and its verdict, the session gives the verdict first."""
     sitting = sit(practice_trials=2, practice_criterion=1.0, practice_rounds=3)
     conduct(sitting)
     trials = [event for event in events(sitting, "trial") if event["trial"]["practice"]]
@@ -571,8 +571,8 @@ def test_a_round_answered_before_a_kill_is_judged_after_it(sit: Callable[..., Se
     assert not any(name.startswith("practice") for name in seen(killed))
 
 
-def test_feedback_follows_practice_trials_alone(sit: Callable[..., SessionRun]) -> None:
-    """Expected: after each of three practice trials what was predicted, and never after a trial that counts."""
+def test_feedback_follows_only_practice_trials(sit: Callable[..., SessionRun]) -> None:
+    """After each of three practice trials the predicted answer, and never after a main trial."""
     sitting = sit(wrong_answer, practice_trials=3, practice_feedback=True)
     conduct(sitting)
     given = [name for name in seen(sitting) if name.startswith("feedback")]
@@ -582,7 +582,7 @@ def test_feedback_follows_practice_trials_alone(sit: Callable[..., SessionRun]) 
 
 
 def test_breaks_come_by_count(sit: Callable[..., SessionRun]) -> None:
-    """Expected: after every four of twelve trials, none before the first nor after the last."""
+    """After every four of twelve trials, but not after the last."""
     sitting = sit(break_after_trials=4)
     conduct(sitting)
     names = [name for name in seen(sitting) if name == "rest" or name.startswith("trial")]
@@ -590,7 +590,7 @@ def test_breaks_come_by_count(sit: Callable[..., SessionRun]) -> None:
 
 
 def test_breaks_come_by_time(sit: Callable[..., SessionRun]) -> None:
-    """Expected: at the first trial after five minutes, where each answer takes 70 s: after every fifth of twelve."""
+    """At the first trial after five minutes; with 70 s per answer, after every fifth of twelve."""
     clock = VirtualClock()
 
     def slowly(trial: Trial) -> str:
@@ -603,15 +603,15 @@ def test_breaks_come_by_time(sit: Callable[..., SessionRun]) -> None:
     assert [place for place, name in enumerate(names) if name == "rest"] == [5, 11]
 
 
-def test_no_breaks_where_none_are_asked_for(sit: Callable[..., SessionRun]) -> None:
-    """Expected: null for both kinds of break means none."""
+def test_no_breaks_by_default_settings_of_null(sit: Callable[..., SessionRun]) -> None:
+    """If both kinds of break are null."""
     sitting = sit(break_after_trials=None, break_after_min=None)
     conduct(sitting)
     assert "rest" not in seen(sitting)
 
 
 def test_a_catch_trial_is_asked_like_any_other_and_drives_nothing(sit: Callable[..., SessionRun]) -> None:
-    """Expected: fired silently at the lowest level, 80 mm/s; the same screens; marked in the record, speeds 0."""
+    """Fired silently at the lowest level, 80 mm/s; the same screens; recorded as catch with speeds of 0."""
     sitting = sit(lambda trial: "none" if trial.condition.is_catch else right_answer(trial), catch_trials=2)
     conduct(sitting)
     told = sitting.rig.told  # type: ignore[attr-defined]
@@ -628,7 +628,7 @@ def test_a_catch_trial_is_asked_like_any_other_and_drives_nothing(sit: Callable[
 
 
 class FragileNoise(Masking):
-    """Masking that is lost during the third trial and, where it is demanded, cannot be had again."""
+    """Masking that is lost during the third trial and, if required, cannot be restored."""
 
     def __init__(self, *, required: bool) -> None:
         super().__init__("stands in")
@@ -645,16 +645,16 @@ class FragileNoise(Masking):
         return bool(self.n_ensured < 3)  # type: ignore[attr-defined]
 
 
-def test_each_trial_says_whether_it_was_masked(sit: Callable[..., SessionRun]) -> None:
-    """Expected: two masked trials, then none, where the protocol does not demand the noise; all are answered."""
+def test_each_trial_records_whether_it_was_masked(sit: Callable[..., SessionRun]) -> None:
+    """Two masked trials, then none; without `required`, all trials are answered."""
     sitting = replace(sit(), masking=FragileNoise(required=False))
     conduct(sitting)
     masked = [event["masked"] for event in events(sitting, "trial")]
     assert masked == [True, True, *([False] * 11)]
 
 
-def test_a_lost_noise_that_is_demanded_ends_the_session_before_the_next_trial(sit: Callable[..., SessionRun]) -> None:
-    """Expected: the third answer is kept as not masked, and nothing is fired after it."""
+def test_a_lost_required_noise_ends_the_session(sit: Callable[..., SessionRun]) -> None:
+    """The third answer is recorded as not masked, and nothing is fired after it."""
     sitting = replace(sit(), masking=FragileNoise(required=True))
     with pytest.raises(MaskingError, match="no sound device"):
         conduct(sitting)
@@ -662,8 +662,8 @@ def test_a_lost_noise_that_is_demanded_ends_the_session_before_the_next_trial(si
     assert sum(told.startswith("fire") for told in sitting.rig.told) == 3  # type: ignore[attr-defined]
 
 
-def test_a_protocol_without_masking_says_nothing_of_it(sit: Callable[..., SessionRun]) -> None:
-    """Expected: no such key in any trial."""
+def test_without_masking_trials_have_no_such_key(sit: Callable[..., SessionRun]) -> None:
+    """In no trial of the log."""
     sitting = sit()
     conduct(sitting)
     assert not any("masked" in event for event in events(sitting, "trial"))

@@ -1,4 +1,4 @@
-"""Markers of the Lab Streaming Layer: sent by a session, received by an inlet on this very machine."""
+"""Markers of the Lab Streaming Layer: sent by a session and received by an inlet on this machine."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ DEMO = Path(__file__).parents[2] / "protocols" / "demo.yaml"
 
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory: pytest.TempPathFactory) -> Setup:
-    """A demonstration that wants markers, answered by an observer in virtual time."""
+    """A demonstration with markers, answered by an observer in virtual time."""
     folder = tmp_path_factory.mktemp("markers")
     for name in ("apparatus", "texts"):
         (folder / name).symlink_to(DEMO.parent / name)
@@ -34,7 +34,7 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> Setup:
 
 @pytest.fixture(scope="module")
 def received(demo: Setup, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Session, list[Any], list[str]]]:
-    """The session as it was recorded, and every marker that came through with its time by the clock of LSL [s]."""
+    """The recorded session, and every received marker with its time on the LSL clock [s]."""
     with pytest.MonkeyPatch.context() as patch:
         config = tmp_path_factory.mktemp("lsl") / "lsl_api.cfg"
         # Nobody beyond this machine is asked.
@@ -59,10 +59,10 @@ def received(demo: Setup, tmp_path_factory: pytest.TempPathFactory) -> Iterator[
         inlet.close_stream()
 
 
-def test_every_stimulus_and_answer_comes_through_at_its_instant(
+def test_every_stimulus_and_answer_is_received_with_its_time(
     received: tuple[Session, list[Any], list[str]],
 ) -> None:
-    """Expected: the conditions and instants of the record, moved by the offset of the clocks that it tells."""
+    """Conditions and times of the record, shifted by the recorded offset of the clocks."""
     session, samples, _ = received
     offset = session.start["markers"]["lsl"]["clock_offset_s"]
     expected = []
@@ -80,8 +80,8 @@ def test_every_stimulus_and_answer_comes_through_at_its_instant(
     assert [instant - offset for _, instant in samples] == pytest.approx([instant for _, instant in expected], abs=1e-5)
 
 
-def test_each_interval_has_its_number_and_a_cut_is_told(received: tuple[Session, list[Any], list[str]]) -> None:
-    """Expected: the words of the trial's own stimulus, with the interval at their end, or as a cut."""
+def test_markers_of_intervals_and_interruptions(received: tuple[Session, list[Any], list[str]]) -> None:
+    """The words of the trial's stimulus, with the number of the interval, or marked as cut."""
     _, samples, (interval, cut) = received
     words = samples[2][0]
     assert words.startswith("stimulus/1/")
@@ -89,14 +89,12 @@ def test_each_interval_has_its_number_and_a_cut_is_told(received: tuple[Session,
 
 
 def test_a_session_in_virtual_time_sends_nothing(demo: Setup) -> None:
-    """Expected: no stream, whose times would be nobody's; and none of which the record would tell."""
+    """Its times would be meaningless."""
     assert demo.open_markers() is None
 
 
-def test_a_machine_without_pylsl_is_told_before_anything_is_opened(
-    demo: Setup, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Expected: the line of the protocol, and the extra to install."""
+def test_without_pylsl_the_session_is_refused(demo: Setup, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the line of the protocol and the extra to install."""
     monkeypatch.setitem(sys.modules, "pylsl", None)
     parts = demo.open_markers.__self__  # type: ignore[attr-defined]
     monkeypatch.setitem(parts.__dict__, "clock", SYSTEM_CLOCK)

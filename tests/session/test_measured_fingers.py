@@ -1,4 +1,4 @@
-"""Sessions in which the fingers are measured at each placement: presented, recorded, verified, resumed, refused."""
+"""Sessions that measure the fingers at each placement: presented, recorded, verified, resumed, refused."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ LEVEL = 60
 
 
 def protocol_in(folder: Path, **changes: Any) -> Path:
-    """Return a protocol of one hand on three pairs, on a beam whose table has its even modes."""
+    """Return a protocol of one hand on three pairs, for a beam with even modes."""
     yaml, shipped = YAML(), Source.find("protocol", "under_the_finger").path
     apparatus = yaml.load(Source.find("apparatus", "beam_100x6x2").path.read_text(encoding="utf-8"))
     unlisted = apparatus["twin"].pop("unlisted_modes")
@@ -50,13 +50,13 @@ def protocol_in(folder: Path, **changes: Any) -> Path:
 
 @pytest.fixture(scope="module")
 def preflight(tmp_path_factory: pytest.TempPathFactory) -> Preflight:
-    """The protocol, a trial to each pair, examined."""
+    """The protocol with one trial per pair, examined."""
     return examine(protocol_in(tmp_path_factory.mktemp("measured"))).require()
 
 
 @pytest.fixture(scope="module")
 def session(tmp_path_factory: pytest.TempPathFactory, preflight: Preflight) -> Session:
-    """A session of it, with what the twin really played beside it in `played.jsonl`."""
+    """A session of it, with the bursts really played by the twin in `played.jsonl`."""
     results = tmp_path_factory.mktemp("results")
     began = Simulator.__init__
 
@@ -74,12 +74,12 @@ def events(session: Session, name: str) -> list[dict[str, Any]]:
 
 
 def placements(session: Session) -> list[dict[str, Any]]:
-    """Return what was measured with hands on."""
+    """Return the measurements with hands on."""
     return [event for event in events(session, "probe") if event["hands"] == "on"]
 
 
 def test_the_level_is_that_under_the_fingers(session: Session) -> None:
-    """What each finger of the twin gets in the first burst of each trial, 0.5 % from what the record predicts."""
+    """The speed at each finger of the twin in the first burst is within 0.5 % of the recorded prediction."""
     lines = (session.path.parents[5] / "played.jsonl").read_text(encoding="utf-8").splitlines()
     bursts = [json.loads(line) for line in lines]
     assert len(session.trials) == len(placements(session)) == 3
@@ -91,8 +91,8 @@ def test_the_level_is_that_under_the_fingers(session: Session) -> None:
         assert speeds == pytest.approx((planned["speed_left_mm_s"], planned["speed_right_mm_s"]), rel=0.005)
 
 
-def test_the_record_says_what_each_burst_delivered(session: Session) -> None:
-    """What each finger of the twin got lies within twice the 95 % interval, which is a few per cent wide."""
+def test_the_record_has_the_delivered_speeds(session: Session) -> None:
+    """The true speed at each finger is within twice the 95 % interval, which is a few per cent wide."""
     lines = (session.path.parents[5] / "played.jsonl").read_text(encoding="utf-8").splitlines()
     bursts = [json.loads(line) for line in lines]
     for event in session.trials:
@@ -108,8 +108,8 @@ def test_the_record_says_what_each_burst_delivered(session: Session) -> None:
         assert 0.5 < delivered["misfit"] < 2
 
 
-def test_fingers_that_drifted_are_marked(session: Session, preflight: Preflight) -> None:
-    """Where the whole interval is more than 5 % off the prediction; fingers half as heavy again are so far off."""
+def test_drifted_fingers_are_marked(session: Session, preflight: Preflight) -> None:
+    """If the whole interval is over 5 % off the prediction, as with 1.5 times the mass."""
     probe, event = placements(session)[0], session.trials[0]
     trial = Trial.from_dict(event["trial"])
     placed, found = with_measured(preflight, trial, probe), event["delivered"]
@@ -124,8 +124,8 @@ def test_fingers_that_drifted_are_marked(session: Session, preflight: Preflight)
         assert has_drifted(placed, trial, found | left) is is_off
 
 
-def test_levels_may_be_told_by_what_was_delivered(session: Session, tmp_path: Path) -> None:
-    """By the faster finger, mean of the level's trials; the report has it beside what was asked."""
+def test_levels_may_be_defined_by_delivered_speeds(session: Session, tmp_path: Path) -> None:
+    """By the faster finger, averaged over the level's trials; the report shows them beside the nominal levels."""
     analysis = analyse(session.path, tmp_path, speed="delivered")
     faster = [max(event["delivered"][f"speed_{side}_mm_s"] for side in ("left", "right")) for event in session.trials]
     assert analysis.answers.levels == pytest.approx([sum(faster) / 3], abs=1e-3)
@@ -133,8 +133,8 @@ def test_levels_may_be_told_by_what_was_delivered(session: Session, tmp_path: Pa
     assert "speeds delivered under the faster finger" in (tmp_path / "report.html").read_text(encoding="utf-8")
 
 
-def test_the_level_asked_is_met_where_it_is_attainable(session: Session, preflight: Preflight) -> None:
-    """At C, 60 mm/s where the design for these fingers attains them, else what it attains."""
+def test_the_level_is_met_if_attainable(session: Session, preflight: Preflight) -> None:
+    """60 mm/s at C if the design for these fingers attains them, else what it attains."""
     played = {}
     for measured, event in zip(placements(session), session.trials, strict=True):
         (level,) = measured["levels"]
@@ -152,8 +152,8 @@ def test_the_level_asked_is_met_where_it_is_attainable(session: Session, preflig
     assert played["A-C"] < LEVEL == played["B-D"]
 
 
-def test_the_record_says_what_was_found(session: Session) -> None:
-    """Hands off once in the block; each finger with its zone, their covariance, the misfit, speed and spot."""
+def test_the_record_has_the_measured_fingers(session: Session) -> None:
+    """Hands off once per block; each finger with its zone, covariance, misfit, speed and laser position."""
     told = [event["event"] for event in session.events if event["event"] in ("hands_off", "placement", "probe")]
     assert told[:4] == ["hands_off", "probe", "placement", "probe"]
     assert len(events(session, "hands_off")) == 1
@@ -169,15 +169,15 @@ def test_the_record_says_what_was_found(session: Session) -> None:
     assert max(map(abs, offsets)) > 0.5
 
 
-def test_it_is_no_cue(session: Session) -> None:
-    """The same at every placement, and two seconds before the first burst; its line is written once all is loaded."""
+def test_the_measurement_is_no_cue(session: Session) -> None:
+    """It is the same at every placement, and ends two seconds before the first burst."""
     for measured in placements(session):
         burst = next(event for event in session.events[measured["n"] :] if event["event"] == "fired")
         assert burst["confirmed"]["onset"] - measured["clock"] > 1.9
 
 
-def test_every_drive_is_computed_again(session: Session) -> None:
-    """From the fingers of the record: codes, amplitudes and speeds."""
+def test_every_drive_is_recomputed(session: Session) -> None:
+    """Codes, amplitudes and speeds, from the recorded fingers."""
     audit = audit_session(Session.find(session.path))
     assert audit.problems == ()
     assert f"drives for the fingers of {len(placements(session))} placements recomputed: identical codes" in audit.lines
@@ -232,12 +232,10 @@ def test_other_fingers_in_the_record_are_noticed(session: Session, tmp_path: Pat
     assert any("the fingers found in its burst give a delivered speed_left_mm_s of" in each for each in problems)
 
 
-def test_an_interrupted_session_measures_anew(
-    session: Session, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Cut before its last answer: hands off again, the fingers measured again, and a record that holds.
+def test_a_resumed_session_measures_again(session: Session, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Interrupted before its last answer: hands off again, the fingers measured again, a valid record.
 
-    A scope that fails by then is said, and ends no session.
+    A scope that fails then is recorded and does not end the session.
     """
 
     def lost(self: Prober, *_: Any) -> None:
@@ -256,10 +254,10 @@ def test_an_interrupted_session_measures_anew(
     assert audit_session(Session.find(done.path)).problems == ()
 
 
-def test_what_cannot_be_trusted_is_asked_for_again_and_ends_the_session(
+def test_refused_measurements_end_the_session(
     preflight: Preflight, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Three times, each with its cause in the record; then the session ends, to be resumed."""
+    """After three attempts, each recorded with its cause; the session can be resumed."""
 
     def moved(self: Prober) -> dict[str, Any]:
         raise ValueError("something moved; keep the fingers still")
@@ -285,8 +283,8 @@ def test_what_cannot_be_trusted_is_asked_for_again_and_ends_the_session(
         ("even modes", "measured, but the table lacks modes 2, 4, "),
     ],
 )
-def test_a_lab_that_cannot_measure_is_told_of_typical_fingers(tmp_path: Path, without: str, words: str) -> None:
-    """By `check`, at the key, before anybody sits down."""
+def test_check_refuses_measured_fingers_without_the_means(tmp_path: Path, without: str, words: str) -> None:
+    """At the key, with `fingers: typical` as the remedy."""
     protocol, yaml = protocol_in(tmp_path), YAML()
     apparatus = yaml.load((tmp_path / "beam.yaml").read_text(encoding="utf-8"))
     if without == "acquisition":

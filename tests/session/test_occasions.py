@@ -1,4 +1,4 @@
-"""Groups, kinds of session and a table of cells on their whole way: run, killed, resumed, verified, analysed, shown."""
+"""Groups, kinds of session and a table of cells: run, killed, resumed, verified, analysed and listed."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ CROSSED = "  zone_pairs: [[A, C], [B, D], [C, E]]\n  peak_velocities_mm_s: [80, 
 
 @pytest.fixture(scope="module")
 def preflight(tmp_path_factory: pytest.TempPathFactory) -> Preflight:
-    """Two groups with other cells, and a training before the test."""
+    """Two groups with different cells, and a training session before the test."""
     folder = tmp_path_factory.mktemp("protocols") / "protocols"
     shutil.copytree(Path(__file__).parents[2] / "protocols", folder)
     text = (folder / "demo.yaml").read_text("utf-8").replace(CROSSED, "").replace("schedule:\n", GROUPS)
@@ -48,15 +48,15 @@ def preflight(tmp_path_factory: pytest.TempPathFactory) -> Preflight:
 
 
 def sit(preflight: Preflight, results: Path, participant: str, **more: Any) -> Session:
-    """Return a participant's next session, as it was recorded."""
+    """Return a participant's next recorded session."""
     more = {"session": None} | more
     return begin(wire_run(preflight, participant, answers="simulated", results=results, **more))
 
 
-def test_check_shows_the_levels_of_each_group_and_says_whose(
+def test_check_shows_the_levels_of_each_group(
     preflight: Preflight, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """One table for those that are alike: both kinds of session of a group."""
+    """One table for both kinds of session of a group, since they are equal."""
     monkeypatch.setenv("COLUMNS", "120")
     show(preflight, fingers="none")
     titles = [line.strip() for line in capsys.readouterr().out.splitlines() if line.startswith("Largest speed")]
@@ -80,8 +80,8 @@ def results(preflight: Preflight, tmp_path_factory: pytest.TempPathFactory) -> P
     return place
 
 
-def test_every_record_follows_from_its_group_and_its_kind_of_session(results: Path) -> None:
-    """Order, cells, drive and answers are computed again from the one text and the table that it keeps."""
+def test_every_record_is_recomputed_from_its_group_and_kind(results: Path) -> None:
+    """Order, cells, drive and answers, from the recorded text and table."""
     logs = sorted(results.rglob("session.jsonl"))
     sessions = [read_session(log) for log in logs]
     assert [session.occasion for session in sessions] == [
@@ -96,8 +96,8 @@ def test_every_record_follows_from_its_group_and_its_kind_of_session(results: Pa
 
 
 @pytest.mark.parametrize(("key", "other"), [("group", "far"), ("session_kind", "training")])
-def test_a_record_that_names_another_occasion_does_not_hold(results: Path, key: str, other: str) -> None:
-    """The order of another group or kind is not the recorded one."""
+def test_a_record_with_another_group_or_kind_is_invalid(results: Path, key: str, other: str) -> None:
+    """Its order would be a different one."""
     session = read_session(next(results.rglob("sub-p01/ses-2/beh/session.jsonl")))
     start = {**session.start, "schedule": {**session.start["schedule"], key: other}}
     changed = replace(session, events=(start, *session.events[1:]))
@@ -105,7 +105,7 @@ def test_a_record_that_names_another_occasion_does_not_hold(results: Path, key: 
 
 
 def test_participants_are_listed_with_their_group(results: Path) -> None:
-    """In BIDS participants.tsv, with its meaning beside it."""
+    """In BIDS participants.tsv, with a description."""
     dataset = results / "simulated" / "demo"
     rows = [line.split("\t") for line in (dataset / "participants.tsv").read_text("utf-8").splitlines()]
     assert rows == [
@@ -115,8 +115,8 @@ def test_participants_are_listed_with_their_group(results: Path) -> None:
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_the_analysis_leaves_training_out_and_counts_each_group_by_itself(results: Path, tmp_path: Path) -> None:
-    """Two of each group, each cell as often as it was met; nothing is missing."""
+def test_the_analysis_excludes_training_and_separates_groups(results: Path, tmp_path: Path) -> None:
+    """Two participants per group, each cell with its number of trials, nothing missing."""
     analysis = analyse(results, tmp_path / "analysis")
     counts = analysis.counts.set_index(["group", "finger_condition", "pair"])["asked"].to_dict()
     assert counts == {
@@ -139,7 +139,7 @@ def test_the_analysis_leaves_training_out_and_counts_each_group_by_itself(result
 
 
 def test_the_study_shows_groups_and_kinds_and_who_is_next(results: Path) -> None:
-    """p05 would be of the first group; all others are through."""
+    """P05 would be in the first group; all others are complete."""
     study = survey_results(results)[0]
     assert [(row["group"], row["session_kind"]) for row in study["sessions"][:3]] == [
         ("near", "training"), ("near", "test"), ("far", "training"),
@@ -161,20 +161,20 @@ def test_the_study_shows_groups_and_kinds_and_who_is_next(results: Path) -> None
 
 
 def test_sessions_excluded_for_one_reason_share_a_line(results: Path) -> None:
-    """In a study of sixty, a line for each training would bury what is damaged."""
+    """A line for each training session would hide the damaged ones."""
     said = " ".join(call(f"study {results}").stdout.split())
     assert said.count("excluded") == 1
     assert "4 sessions: excluded, of the kind training, which is not analysed (schedule.sessions)" in said
 
 
-def test_analyse_says_once_why_several_sessions_are_left_out(results: Path, tmp_path: Path) -> None:
-    """With the first of them and the number of the others; the report lists all."""
+def test_analyse_reports_a_common_reason_of_exclusion_once(results: Path, tmp_path: Path) -> None:
+    """With the first session and the number of the others; the report lists all."""
     complained = call(f"analyse {results} --out {tmp_path / 'out'}").stderr
     assert complained.count("left out: ") == 1 and " and 3 more: of the kind training" in complained
 
 
 def test_a_session_sooner_than_its_kind_allows_is_refused(preflight: Preflight, results: Path, tmp_path: Path) -> None:
-    """Where it is begun all the same the record says so."""
+    """With --any-gap it begins, and the record says so."""
     sit(preflight, tmp_path, "p01")
     due = (datetime.now(UTC) + timedelta(days=1)).strftime("%Y-%m-%d")
     with pytest.raises(RecordInputError, match=f"kind 'test' has min_gap_days: 1 .* from {due} .* --any-gap"):
@@ -199,7 +199,7 @@ def test_a_session_sooner_than_its_kind_allows_is_refused(preflight: Preflight, 
 def test_a_gap_is_counted_from_the_session_and_not_from_its_repair(
     preflight: Preflight, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Killed at its end two days ago and mended today, the training delays the test no further."""
+    """Killed at its end two days ago and repaired today, the training does not delay the test."""
 
     class TwoDaysAgo(datetime):
         @classmethod
@@ -218,8 +218,8 @@ def test_a_gap_is_counted_from_the_session_and_not_from_its_repair(
     assert not [note for note in survey_results(tmp_path)[0]["notes"] if "p01 session 2" in note]
 
 
-def test_a_session_begun_anew_keeps_the_gap_of_the_one_it_replaces(preflight: Preflight, tmp_path: Path) -> None:
-    """It begins minutes after that one, which is no session before it; to resume waits for nothing."""
+def test_a_restarted_session_keeps_the_gap_of_the_one_it_replaces(preflight: Preflight, tmp_path: Path) -> None:
+    """The replaced session does not count as an earlier one; resuming needs no gap."""
     sit(preflight, tmp_path, "p01")
     cut = sit(preflight, tmp_path, "p01", any_gap=True)
     cut.path.write_bytes(b"".join(cut.path.read_bytes().splitlines(keepends=True)[:-12]))
@@ -234,8 +234,8 @@ def test_a_session_begun_anew_keeps_the_gap_of_the_one_it_replaces(preflight: Pr
     assert not [note for note in notes if "p01 session 3" in note]
 
 
-def test_a_group_that_is_given_stays_that_of_the_participant(preflight: Preflight, tmp_path: Path) -> None:
-    """Whatever the number would say; another one is refused, and so is one that there is not."""
+def test_a_given_group_is_kept(preflight: Preflight, tmp_path: Path) -> None:
+    """Whatever the participant's number; another group and an unknown one are refused."""
     first = sit(preflight, tmp_path, "p01", group="far")
     second = sit(preflight, tmp_path, "p01", any_gap=True)
     assert [each.start["schedule"]["group_by"] for each in (first, second)] == [
@@ -248,8 +248,8 @@ def test_a_group_that_is_given_stays_that_of_the_participant(preflight: Prefligh
         sit(preflight, tmp_path, "p02", group="middle")
 
 
-def test_power_refuses_a_design_by_its_cells(preflight: Preflight) -> None:
-    """An observer's design has every pair at every level for all."""
+def test_power_refuses_a_design_of_listed_cells(preflight: Preflight) -> None:
+    """An observer's design has every pair at every level."""
     with pytest.raises(InputError, match="given cells that are listed or left out"):
         designs_for(preflight, Observer.read("paper"))
 
@@ -272,7 +272,7 @@ def test_power_and_fit_plan_the_only_kind_of_session_that_is_analysed(tmp_path: 
 
 
 def test_simulate_gives_every_participant_all_kinds_of_session(preflight: Preflight, tmp_path: Path) -> None:
-    """A training alone could not be analysed."""
+    """Training alone could not be analysed."""
     file = preflight.findings.protocol.source.path
     done = call(f"simulate {file} -n 2 --results {tmp_path} --json")
     folders = [Path(each).parts[-3:-1] for each in json.loads(done.stdout)["sessions"]]
@@ -281,7 +281,7 @@ def test_simulate_gives_every_participant_all_kinds_of_session(preflight: Prefli
 
 @pytest.fixture(scope="module")
 def balanced(preflight: Preflight, tmp_path_factory: pytest.TempPathFactory) -> Preflight:
-    """The same, where the records decide who is of which group."""
+    """The same with groups assigned from the records."""
     file = preflight.experiment.sources.protocol.path
     text = (
         Path(file).read_text("utf-8").replace("schedule:\n  sessions", "schedule:\n  balance: least_filled\n  sessions")
@@ -291,8 +291,8 @@ def balanced(preflight: Preflight, tmp_path_factory: pytest.TempPathFactory) -> 
     return examine(other).require()
 
 
-def test_two_sessions_that_begin_at_once_are_not_of_one_group(balanced: Preflight, tmp_path: Path) -> None:
-    """Both were wired when nobody was on record: the second is told what is due, and begins again with that."""
+def test_simultaneous_sessions_get_different_groups(balanced: Preflight, tmp_path: Path) -> None:
+    """Both were wired before either was recorded: the second is refused, and gets the other group."""
     first, second = (wire_run(balanced, name, answers="simulated", results=tmp_path) for name in ("p01", "p02"))
     assert begin(first).occasion[0] == "near"
     with pytest.raises(RecordInputError, match="the group near for participant p02, .*now far is due: begin again"):
@@ -301,16 +301,16 @@ def test_two_sessions_that_begin_at_once_are_not_of_one_group(balanced: Prefligh
     assert sit(balanced, tmp_path, "p02").occasion[0] == "far"
 
 
-def test_who_dropped_out_leaves_the_place_in_the_group(balanced: Preflight, tmp_path: Path) -> None:
-    """As a turn is filled again: p01 of near is complete, p02 of far is left incomplete, so p03 is of far."""
+def test_a_dropout_is_replaced_in_its_group(balanced: Preflight, tmp_path: Path) -> None:
+    """P01 of near is complete, p02 of far incomplete, so p03 is in far."""
     first, second = (sit(balanced, tmp_path, name) for name in ("p01", "p02"))
     assert (first.occasion[0], second.occasion[0]) == ("near", "far")
     second.path.write_bytes(b"".join(second.path.read_bytes().splitlines(keepends=True)[:-12]))
     assert sit(balanced, tmp_path, "p03").occasion[0] == "far"
 
 
-def test_a_log_that_was_cut_before_its_first_line_tells_no_gap(preflight: Preflight, tmp_path: Path) -> None:
-    """A kill as the file was made: the session after it, given by its number, begins."""
+def test_an_empty_log_causes_no_gap(preflight: Preflight, tmp_path: Path) -> None:
+    """A kill while the file was created: the next session, given by its number, begins."""
     setup = wire_run(preflight, "p01", answers="simulated", results=tmp_path)
     setup.place.log.parent.mkdir(parents=True)
     setup.place.log.touch()

@@ -1,4 +1,4 @@
-"""A study at a glance tells of every session what its log holds, and who is next as the assignment has it."""
+"""Study at a glance: the state of every session from its log, and the next participant by the assignment."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ ONE, TWO = ["one_hand", "two_hands"], ["two_hands", "one_hand"]
 
 @pytest.fixture(scope="module")
 def demo() -> Preflight:
-    """Return a protocol of two sessions each, whose orders go by the participant's number."""
+    """Return a protocol of two sessions each, with orders by the participant's number."""
     return examine(SHIPPED / "demo.yaml").require()
 
 
 @pytest.fixture(scope="module")
 def tree(tmp_path_factory: pytest.TempPathFactory, demo: Preflight, scribe: Callable[..., Path]) -> Path:
-    """Record a complete session, one cut, one damaged, one begun anew, and a pilot."""
+    """Record a complete session, an interrupted one, a damaged one, a restarted one, and a pilot."""
     results = tmp_path_factory.mktemp("study") / "results"
     scribe(demo, results, "p01")
     cut = scribe(demo, results, "p02", n_answered=5)
@@ -49,14 +49,14 @@ def tree(tmp_path_factory: pytest.TempPathFactory, demo: Preflight, scribe: Call
 
 @pytest.fixture(scope="module")
 def real(tree: Path) -> dict[str, Any]:
-    """Return what is said of the real sessions."""
+    """Return the survey of the real sessions."""
     found = {each["mode"]: each for each in survey_results(tree)}
     assert set(found) == {"real", "pilot"}
     return found["real"]
 
 
-def test_every_session_is_told_with_its_state(real: dict[str, Any]) -> None:
-    """Complete, cut (which resume mends), damaged, closed, stopped: as the logs say."""
+def test_every_session_is_listed_with_its_state(real: dict[str, Any]) -> None:
+    """Complete, interrupted, damaged, closed or stopped, by the logs."""
     assert [(row["participant"], row["session"], row["state"], row["why"]) for row in real["sessions"]] == [
         ("p01", 1, "complete", ""),
         ("p02", 1, "interrupted", "killed"),
@@ -71,8 +71,8 @@ def test_every_session_is_told_with_its_state(real: dict[str, Any]) -> None:
     assert all(row["n_trials"] == 12 for row in real["sessions"] if row["state"] != "damaged")
 
 
-def test_what_an_analysis_leaves_out_is_told_with_its_reason(tree: Path, real: dict[str, Any]) -> None:
-    """The same words as `analyse` has for the sessions that it leaves out."""
+def test_excluded_sessions_have_the_reason_of_the_analysis(tree: Path, real: dict[str, Any]) -> None:
+    """In the words of `analyse`."""
     from modaltouch.analysis import read_responses
 
     left_out = read_responses(tree, mode="real").left_out
@@ -83,14 +83,14 @@ def test_what_an_analysis_leaves_out_is_told_with_its_reason(tree: Path, real: d
 
 
 def test_orders_are_balanced_over_those_who_finished(real: dict[str, Any]) -> None:
-    """p01 one hand first; p04 two hands first; p02 and p06 left two hands first, p03 one hand first."""
+    """P01 and p04 completed one order each; p02 and p06 left one incomplete, p03 the other."""
     orders = {each["finger_conditions"][0]: each for each in real["orders"]}
     counts = {name: (each["filled"], each["left_incomplete"], each["open"]) for name, each in orders.items()}
     assert counts == {"one_hand": (1, 1, 0), "two_hands": (1, 2, 0)}
 
 
-def test_who_is_next_is_told_with_the_order(real: dict[str, Any]) -> None:
-    """Interrupted sessions are resumed, damaged ones looked at; then comes a new participant in turn."""
+def test_the_next_sessions_are_listed_with_their_order(real: dict[str, Any]) -> None:
+    """Interrupted ones to resume, damaged ones for `doctor`, then a new participant."""
     told = [(each["participant"], each["session"], each["do"], each["finger_conditions"]) for each in real["next"]]
     assert told == [
         ("p02", 1, "resume", TWO),
@@ -100,10 +100,10 @@ def test_who_is_next_is_told_with_the_order(real: dict[str, Any]) -> None:
     ]
 
 
-def test_the_next_participant_fills_the_gap_where_the_records_decide(
+def test_the_next_participant_fills_the_least_filled_order(
     tmp_path: Path, edit: Callable[..., Path], scribe: Callable[..., Path]
 ) -> None:
-    """Two sessions each, the least filled order first: the new one gets what p02 left, p01 the other order."""
+    """The new one gets the order that p02 left; p01 gets the other order next."""
     changes = "practice_trials: 1", "practice_trials: 1\n  balance: least_filled\n  sessions: 2"
     preflight = examine(edit("demo.yaml", changes)).require()
     scribe(preflight, tmp_path, "p01")
@@ -156,7 +156,7 @@ def test_a_session_begun_anew_counts_once_and_the_time_between_sittings_not(
     edit: Callable[..., Path],
     scribe: Callable[..., Path],
 ) -> None:
-    """Of two sessions each, one is closed and done as the second: the third is due. Minutes by hand, by the clocks."""
+    """Of two sessions, one was closed and repeated as the second: the third is due. Minutes by hand."""
     preflight = examine(edit("demo.yaml", ("practice_trials: 1", "practice_trials: 1\n  sessions: 2"))).require()
     later = ({"event": "resume", "boot": "", "clock": 9000.0}, {"event": "rest", "clock": 9630.0})
     scribe(preflight, tmp_path, "p01", n_answered=3, also=(*later, {"event": "closed", "begun_anew_as": 2}))
@@ -174,7 +174,7 @@ def test_a_session_begun_anew_counts_once_and_the_time_between_sittings_not(
 def test_a_session_sooner_than_its_kind_allows_is_noted(
     tmp_path: Path, edit: Callable[..., Path], scribe: Callable[..., Path]
 ) -> None:
-    """A day at least between the sessions of a participant; those of two people may follow at once."""
+    """At least a day between the sessions of a participant, not between participants."""
     kinds = "sessions: [{name: first, min_gap_days: 1}, {name: second, min_gap_days: 1}]"
     preflight = examine(edit("demo.yaml", ("practice_trials: 1", f"practice_trials: 1\n  {kinds}"))).require()
     for participant, session in (("p01", 1), ("p01", 2), ("p02", 1)):
@@ -195,10 +195,10 @@ def test_a_session_sooner_than_its_kind_allows_is_noted(
         ({"event": "start", "schedule": {"n_trials": 12, "seeds": "1"}}, "interrupted"),
     ],
 )
-def test_a_log_that_says_something_else_ends_no_survey(
+def test_a_log_with_impossible_values_does_not_end_the_survey(
     demo: Preflight, tmp_path: Path, scribe: Callable[..., Path], change: dict[str, Any], state: str
 ) -> None:
-    """Each line proves itself, but a value is none that this program writes: the other sessions are told."""
+    """Its checksums are right, but a value is invalid: the other sessions are still listed."""
     scribe(demo, tmp_path, "p01")
     log = scribe(demo, tmp_path, "p03", n_answered=3)
     events = list(read_chain(log).events)
@@ -215,17 +215,17 @@ def test_a_log_that_says_something_else_ends_no_survey(
     assert call(f"study {tmp_path}").status == 0
 
 
-def test_a_log_without_a_sound_line_is_damaged(tmp_path: Path, demo: Preflight, scribe: Callable[..., Path]) -> None:
+def test_a_log_without_a_valid_line_is_damaged(tmp_path: Path, demo: Preflight, scribe: Callable[..., Path]) -> None:
     """Not even its start can be read."""
     scribe(demo, tmp_path, "p01").write_bytes(b"x\ny\n")
     (found,) = survey_results(tmp_path)
     assert [(row["state"], row["n_sittings"]) for row in found["sessions"]] == [("damaged", 0)]
 
 
-def test_of_a_complete_session_whose_log_is_cut_the_way_on_is_told(
+def test_a_complete_session_with_a_torn_log_is_for_doctor(
     tmp_path: Path, demo: Preflight, scribe: Callable[..., Path]
 ) -> None:
-    """All answers are there, but the analysis leaves it out until `doctor` has said what to do."""
+    """All answers are there, but the analysis excludes it until it is repaired."""
     log = scribe(demo, tmp_path, "p01")
     log.write_bytes(log.read_bytes() + b'{"n":')
     (found,) = survey_results(tmp_path)
@@ -234,10 +234,10 @@ def test_of_a_complete_session_whose_log_is_cut_the_way_on_is_told(
 
 
 @pytest.mark.parametrize("n_lost", [1, 3])
-def test_a_log_that_lost_lines_that_its_view_has_is_damaged(
+def test_a_log_shorter_than_its_view_is_damaged(
     tmp_path: Path, demo: Preflight, scribe: Callable[..., Path], n_lost: int
 ) -> None:
-    """Its lines are sound, but `resume` refuses it: `doctor` is named as the way on."""
+    """Its lines are valid, but `resume` refuses it; `doctor` is the next step."""
     log = scribe(demo, tmp_path, "p01", n_answered=5)
     n_lines = len(log.read_bytes().splitlines())
     log.with_name("sub-p01_beh.json").write_text(f'{{"SessionLog": {{"lines": {n_lines + n_lost}}}}}')
@@ -248,7 +248,7 @@ def test_a_log_that_lost_lines_that_its_view_has_is_damaged(
 
 
 def test_a_folder_without_sessions_is_refused(tmp_path: Path) -> None:
-    """With what to give instead."""
+    """The message says what to give instead."""
     with pytest.raises(InputError, match="a folder without a recorded session; allowed: a results folder"):
         survey_results(tmp_path)
     with pytest.raises(InputError, match="given no such file or folder"):
@@ -256,7 +256,7 @@ def test_a_folder_without_sessions_is_refused(tmp_path: Path) -> None:
 
 
 def test_sessions_are_shown_within_80_columns_and_on_a_page(tree: Path, tmp_path: Path) -> None:
-    """The page names every session, loads nothing from elsewhere, and replaces none but itself."""
+    """The page lists every session, loads nothing external, and overwrites only itself."""
     page = tmp_path / "study.html"
     done = call(f"study {tree} --html {page}")
     assert done.status == 0, done.stderr
@@ -279,7 +279,7 @@ def test_sessions_are_shown_within_80_columns_and_on_a_page(tree: Path, tmp_path
 
 
 def test_verify_and_doctor_take_a_whole_tree(tree: Path, tmp_path: Path) -> None:
-    """One damaged record keeps no other from being looked at; what is damaged alone is written anew."""
+    """A damaged record does not hide the others; only damaged ones are written again."""
     done = call(f"verify {tree} --json")
     assert done.status == 4
     found = json.loads(done.stdout)

@@ -1,4 +1,4 @@
-"""What participants are asked about themselves: once, before the first session, and nothing that identifies them."""
+"""Questions about the participant: asked once, before the first session, and nothing that identifies a person."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ END = "right: [right, num_6]\n"
 
 @pytest.fixture
 def protocol(edit: Callable[..., Path]) -> Path:
-    """Return a protocol that asks four questions."""
+    """Return a protocol with four questions."""
     return edit("demo.yaml", (END, END + SECTION))
 
 
@@ -43,7 +43,7 @@ def asking(protocol: Path) -> Preflight:
 
 
 def person(setup: Setup) -> Setup:
-    """Return the setup of a person at the window, who in truth is simulated."""
+    """Return a setup as for a person at the window, although the answers are simulated."""
     import dataclasses
 
     facts = {name: value for name, value in setup.facts.items() if name != "people"}
@@ -51,7 +51,7 @@ def person(setup: Setup) -> Setup:
 
 
 def faults(edit: Callable[..., Path], line: str) -> str:
-    """Return what is wrong with a protocol that asks one question."""
+    """Return the faults of a protocol with one question."""
     with pytest.raises(InputError) as refused:
         examine(edit("demo.yaml", (END, f"{END}people:\n  {line}\n"))).require()
     return str(refused.value)
@@ -60,15 +60,15 @@ def faults(edit: Callable[..., Path], line: str) -> str:
 @pytest.mark.parametrize(
     "name", ["name", "last_name", "birthday", "date_of_birth", "email", "e-mail", "Phone", "home_address", "initials"]
 )
-def test_what_identifies_a_person_is_refused(edit: Callable[..., Path], name: str) -> None:
-    """At its key, with the reason; who must have it says so."""
+def test_identifying_questions_are_refused(edit: Callable[..., Path], name: str) -> None:
+    """At their key, with the reason."""
     said = faults(edit, f"{name}: {{kind: text, question: Who are you?}}")
     assert f"people.{name}: given {name}, which identifies a person" in said
     assert "demo.yaml:43:3" in said
 
 
-def test_what_must_identify_a_person_says_so(edit: Callable[..., Path]) -> None:
-    """`identifies: true` is a decision that stands in the protocol."""
+def test_identifying_questions_need_an_explicit_key(edit: Callable[..., Path]) -> None:
+    """With `identifies: true` they are accepted."""
     line = "people:\n  initials: {kind: text, question: Initials?, identifies: true}\n"
     assert examine(edit("demo.yaml", (END, END + line))).problems == ()
 
@@ -85,8 +85,8 @@ def test_what_must_identify_a_person_says_so(edit: Callable[..., Path]) -> None:
         ("HED: {kind: text, question: Tags?}", "given HED, to which BIDS gives another meaning"),
     ],
 )
-def test_a_question_that_cannot_be_asked_is_refused(edit: Callable[..., Path], line: str, said: str) -> None:
-    """Choices and bounds belong to their kinds; the first column of participants.tsv is taken."""
+def test_invalid_questions_are_refused(edit: Callable[..., Path], line: str, said: str) -> None:
+    """Choices and bounds belong to their kinds; the first column of participants.tsv is reserved."""
     assert said in faults(edit, line)
 
 
@@ -117,16 +117,16 @@ def test_words_are_read_as_answers(field: dict[str, Any], words: str, answer: ob
         ({"kind": "text"}, "  ", "text"),
     ],
 )
-def test_words_that_are_no_answer_are_refused(field: dict[str, Any], words: str, allowed: str) -> None:
-    """With what is allowed."""
+def test_invalid_answers_are_refused(field: dict[str, Any], words: str, allowed: str) -> None:
+    """With the allowed answers."""
     with pytest.raises(ValueError, match=f"; allowed: {allowed}$"):
         PersonField(question="?", **field).read(words)
 
 
-def test_answers_are_asked_consent_first_until_they_are_answers(
+def test_consent_comes_first_and_invalid_answers_are_asked_again(
     asking: Preflight, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A wrong word is asked again; after a no to a consent nothing is asked."""
+    """Without consent nothing else is asked."""
     typed = iter(["maybe", "yes", "12", "24", "Female", ""])
     monkeypatch.setattr(run, "_prompt", lambda words, **how: next(typed))
     assert run.ask_people(asking.experiment.protocol.people, True) == ANSWERS
@@ -135,8 +135,8 @@ def test_answers_are_asked_consent_first_until_they_are_answers(
     assert run.ask_people(asking.experiment.protocol.people, True) == {"consent": "no"}
 
 
-def test_a_file_of_answers_is_read_with_every_fault_in_its_place(asking: Preflight, tmp_path: Path) -> None:
-    """For who has no terminal."""
+def test_a_file_of_answers_is_read_with_positions_of_faults(asking: Preflight, tmp_path: Path) -> None:
+    """For a lab without a terminal."""
     file = tmp_path / "answers.yaml"
     file.write_text("age: 24\nsex: female\nconsent: yes\n")
     assert asking.experiment.protocol.read_people(file) == ANSWERS
@@ -150,7 +150,7 @@ def test_a_file_of_answers_is_read_with_every_fault_in_its_place(asking: Preflig
 
 
 def test_nobody_is_asked_twice(asking: Preflight, tmp_path: Path) -> None:
-    """Before the first session alone; the answers are in the record and in participants.tsv, described beside it."""
+    """Only before the first session; the answers are in the record and, with descriptions, in participants.tsv."""
     setup = person(wire_run(asking, "p01", answers="simulated", results=tmp_path))
     with pytest.raises(RecordInputError, match="has not been asked yet: age, sex, remark, consent"):
         begin(setup)
@@ -170,8 +170,8 @@ def test_nobody_is_asked_twice(asking: Preflight, tmp_path: Path) -> None:
     assert "people" not in begin(second).start
 
 
-def test_a_lab_may_change_the_list(asking: Preflight, tmp_path: Path) -> None:
-    """What it wrote stays: a corrected age, a description of its own, a column beside those of the protocol."""
+def test_edits_of_the_list_are_kept(asking: Preflight, tmp_path: Path) -> None:
+    """A corrected age, a description, and a column in addition to those of the protocol."""
     place = SessionFolder(tmp_path, "simulated", "demo", "p02")
     place.folder.mkdir(parents=True)
     list_file, side = place.dataset / "participants.tsv", place.dataset / "participants.json"
@@ -193,8 +193,8 @@ def test_a_lab_may_change_the_list(asking: Preflight, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("text", ["{", "[]"])
-def test_a_faulty_side_file_is_refused_by_its_own_name(asking: Preflight, tmp_path: Path, text: str) -> None:
-    """The list of participants beside it is sound."""
+def test_a_faulty_side_file_is_reported_by_its_name(asking: Preflight, tmp_path: Path, text: str) -> None:
+    """The list of participants beside it is valid."""
     place = SessionFolder(tmp_path, "simulated", "demo", "p02")
     place.folder.mkdir(parents=True)
     (place.dataset / "participants.json").write_text(text)
@@ -204,7 +204,7 @@ def test_a_faulty_side_file_is_refused_by_its_own_name(asking: Preflight, tmp_pa
 
 
 def test_without_consent_nothing_is_stored(protocol: Path, tmp_path: Path) -> None:
-    """Neither the session nor what was answered before the no."""
+    """Neither the session nor the answers given before."""
     file, results = tmp_path / "answers.yaml", tmp_path / "results"
     file.write_text("age: 24\nsex: female\nconsent: no\n")
     line = f"run {protocol} -p p01 --rig simulated --yes --results {results}"
@@ -217,10 +217,8 @@ def test_without_consent_nothing_is_stored(protocol: Path, tmp_path: Path) -> No
     assert not results.exists()
 
 
-def test_simulated_participants_answer_what_is_allowed_and_the_report_tells_it(
-    asking: Preflight, tmp_path: Path, undrawn: None
-) -> None:
-    """n, mean and range of the ages, and how many of each sex, as section V of the paper."""
+def test_simulated_participants_give_allowed_answers(asking: Preflight, tmp_path: Path, undrawn: None) -> None:
+    """The report has n, mean and range of the ages, and the number of each sex, as section V of the paper."""
     sessions = [simulate_session(asking, f"p0{number}", tmp_path) for number in (1, 2, 3)]
     ages = [session.start["people"]["age"] for session in sessions]
     assert all(18 <= age <= 99 for age in ages)
@@ -237,8 +235,8 @@ def test_simulated_participants_answer_what_is_allowed_and_the_report_tells_it(
     assert [row.split("\t")[1] for row in rows[1:]] == [str(age) for age in ages]
 
 
-def test_what_was_answered_goes_on_with_the_session(asking: Preflight, tmp_path: Path) -> None:
-    """Resumed, begun anew, and recovered from a damaged record: nobody is asked again."""
+def test_answers_are_kept_with_the_session(asking: Preflight, tmp_path: Path) -> None:
+    """Resumed, restarted, or recovered from a damaged record, without asking again."""
     whole = simulate_session(asking, "p01", tmp_path)
     lines = whole.path.read_bytes().splitlines(keepends=True)
     whole.path.write_bytes(b"".join(lines[:20]))
@@ -256,7 +254,7 @@ def test_what_was_answered_goes_on_with_the_session(asking: Preflight, tmp_path:
 
 
 def test_a_protocol_without_the_section_asks_nothing(tmp_path: Path) -> None:
-    """No columns, no side file, no word in the record."""
+    """No columns, no side file, no key in the record."""
     session = simulate_session("demo", "p01", tmp_path)
     assert "people" not in session.start
     assert "people" not in session.start["design"]

@@ -1,4 +1,4 @@
-"""What a participant is told while the fingers are measured, and how long it takes: alike whatever is found."""
+"""Screens and timing while the fingers are measured: independent of the result."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from modaltouch.session.probing import Probing
 
 
 class Room:
-    """A window that notes what it shows, a log that notes its lines, and a clock that is set by hand."""
+    """A window that notes its screens, a log that notes its lines, and a clock set by hand."""
 
     def __init__(self) -> None:
         self.shown: list[Any] = []
@@ -35,8 +35,8 @@ class Room:
         self.shown.append(duration)
 
 
-def test_hands_are_asked_off_the_beam_once_in_a_block_and_again_after_a_refusal() -> None:
-    """Nobody moves unless told to, and rest comes before each measurement."""
+def test_hands_off_once_per_block_and_again_after_a_refusal() -> None:
+    """A pause comes before each measurement."""
     room, refusals = Room(), ["something moved"]
 
     def hands_off() -> dict[str, Any]:
@@ -56,10 +56,10 @@ def test_hands_are_asked_off_the_beam_once_in_a_block_and_again_after_a_refusal(
 
 
 @pytest.mark.parametrize(("taken", "left"), [(0.0, 2.0), (0.75, 1.25), (3.0, 0.0)])
-def test_the_wait_after_a_measurement_is_as_long_whatever_the_design_takes(
+def test_the_wait_after_a_measurement_hides_the_design_time(
     monkeypatch: pytest.MonkeyPatch, taken: float, left: float
 ) -> None:
-    """Two seconds from the measurement at least: a pair that takes longer to design for is not known by it."""
+    """At least two seconds from the measurement, so that slower designs are not recognisable."""
     room, loaded = Room(), []
     design = SimpleNamespace(stimulus=SimpleNamespace(burst=SimpleNamespace(content_hash="")), sound=(), attainable=60)
 

@@ -1,4 +1,4 @@
-"""A number on a scale, further questions and the form at the end: recorded, cut, resumed, verified, in tables."""
+"""Numbers on a scale, further questions and the final form: recorded, interrupted, resumed, verified, tabulated."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ FEW = ("[[A, C], [B, D], [C, E]]", "[[A, C]]"), ("max_same_pair_running: 2", "ma
 
 @pytest.fixture(scope="module")
 def protocol(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a protocol of four trials and one of practice, with two questions after each and two at the end."""
+    """Return a protocol of four trials and one of practice, with two further questions and two at the end."""
     folder = tmp_path_factory.mktemp("asked") / "protocols"
     shutil.copytree(SHIPPED, folder)
     changes = {"texts/english.yaml": [LABELS], "demo.yaml": [(KEYS, SCALE + THEN), *FEW]}
@@ -60,7 +60,7 @@ def recorded(protocol: Path, tmp_path_factory: pytest.TempPathFactory) -> Sessio
 
 
 def further(asked: float) -> dict[str, Any]:
-    """Return an answer that timed out to a question asked some time after the stimulus began [s]."""
+    """Return a timed-out answer to a question asked some time after the stimulus began [s]."""
     return {"answer": "time_out", "reaction_time": 0.5, "question_after": asked}
 
 
@@ -76,8 +76,8 @@ def table(session: Session, name: str) -> list[dict[str, str]]:
         return list(csv.DictReader(text, delimiter="\t"))
 
 
-def test_everything_that_was_answered_is_recorded_and_verified(recorded: Session) -> None:
-    """The first answer has its line before a further question comes; tables have a column for each."""
+def test_all_answers_are_recorded_and_verified(recorded: Session) -> None:
+    """The first answer is written before a further question is asked; tables have a column for each."""
     session = recorded
     assert session.complete and not audit_session(session).problems
     answered, trials = lines(session, "answered"), lines(session, "trial")
@@ -116,7 +116,7 @@ def test_everything_that_was_answered_is_recorded_and_verified(recorded: Session
 
 
 def cut_short(protocol: Path, results: Path, name: str, number: int) -> None:
-    """Run a session that ends at a question, the so manieth time that it is asked."""
+    """Run a session that is interrupted at a question, at its n-th occurrence."""
     setup = wire_run(examine(protocol).require(), "p01", answers="simulated", results=results)
     left = [number]
 
@@ -137,8 +137,8 @@ def cut_short(protocol: Path, results: Path, name: str, number: int) -> None:
         begin(replace(setup, open_window=opened))
 
 
-def test_a_trial_that_is_cut_in_a_further_question_is_asked_again(protocol: Path, tmp_path: Path) -> None:
-    """Its answer stays in the log, replaced by the new one: no trial counts without all its answers."""
+def test_a_trial_interrupted_in_a_further_question_is_repeated(protocol: Path, tmp_path: Path) -> None:
+    """Its answer stays in the log and is superseded: a trial needs all its answers."""
     cut_short(protocol, tmp_path / "results", "pleasant", 3)
     (log,) = (tmp_path / "results").rglob("session.jsonl")
     before = read_session(log)
@@ -152,7 +152,7 @@ def test_a_trial_that_is_cut_in_a_further_question_is_asked_again(protocol: Path
 
 
 def test_the_form_is_in_the_report_in_json_and_in_a_table(recorded: Session, tmp_path: Path) -> None:
-    """The number and the word of its only session, from the log."""
+    """The number and the word of its only session."""
     done = analyse(recorded.path.parent, tmp_path / "report")
     tired, dizzy = done.as_dict()["form"]
     assert tired["median"] == recorded.form["tired"]["value"]
@@ -163,8 +163,8 @@ def test_the_form_is_in_the_report_in_json_and_in_a_table(recorded: Session, tmp
     assert float(row["tired"]) == tired["median"] and row["dizzy"] in dizzy["answers"]
 
 
-def test_a_form_that_is_cut_goes_on_with_its_next_question(protocol: Path, tmp_path: Path) -> None:
-    """A session lacks nothing only with its form filled in; what was answered of it is asked no more."""
+def test_an_interrupted_form_continues_with_its_next_question(protocol: Path, tmp_path: Path) -> None:
+    """A session is complete only with its form; answered questions are not repeated."""
     cut_short(protocol, tmp_path / "results", "dizzy", 1)
     (log,) = (tmp_path / "results").rglob("session.jsonl")
     before = read_session(log)
@@ -190,10 +190,10 @@ def test_a_form_that_is_cut_goes_on_with_its_next_question(protocol: Path, tmp_p
         ("form", {"answer": "perhaps"}, "dizzy of the form: was answered 'perhaps'; allowed: no, yes, time_out"),
     ],
 )
-def test_what_cannot_have_been_answered_is_found(
+def test_impossible_answers_are_detected(
     recorded: Session, tmp_path: Path, kind: str, change: dict[str, Any], fault: str
 ) -> None:
-    """Expected: named with its line, though the chain of checks is whole."""
+    """With the line, although the checksums are right."""
     events, (check, text) = [dict(event) for event in recorded.events], (GENESIS, b"")
     last = next(event for event in reversed(events) if event["event"] == kind)
     last |= change if "name" in change else {"response": last["response"] | change}
@@ -252,15 +252,15 @@ def test_what_cannot_have_been_answered_is_found(
         ),
     ],
 )
-def test_what_cannot_be_asked_is_refused_in_its_place(edit: Callable[..., Path], section: str, fault: str) -> None:
-    """Expected: what was given, what is allowed, what to do."""
+def test_impossible_questions_are_refused(edit: Callable[..., Path], section: str, fault: str) -> None:
+    """With position, given and allowed values, and the remedy."""
     with pytest.raises(InputError) as refused:
         examine(edit("demo.yaml", (KEYS, section))).require()
     assert any(fault in str(problem) for problem in refused.value.problems), refused.value
 
 
-def test_the_console_takes_the_keys_of_a_further_question() -> None:
-    """While it is asked, and no more once it is answered; of a scale all keys but those of the console."""
+def test_the_console_accepts_the_keys_of_a_further_question() -> None:
+    """Only while it is asked; for a scale, all keys except the console's own."""
     status = Status()
     status.take({"event": "question_next", "keys": {"no": ["left"], "yes": ["right"]}, "rates": False})
     assert (status.answer_by("right"), status.answer_by("1")) == ("yes", "no")
@@ -272,8 +272,8 @@ def test_the_console_takes_the_keys_of_a_further_question() -> None:
     assert status.answer_by("7") is None
 
 
-def test_the_console_takes_a_further_question_again_after_a_pause() -> None:
-    """The window asks it again, so that the experimenter can still answer it; not while the session is paused."""
+def test_the_console_accepts_a_further_question_again_after_a_pause() -> None:
+    """The window asks it again; during the pause the console does not answer."""
     status = Status()
     status.take({"event": "question_next", "keys": {"no": ["left"], "yes": ["right"]}, "rates": False})
     status.take({"event": "pause", "by": "experimenter"})
@@ -286,8 +286,8 @@ def test_the_console_takes_a_further_question_again_after_a_pause() -> None:
     assert status.answer_by("right") is None, "answered before that pause"
 
 
-def test_power_refuses_a_scale_in_its_place() -> None:
-    """It simulates how two fingers are compared."""
+def test_power_refuses_a_scale() -> None:
+    """It simulates the comparison of two fingers."""
     with pytest.raises(
         InputError,
         match="answers.scale: given a scale, .* analyse those, as `modaltouch prereg` does",
@@ -301,7 +301,7 @@ def test_power_refuses_a_scale_in_its_place() -> None:
     ({}, [0.101, 3.33, 990]),
 ])  # fmt: skip
 def test_a_simulated_number_reaches_every_part_of_its_scale(bounds, numbers) -> None:
-    """By hand: 1, 25 and 99 % of the way from lowest to highest; without bounds s / (1 - s), times a modulus of 10."""
+    """1, 25 and 99 % of the way from lowest to highest; without bounds s / (1 - s) times a modulus of 10."""
     scale = ScaleSection.model_validate({"kind": "number", **bounds})
     assert [scale.at(share) for share in (0.01, 0.25, 0.99)] == pytest.approx(numbers)
     assert all(scale.takes(scale.at(share)) for share in (1e-9, 1 - 1e-9))

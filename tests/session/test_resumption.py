@@ -1,4 +1,4 @@
-"""An interrupted session goes on as its protocol says: in the same order, whatever line it was cut at."""
+"""An interrupted session continues by its protocol's policy, in the same order, wherever its log ends."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ class PaperRig:
 
 
 def on_paper(setup: Setup) -> Setup:
-    """Return a setup without instrument and window: a model answers."""
+    """Return a setup without instrument and window, answered by a model."""
 
     @contextmanager
     def open_rig(log: Callable[..., None]) -> Iterator[PaperRig]:
@@ -90,13 +90,13 @@ def on_paper(setup: Setup) -> Setup:
 
 
 def with_policy(edit: Edit, policy: str) -> Preflight:
-    """Return the demonstration with another policy of resuming."""
+    """Return the demonstration with another policy for resuming."""
     path = edit("demo.yaml", ("  break_after_trials: 6", f"  break_after_trials: 6\n  resume: {policy}"))
     return examine(path).require()
 
 
 def asked(session: Session) -> list[tuple[bool, int, str]]:
-    """Return what was answered, in the order of the record."""
+    """Return the answers in the order of the record."""
     return [
         (event["trial"]["practice"], event["trial"]["index"], event["response"]["answer"])
         for event in session.events
@@ -105,7 +105,7 @@ def asked(session: Session) -> list[tuple[bool, int, str]]:
 
 
 def cut_at(whole: Path, place: Path, n_lines: int, extra: bytes = b"") -> Path:
-    """Return a copy of a session's log that ends after some lines, as a kill leaves it."""
+    """Return a copy of a session's log that ends after some lines, as after a kill."""
     folder = place / whole.parent.relative_to(whole.parents[5])
     folder.mkdir(parents=True)
     lines = whole.read_bytes().splitlines(keepends=True)
@@ -115,10 +115,8 @@ def cut_at(whole: Path, place: Path, n_lines: int, extra: bytes = b"") -> Path:
 
 
 @pytest.mark.parametrize("at", ["trial", "block", "restart"])
-def test_whatever_line_a_session_is_cut_at_the_rest_has_the_order_of_an_uninterrupted_one(
-    edit: Edit, tmp_path: Path, at: str
-) -> None:
-    """Kill points at every second or third line, whole and torn; by policy, the rest, the block or all of it."""
+def test_the_order_is_kept_wherever_the_log_ends(edit: Edit, tmp_path: Path, at: str) -> None:
+    """Kill points at every second or third line, complete or torn; by policy the rest, the block or all."""
     preflight = with_policy(edit, f"{{at: {at}}}")
     whole = begin(on_paper(wire_run(preflight, "p01", answers="simulated", results=tmp_path / "whole")))
     expected = asked(whole)
@@ -155,8 +153,8 @@ def test_whatever_line_a_session_is_cut_at_the_rest_has_the_order_of_an_uninterr
 
 
 @pytest.mark.parametrize("cut", [1, 40])
-def test_a_complete_session_whose_last_line_was_cut_is_made_whole(edit: Edit, tmp_path: Path, cut: int) -> None:
-    """No answer is missing, so nobody is asked; the remains are declared and the analysis takes it again."""
+def test_a_complete_session_with_a_torn_last_line_is_repaired(edit: Edit, tmp_path: Path, cut: int) -> None:
+    """No answer is missing, so nothing is asked, and the analysis accepts the session again."""
     preflight = with_policy(edit, "{at: trial}")
     whole = begin(on_paper(wire_run(preflight, "p01", answers="simulated", results=tmp_path)))
     whole.path.write_bytes(whole.path.read_bytes()[:-cut])
@@ -173,8 +171,8 @@ def test_a_complete_session_whose_last_line_was_cut_is_made_whole(edit: Edit, tm
     assert done.events[-1]["reason"] == "finished"
 
 
-def test_a_session_whose_practice_was_not_passed_is_begun_anew_and_never_resumed(edit: Edit, tmp_path: Path) -> None:
-    """To go on would show the instructions, and end again: both messages name the way that leads somewhere."""
+def test_failed_practice_is_restarted_and_never_resumed(edit: Edit, tmp_path: Path) -> None:
+    """Resuming would end again; both messages give the restart as the remedy."""
     failing = (
         "  practice_trials: 1",
         "  practice_trials: 6\n  practice_criterion: 1.0\n  after_failed_practice: stop",
@@ -198,8 +196,8 @@ def test_a_session_whose_practice_was_not_passed_is_begun_anew_and_never_resumed
     assert setup.place.log.read_bytes() == before
 
 
-def test_a_stimulus_that_was_cut_is_flagged_and_offered_again(edit: Edit, tmp_path: Path) -> None:
-    """Killed between the stimulus and the answer: `trial_cut` on resumption, then the second presentation."""
+def test_an_interrupted_stimulus_is_recorded_and_repeated(edit: Edit, tmp_path: Path) -> None:
+    """Killed between stimulus and answer: `trial_cut` when resumed, then the second presentation."""
     preflight = with_policy(edit, "{at: trial}")
     whole = begin(on_paper(wire_run(preflight, "p01", answers="simulated", results=tmp_path / "whole")))
     fired = [event["n"] for event in whole.events if event["event"] == "fired"]
@@ -215,8 +213,8 @@ def test_a_stimulus_that_was_cut_is_flagged_and_offered_again(edit: Edit, tmp_pa
     assert told["interruption"]["reason"] == "killed"
 
 
-def test_a_session_that_was_begun_anew_does_not_go_on(edit: Edit, tmp_path: Path) -> None:
-    """It says which session took its place; the new one goes on like any other, in the same order."""
+def test_a_restarted_session_cannot_be_resumed(edit: Edit, tmp_path: Path) -> None:
+    """The message has the session that replaced it, whose order is the same."""
     preflight = with_policy(edit, "{at: trial}")
     whole = begin(on_paper(wire_run(preflight, "p01", answers="simulated", results=tmp_path / "whole")))
     log = cut_at(whole.path, tmp_path / "cut", 12)
@@ -227,8 +225,8 @@ def test_a_session_that_was_begun_anew_does_not_go_on(edit: Edit, tmp_path: Path
         wire_resume(log)
 
 
-def test_a_restart_that_was_itself_killed_takes_the_place_it_had(edit: Edit, tmp_path: Path) -> None:
-    """Killed between closing the old session and beginning the new one: the next try closes nothing twice."""
+def test_a_killed_restart_is_repeated_in_the_same_place(edit: Edit, tmp_path: Path) -> None:
+    """Killed between closing the old session and starting the new one; nothing is closed twice."""
     preflight = with_policy(edit, "{at: restart}")
     whole = begin(on_paper(wire_run(preflight, "p01", answers="simulated", results=tmp_path / "whole")))
     log = cut_at(whole.path, tmp_path / "cut", 12)
@@ -240,7 +238,7 @@ def test_a_restart_that_was_itself_killed_takes_the_place_it_had(edit: Edit, tmp
 
 
 class Repeating(Console):
-    """A console at which somebody has a trial repeated while the next one is on."""
+    """A console at which a trial is repeated during the next one."""
 
     def __init__(self, index: int) -> None:
         self._index = index
@@ -260,10 +258,8 @@ class Repeating(Console):
 
 
 @pytest.mark.parametrize(("protocol", "lines"), [("demo.yaml", 1), ("threshold.yaml", 2)])
-def test_a_repeated_trial_supersedes_its_answer_and_the_record_stays_sound(
-    edit: Edit, tmp_path: Path, protocol: str, lines: int
-) -> None:
-    """The old answer stays, withdrawn; in an adaptive run the next one goes with it, its level followed from it."""
+def test_a_repeated_trial_supersedes_its_answer(edit: Edit, tmp_path: Path, protocol: str, lines: int) -> None:
+    """The old answer is withdrawn; in an adaptive run also the next one, whose level followed from it."""
     preflight = examine(edit(protocol)).require()
     setup = wire_run(preflight, "p01", answers="simulated", results=tmp_path)
     done = begin(replace(on_paper(setup), console=Repeating(6)))
@@ -283,8 +279,8 @@ def interrupted(hours_ago: float, *, clock: float = 1000.0, boot: str = "one") -
     return Session(Path("s/session.jsonl"), (start, {**start, "n": 2, "event": "placement"}))
 
 
-def test_an_interruption_within_the_limit_of_age_goes_on() -> None:
-    """Both clocks say two hours; the limit is three."""
+def test_an_interruption_within_the_age_limit_may_continue() -> None:
+    """Both clocks give two hours; the limit is three."""
     session = interrupted(2)
     cut = examine_interruption(session, now=datetime.now(UTC), clock=1000.0 + 7200, boot="one")
     assert cut["age_s"] == pytest.approx(7200, abs=1)
@@ -292,8 +288,8 @@ def test_an_interruption_within_the_limit_of_age_goes_on() -> None:
     refuse_old(session, cut, 3.0)
 
 
-def test_an_interruption_beyond_the_limit_of_age_is_refused() -> None:
-    """The message says how old, how old at most, and what to do."""
+def test_an_interruption_beyond_the_age_limit_is_refused() -> None:
+    """With its age, the limit and the remedy."""
     session = interrupted(30)
     cut = examine_interruption(session, now=datetime.now(UTC), clock=5.0, boot="two")
     with pytest.raises(
@@ -308,8 +304,8 @@ def test_an_interruption_beyond_the_limit_of_age_is_refused() -> None:
     [(-5, 10.0, "two"), (2, 1000.0 + 30 * 3600, "one")],
     ids=["earlier than the record itself", "later than the record, behind the monotonic clock"],
 )
-def test_a_clock_set_back_fools_no_limit_of_age(hours_ago: float, clock: float, boot: str) -> None:
-    """The wall clock alone would allow both; the first needs a look at the record, the second the other clock."""
+def test_a_clock_set_back_does_not_defeat_the_age_limit(hours_ago: float, clock: float, boot: str) -> None:
+    """By the times in the record, or by the monotonic clock."""
     session = interrupted(hours_ago)
     cut = examine_interruption(session, now=datetime.now(UTC), clock=clock, boot=boot)
     assert cut["clock_set_back_s"] > 3600
@@ -318,7 +314,7 @@ def test_a_clock_set_back_fools_no_limit_of_age(hours_ago: float, clock: float, 
 
 
 def test_a_machine_that_slept_is_not_taken_for_a_clock_set_back() -> None:
-    """The monotonic clock stands still in sleep: the wall clock is ahead, and right."""
+    """The monotonic clock stops during sleep; the wall clock is right."""
     session = interrupted(10)
     cut = examine_interruption(session, now=datetime.now(UTC), clock=1000.0 + 60, boot="one")
     assert cut["clock_set_back_s"] == 0
@@ -330,8 +326,8 @@ def test_a_machine_that_slept_is_not_taken_for_a_clock_set_back() -> None:
     [(0, 1, ""), (3599.96, 1, ""), (3600, 1, ""), (3601, 1, "1.0 h ago"), (10801, 3, "3.0 h ago"),
      (3599, 0.5, "60.0 min ago"), (3600, 0.5, "1.0 h ago")],
 )  # fmt: skip
-def test_the_limit_of_age_is_kept_to_the_second(seconds: float, hours: float, said: str) -> None:
-    """By a clock that is given; where the start of the machine is unknown, the time of day alone tells."""
+def test_the_age_limit_is_exact_to_the_second(seconds: float, hours: float, said: str) -> None:
+    """With a given clock; without a known boot only the time of day counts."""
     session = interrupted(0)
     now = datetime.fromisoformat(session.events[-1]["time"]) + timedelta(seconds=seconds)
     cut = examine_interruption(session, now=now, clock=5.0, boot="")
@@ -345,16 +341,16 @@ def test_the_limit_of_age_is_kept_to_the_second(seconds: float, hours: float, sa
         refuse_old(session, cut, hours)
 
 
-def test_only_a_block_is_asked_again(edit: Edit) -> None:
-    """A session that goes on at the trial withdraws no answer."""
+def test_resuming_at_the_trial_withdraws_no_answer(edit: Edit) -> None:
+    """Only the policy `block` repeats answers."""
     schedule = Schedule.draw(with_policy(edit, "{at: trial}").experiment.protocol, "p01", 1)
     assert answers_to_ask_again(interrupted(1), schedule, "trial") == ()
 
 
-def test_what_may_not_go_on_is_refused_before_anybody_is_asked(
+def test_a_session_that_may_not_continue_is_refused_before_the_prompt(
     edit: Edit, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Whoever wires the session learns it, not whoever has typed `start`; the log stays as it was."""
+    """When the session is wired, with the log unchanged."""
     preflight = with_policy(edit, "{at: trial, within_hours: 1}")
     whole = begin(on_paper(wire_run(preflight, "p01", answers="simulated", results=tmp_path / "whole")))
     log = cut_at(whole.path, tmp_path / "cut", whole.trials[4]["n"])
@@ -366,8 +362,8 @@ def test_what_may_not_go_on_is_refused_before_anybody_is_asked(
 
 
 @pytest.mark.parametrize(("at", "kept"), [("trial", 9), ("block", 6)])
-def test_the_answers_that_are_kept_are_counted(edit: Edit, tmp_path: Path, at: str, kept: int) -> None:
-    """Of nine answers, in blocks of six, three are asked again where the block begins anew."""
+def test_kept_answers_are_counted(edit: Edit, tmp_path: Path, at: str, kept: int) -> None:
+    """Of nine answers in blocks of six, three are repeated if the block is restarted."""
     preflight = with_policy(edit, f"{{at: {at}}}")
     whole = begin(on_paper(wire_run(preflight, "p01", answers="simulated", results=tmp_path / "whole")))
     answers = [event for event in whole.trials if not event["trial"]["practice"]]
@@ -377,8 +373,8 @@ def test_the_answers_that_are_kept_are_counted(edit: Edit, tmp_path: Path, at: s
     assert wire_resume(log, restart=True).n_answered == 9
 
 
-def test_the_record_says_when_everything_happened_and_how_surely(edit: Edit, tmp_path: Path) -> None:
-    """First burst and answer of each trial as intervals, in their order."""
+def test_the_record_has_instants_as_intervals(edit: Edit, tmp_path: Path) -> None:
+    """First burst and answer of each trial, in their order."""
     preflight = with_policy(edit, "{at: trial}")
     done = begin(on_paper(wire_run(preflight, "p01", answers="simulated", results=tmp_path)))
     for event in done.trials:

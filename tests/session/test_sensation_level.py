@@ -1,4 +1,4 @@
-"""Levels calibrated by participant: from the session that found a threshold to the statistics."""
+"""Levels as multiples of the participant's threshold: from the session that measured it to the statistics."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def preflight() -> Preflight:
 
 @pytest.fixture(scope="module")
 def finding(tmp_path_factory: pytest.TempPathFactory) -> Preflight:
-    """The shipped protocol that finds thresholds, its runs of 16 trials."""
+    """The shipped protocol that measures thresholds, with runs of 16 trials."""
     folder = tmp_path_factory.mktemp("protocols") / "protocols"
     shutil.copytree(PROTOCOLS, folder)
     file = folder / "threshold.yaml"
@@ -58,7 +58,7 @@ def finding(tmp_path_factory: pytest.TempPathFactory) -> Preflight:
 
 @pytest.fixture(scope="module")
 def results(preflight: Preflight, finding: Preflight, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Three participants, each with a session that found the threshold and one at levels made of it."""
+    """Three participants, each with a threshold session and one at levels derived from it."""
     folder = tmp_path_factory.mktemp("results")
     for participant in PEOPLE:
         for each in (finding, preflight):
@@ -67,7 +67,7 @@ def results(preflight: Preflight, finding: Preflight, tmp_path_factory: pytest.T
 
 
 def session_of(results: Path, participant: str) -> Session:
-    """Return a participant's session at own levels."""
+    """Return a participant's session at individual levels."""
     return read_session(SessionFolder(results, "simulated", "sensation_levels", participant).log)
 
 
@@ -90,7 +90,7 @@ def test_everyone_gets_multiples_of_their_own_threshold(results: Path, tmp_path:
 
 
 def test_the_instrument_plays_the_levels_and_all_get_the_same_codes(results: Path) -> None:
-    """Amplitudes stand to each other as the multiples do; the burst is that of the bounds, one for everyone."""
+    """Amplitudes are in proportion to the multiples; everyone has the burst of the bounds."""
     sessions = [session_of(results, participant) for participant in PEOPLE]
     assert len({session.start["stimulus"]["content_hash"] for session in sessions}) == 1
     for session in sessions:
@@ -104,8 +104,8 @@ def test_the_instrument_plays_the_levels_and_all_get_the_same_codes(results: Pat
         assert list(ratios.values()) == pytest.approx(MULTIPLES, rel=2e-3)
 
 
-def test_the_table_tells_the_multiple_of_every_answer(results: Path) -> None:
-    """BIDS view: both the velocity and what it is to the participant; nothing in a catch trial."""
+def test_the_table_has_the_multiple_of_every_answer(results: Path) -> None:
+    """BIDS view: velocity and multiple of the threshold; no multiple in a catch trial."""
     session = session_of(results, "p02")
     table = next(session.path.parent.glob("*_beh.tsv"))
     frame = pd.read_csv(table, sep="\t")
@@ -118,7 +118,7 @@ def test_the_table_tells_the_multiple_of_every_answer(results: Path) -> None:
 
 
 def test_the_analysis_counts_by_multiple(results: Path, tmp_path: Path) -> None:
-    """Participants at different velocities share their cells; the unit is said wherever a level is."""
+    """Participants at different velocities share their cells; every level has its unit."""
     found = analyse(results / "simulated" / "sensation_levels", tmp_path / "out")
     assert isinstance(found, Analysis)
     assert found.answers.levels == tuple(MULTIPLES)
@@ -138,7 +138,7 @@ def test_the_analysis_counts_by_multiple(results: Path, tmp_path: Path) -> None:
 
 
 def test_more_is_felt_at_higher_multiples(results: Path) -> None:
-    """At the threshold about half of the answers name C, three times above nearly all: all three taken together."""
+    """At the threshold about half of the answers name C, at three times nearly all."""
     frame = read_responses(results / "simulated" / "sensation_levels").frame
     right = ((frame["zone_left"] == "C") & (frame["response"] == "left")) | (
         (frame["zone_right"] == "C") & (frame["response"] == "right")
@@ -148,8 +148,8 @@ def test_more_is_felt_at_higher_multiples(results: Path) -> None:
     assert share[3.0] > 0.8
 
 
-def test_an_interrupted_session_goes_on_at_the_same_levels(preflight: Preflight, tmp_path: Path) -> None:
-    """Stopped in the middle and resumed from its record alone: nobody asks for the threshold again."""
+def test_an_interrupted_session_continues_at_the_same_levels(preflight: Preflight, tmp_path: Path) -> None:
+    """From its record alone, without asking for the threshold again."""
     setup = wire_run(preflight, "p07", answers="simulated", results=tmp_path, observer=FAINT, threshold_mm_s=12.34)
     with pytest.raises(SessionStopped):
         begin(_stopped_after(setup, 9))
@@ -165,8 +165,8 @@ def test_an_interrupted_session_goes_on_at_the_same_levels(preflight: Preflight,
     assert "levels follow from the threshold of 12.34 mm/s, as it was given" in verdict.lines
 
 
-def test_begun_anew_it_keeps_the_levels(preflight: Preflight, tmp_path: Path) -> None:
-    """The order and the levels of the interrupted session, both in the new one's record."""
+def test_a_restarted_session_keeps_the_levels(preflight: Preflight, tmp_path: Path) -> None:
+    """The new record has the order and the levels of the interrupted session."""
     setup = wire_run(preflight, "p08", answers="simulated", results=tmp_path, observer=FAINT, threshold_mm_s=12.34)
     with pytest.raises(SessionStopped):
         begin(_stopped_after(setup, 5))
@@ -193,8 +193,8 @@ def _stopped_after(setup, n_trials: int):
         (lambda start: start["sensation_levels"].update(last_check="0" * 64), "has changed since the threshold"),
     ],
 )
-def test_a_forged_threshold_is_noticed(results: Path, tmp_path: Path, forge, words: str) -> None:
-    """Changed in the record, every check made to fit."""
+def test_a_forged_threshold_is_detected(results: Path, tmp_path: Path, forge, words: str) -> None:
+    """Changed in the record, with all checksums recomputed."""
     copy = tmp_path / "results"
     shutil.copytree(results, copy)
     log = SessionFolder(copy, "simulated", "sensation_levels", "p01").log
@@ -219,14 +219,14 @@ def test_a_forged_threshold_is_noticed(results: Path, tmp_path: Path, forge, wor
 def test_unknown_and_unplayable_thresholds_are_refused(
     preflight: Preflight, results: Path, participant: str, given: float | None, words: str
 ) -> None:
-    """With the place in the protocol and a way out, before anything is recorded."""
+    """With the position in the protocol and the remedy, before anything is recorded."""
     with pytest.raises(InputError, match=re.escape(words)) as told:
         wire_run(preflight, participant, answers="simulated", results=results, session=5, threshold_mm_s=given)
     assert re.search(r"sensation_levels\.yaml:\d+:\d+: conditions\.sensation_levels\.", str(told.value))
 
 
-def test_a_session_that_tells_no_threshold_is_refused(preflight: Preflight, finding: Preflight, tmp_path: Path) -> None:
-    """A participant who guesses has none: said with the reason of the run, and with a way out."""
+def test_a_session_without_a_threshold_is_refused(preflight: Preflight, finding: Preflight, tmp_path: Path) -> None:
+    """A guessing participant has none: with the reason from the run, and the remedy."""
     guessing = Observer(Participant(lapse_rate=1.0), name="guessing")
     begin(wire_run(finding, "p01", answers="simulated", results=tmp_path, observer=guessing))
     said = r"2 of 2 runs of participant p01 give no threshold \(one_hand A-C: .*give the threshold with --thr"
@@ -237,7 +237,7 @@ def test_a_session_that_tells_no_threshold_is_refused(preflight: Preflight, find
 def test_the_latest_complete_session_counts(
     preflight: Preflight, finding: Preflight, results: Path, tmp_path: Path
 ) -> None:
-    """A second session replaces the first; a third that was interrupted does not."""
+    """A second session replaces the first; an interrupted third does not."""
     for session, observer in ((1, FAINT), (2, Observer(Participant(detection_speed=0.03, lapse_rate=0.01)))):
         begin(wire_run(finding, "p01", session=session, answers="simulated", results=tmp_path, observer=observer))
     with pytest.raises(SessionStopped):
@@ -248,10 +248,10 @@ def test_the_latest_complete_session_counts(
 
 
 @pytest.mark.parametrize("spoil", [lambda data: data.replace(b"answer", b"answar", 1), lambda data: data[:-40]])
-def test_a_damaged_session_is_not_passed_over_for_an_older_one(
+def test_a_damaged_session_is_not_skipped_for_an_older_one(
     preflight: Preflight, results: Path, tmp_path: Path, spoil
 ) -> None:
-    """The threshold of the session before may be another one: refused by name, with the way to look at it."""
+    """The older threshold may differ: refused, with `modaltouch doctor` as the remedy."""
     shutil.copytree(results / "simulated" / "threshold" / "sub-p01", tmp_path / "simulated" / "threshold" / "sub-p01")
     first = tmp_path / "simulated" / "threshold" / "sub-p01" / "ses-1"
     shutil.copytree(first, first.with_name("ses-2"))
@@ -261,8 +261,8 @@ def test_a_damaged_session_is_not_passed_over_for_an_older_one(
         wire_run(preflight, "p01", answers="simulated", results=tmp_path)
 
 
-def test_a_protocol_that_is_not_adaptive_finds_no_threshold(edit, tmp_path: Path) -> None:
-    """The name of a protocol of fixed levels, whose sessions are there."""
+def test_thresholds_need_an_adaptive_protocol(edit, tmp_path: Path) -> None:
+    """A protocol with fixed levels is refused even if it has sessions."""
     results = tmp_path / "results"
     begin(wire_run(examine(PROTOCOLS / "demo.yaml").require(), "p01", answers="simulated", results=results))
     preflight = examine(edit("sensation_levels.yaml", ("from: threshold ", "from: demo "))).require()
@@ -270,15 +270,15 @@ def test_a_protocol_that_is_not_adaptive_finds_no_threshold(edit, tmp_path: Path
         wire_run(preflight, "p01", answers="simulated", results=results)
 
 
-def test_a_threshold_is_refused_where_levels_are_the_same_for_all(tmp_path: Path) -> None:
-    """Given to a protocol of fixed levels it would be ignored, so it is refused."""
+def test_a_threshold_is_refused_for_fixed_levels(tmp_path: Path) -> None:
+    """It would be ignored."""
     demo = examine(PROTOCOLS / "demo.yaml").require()
     with pytest.raises(InputError, match=r"a threshold of 20 mm/s, but the levels do not depend on a threshold.*leave"):
         wire_run(demo, "p01", answers="simulated", results=tmp_path, threshold_mm_s=20.0)
 
 
 def test_fixed_and_calibrated_levels_are_not_mixed(results: Path, tmp_path: Path, edit) -> None:
-    """Under one name: refused, since a level would mean two things."""
+    """Under one protocol name a level would have two meanings."""
     shutil.copytree(results, tmp_path / "results")
     fixed = edit(
         "sensation_levels.yaml",
@@ -292,8 +292,8 @@ def test_fixed_and_calibrated_levels_are_not_mixed(results: Path, tmp_path: Path
         read_responses(tmp_path / "results" / "simulated" / "sensation_levels")
 
 
-def test_what_needs_the_same_velocities_for_all_refuses_it(preflight: Preflight, results: Path) -> None:
-    """Power and fits know velocities: refused with a reason, never a traceback."""
+def test_power_and_fit_refuse_individual_levels(preflight: Preflight, results: Path) -> None:
+    """With a reason, since they work with velocities."""
     with pytest.raises(InputError, match="levels calibrated by participant, which depend on thresholds not yet known"):
         designs_for(preflight, FAINT)
     with pytest.raises(InputError, match="levels calibrated by participant, so each felt different velocities"):

@@ -1,4 +1,4 @@
-"""A session whose processes stand still again and again ends as if they had not; `make stalls` tries twenty demos."""
+"""A session whose processes are repeatedly stopped ends normally; `make stalls` tries twenty demos."""
 
 import pytest
 from stalls import run_stopped
@@ -7,8 +7,8 @@ from modaltouch.window.environment import virtual_display
 
 
 @pytest.mark.window
-def test_a_session_that_is_stopped_again_and_again_is_completed(tmp_path, edit):
-    """SIGSTOP for 0.8 s every 2 to 4 s, for the session, its watchdog or both: four trials answered, exit status 0."""
+def test_a_repeatedly_stopped_session_is_completed(tmp_path, edit):
+    """SIGSTOP for 0.8 s every 2 to 4 s, for the session, its watchdog or both: four answers, exit status 0."""
     protocol = edit(
         "demo.yaml",
         ("[one_hand, two_hands]", "[one_hand]"),

@@ -1,4 +1,4 @@
-"""A trial that nobody answers in time: recorded as such, verified, and described in the BIDS view."""
+"""Trials that time out: recorded, verified, and described in the BIDS view."""
 
 from __future__ import annotations
 
@@ -13,10 +13,8 @@ from modaltouch.session import simulate_session
 
 
 @pytest.mark.parametrize("until", ["answer", "question"])
-def test_a_session_with_answers_that_come_too_late_is_whole(
-    edit: Callable[..., Path], tmp_path: Path, until: str
-) -> None:
-    """Simulated answers take about a second: with 1.2 s some are in time, and the others are not."""
+def test_a_session_with_time_outs_is_complete(edit: Callable[..., Path], tmp_path: Path, until: str) -> None:
+    """Simulated answers take about a second: with 1.2 s some are in time and some are not."""
     delay = 0.3 if until == "answer" else 0.0
     changes = ("stimulus_until: answer", f"stimulus_until: {until}\n  time_out_s: {1.2 - delay}")
     session = simulate_session(edit("demo.yaml", changes), "p01", tmp_path)

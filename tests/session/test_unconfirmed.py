@@ -1,4 +1,4 @@
-"""No wrong stimulus is ever recorded as right."""
+"""A wrong stimulus is never recorded as confirmed."""
 
 import json
 from dataclasses import replace
@@ -20,7 +20,7 @@ from modaltouch.window.simulated import Answerer, SimulatedParticipant
 
 
 class Hurried(Answerer):
-    """Answers twenty times sooner than the model has it."""
+    """Answers twenty times as fast as the model."""
 
     def answer(self, trial):
         given, reaction_time = super().answer(trial)
@@ -28,7 +28,7 @@ class Hurried(Answerer):
 
 
 def answers_to(run, index):
-    """Events of the answers to a trial on record, apart from practice."""
+    """Events of the answers to a main trial."""
     lines = run.place.log.read_text("utf-8").splitlines()
     events = [event for event in map(json.loads, lines) if event["event"] == "trial"]
     return [event for event in events if event["trial"]["index"] == index and not event["trial"]["practice"]]
@@ -65,7 +65,7 @@ def setup(tmp_path, edit):
     simulator.close()
 
 
-def test_a_trial_whose_setting_changed_is_marked_and_offered_again(setup):
+def test_a_trial_with_a_changed_setting_is_repeated(setup):
     """A knob turned at the front panel during trial 3: its answer is kept as unconfirmed and superseded."""
     run = setup(1)
     session = begin(run)
@@ -79,8 +79,8 @@ def test_a_trial_whose_setting_changed_is_marked_and_offered_again(setup):
     assert not counted & {event["n"] for event in before}
 
 
-def test_a_setting_that_changes_every_time_ends_the_session_and_resume_offers_the_trial_again(setup):
-    """After three presentations the session ends; the resumed one takes the trial up and supersedes the last try."""
+def test_a_setting_that_always_changes_ends_the_session(setup):
+    """After three presentations; the resumed session repeats the trial and supersedes the last attempt."""
     # As often as it takes: a stall of the machine uses up none of the three.
     made = setup(1000)
     with pytest.raises(RigError, match=r"trial 3: 3 presentations could not be confirmed .SOUR1:VOLT reads"):

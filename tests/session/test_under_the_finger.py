@@ -1,4 +1,4 @@
-"""Sessions of a protocol that is designed for fingers: presented, recorded, verified, resumed and analysed."""
+"""Sessions of a protocol designed for fingers: presented, recorded, verified, resumed and analysed."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ fingers:
 
 
 def protocol_for(folder: Path, fingers: str, *changes: tuple[str, str], name: str = "with_catch_trials") -> Path:
-    """Return a copy of a shipped protocol designed for the fingers of a file beside it, at levels that these allow."""
+    """Return a copy of a shipped protocol designed for the fingers in a file, at attainable levels."""
     shutil.copytree(PROTOCOLS, folder)
     (folder / "mine.yaml").write_text(fingers, encoding="utf-8")
     file = folder / f"{name}.yaml"
@@ -56,7 +56,7 @@ def run(*words: object) -> Result:
 
 
 def test_levels_are_equalised_in_a_band(tmp_path: Path) -> None:
-    """Root mean square velocity at C in 20 to 1000 Hz, by a brick-wall filter, alike at the levels played; verified."""
+    """Root mean square velocity at C in 20 to 1000 Hz, by a brick-wall filter, is equal over pairs."""
     band = ("  focus: C  ", "  equalise_band_Hz: [20, 1000]\n  focus: C  ")
     file = protocol_for(tmp_path / "protocols", HEAVY, (str(LEVELS), "[20]"), band)
     preflight, felt = examine(file).require(), []
@@ -98,20 +98,20 @@ def test_levels_are_equalised_in_a_band(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_what_cannot_be_equalised_is_refused(tmp_path: Path, band: str, words: str) -> None:
-    """At its key."""
+def test_invalid_bands_are_refused(tmp_path: Path, band: str, words: str) -> None:
+    """At their key."""
     own = ("  focus: C  ", f"  equalise_band_Hz: {band}\n  focus: C  ")
     (problem,) = examine(protocol_for(tmp_path / "protocols", HEAVY, own)).problems
     assert words in str(problem)
 
 
 def presented(session: Session) -> list[dict[str, Any]]:
-    """Return the answered trials of a session that were not for practice."""
+    """Return the answered main trials of a session."""
     return [event for event in session.trials if not event["trial"]["practice"]]
 
 
 def answered(session: Session) -> list[tuple[bool, int, dict[str, Any], str]]:
-    """Return what was presented and answered, in order."""
+    """Return conditions and answers, in order."""
     return [
         (event["trial"]["practice"], event["trial"]["index"], event["trial"]["condition"], event["response"]["answer"])
         for event in session.trials
@@ -132,20 +132,20 @@ def preflight(protocol: Path) -> Preflight:
 
 @pytest.fixture(scope="module")
 def sessions(tmp_path_factory: pytest.TempPathFactory, preflight: Preflight) -> list[Session]:
-    """Two participants' sessions, simulated."""
+    """Simulated sessions of two participants."""
     results = tmp_path_factory.mktemp("results")
     return [simulate_session(preflight, name, results) for name in ("p01", "p02")]
 
 
 @pytest.fixture
 def copied(sessions: list[Session], tmp_path: Path) -> Path:
-    """The log of the first in a tree of results that a test may spoil."""
+    """The log of the first in a tree that a test may change."""
     results = sessions[0].path.parents[5]
     return Path(shutil.copytree(results, tmp_path / "results")) / sessions[0].path.relative_to(results)
 
 
-def test_every_session_is_whole_and_verified(sessions: list[Session]) -> None:
-    """24 trials, 6 catch trials and 3 for practice; all that is computed again agrees."""
+def test_every_session_is_complete_and_verified(sessions: list[Session]) -> None:
+    """24 trials, 6 catch trials and 3 of practice."""
     for session in sessions:
         assert session.complete
         assert len(presented(session)) == 30
@@ -155,7 +155,7 @@ def test_every_session_is_whole_and_verified(sessions: list[Session]) -> None:
 
 
 def test_the_planned_speeds_are_those_under_the_fingers(sessions: list[Session], preflight: Preflight) -> None:
-    """Peak speeds at the zones that are touched, under the fingers of that very pair; in a catch trial 0."""
+    """Peak speeds at the touched zones, under the fingers on that pair; 0 in a catch trial."""
     touched = {row["velocity_mm_s"]: row["touched"] for row in preflight.as_dict()["stimuli"]}
     assert list(touched) == LEVELS
     for event in presented(sessions[0]):
@@ -167,7 +167,7 @@ def test_the_planned_speeds_are_those_under_the_fingers(sessions: list[Session],
 
 
 def test_each_pair_is_presented_with_its_own_drive(sessions: list[Session], preflight: Preflight) -> None:
-    """The amplitudes that the generator confirmed are those of the design for that pair's fingers."""
+    """The confirmed amplitudes are those of the design for that pair's fingers."""
     seen = {}
     for event in presented(sessions[0]):
         condition = event["trial"]["condition"]
@@ -181,16 +181,16 @@ def test_each_pair_is_presented_with_its_own_drive(sessions: list[Session], pref
     assert seen["A-C", 100.0] == seen["C-E", 100.0] != seen["B-D", 100.0]
 
 
-def test_catch_trials_are_as_silent_as_ever(sessions: list[Session]) -> None:
-    """Six in a session, felt nowhere by an observer who does not guess."""
+def test_catch_trials_are_silent(sessions: list[Session]) -> None:
+    """Six per session, answered "none" by an observer who does not guess."""
     for session in sessions:
         silent = [event for event in presented(session) if event["trial"]["condition"]["velocity_mm_s"] == 0]
         assert [event["response"]["answer"] for event in silent] == ["none"] * 6
         assert all(event["catch"] for event in silent)
 
 
-def test_the_record_holds_every_design_and_the_fingers(sessions: list[Session], preflight: Preflight) -> None:
-    """Codes by placement, fields and figures of each, and the text of the file."""
+def test_the_record_has_every_design_and_the_fingers(sessions: list[Session], preflight: Preflight) -> None:
+    """Codes, fields and speeds by placement, and the text of the file."""
     start = sessions[0].start
     assert start["stimulus"]["content_hashes"] == preflight.content_hashes
     assert list(preflight.content_hashes) == ["A-C", "B-D", "C-E"]
@@ -200,10 +200,8 @@ def test_the_record_holds_every_design_and_the_fingers(sessions: list[Session], 
     assert start["sources"]["fingers"]["text"] == LIGHT
 
 
-def test_another_file_of_fingers_afterwards_changes_nothing(
-    protocol: Path, sessions: list[Session], copied: Path
-) -> None:
-    """What a session was begun with stands in its record."""
+def test_a_later_change_of_the_file_does_not_matter(protocol: Path, sessions: list[Session], copied: Path) -> None:
+    """The record has the text with which the session began."""
     own = protocol.with_name("mine.yaml")
     own.write_text(HEAVY, encoding="utf-8")
     try:
@@ -213,8 +211,8 @@ def test_another_file_of_fingers_afterwards_changes_nothing(
         own.write_text(LIGHT, encoding="utf-8")
 
 
-def test_fingers_changed_in_the_record_are_noticed(copied: Path) -> None:
-    """Even where every check of the log was made to fit: other fingers take another drive."""
+def test_fingers_changed_in_the_record_are_detected(copied: Path) -> None:
+    """Other fingers have another drive, even with all checksums recomputed."""
     check, lines = GENESIS, []
     for event in read_chain(copied).events:
         if event["event"] == "start":
@@ -227,10 +225,10 @@ def test_fingers_changed_in_the_record_are_noticed(copied: Path) -> None:
 
 
 @pytest.mark.parametrize("n_lines", [12, 41])
-def test_an_interrupted_session_goes_on_with_the_fingers_it_was_begun_with(
+def test_an_interrupted_session_continues_with_its_fingers(
     protocol: Path, sessions: list[Session], copied: Path, n_lines: int
 ) -> None:
-    """Cut at a line, resumed after the file became another: the same trials, answers and speeds as without."""
+    """Resumed after the file was changed: the same trials, answers and speeds."""
     copied.write_bytes(b"".join(copied.read_bytes().splitlines(keepends=True)[:n_lines]))
     for view in copied.parent.glob("*_beh.*"):
         view.unlink()  # made after every answer: one of the whole session would tell that lines are gone
@@ -246,8 +244,8 @@ def test_an_interrupted_session_goes_on_with_the_fingers_it_was_begun_with(
     assert audit_session(Session.find(done.path)).problems == ()
 
 
-def test_participants_are_analysed(sessions: list[Session], tmp_path: Path) -> None:
-    """With the speeds of the record; catch trials are counted apart."""
+def test_sessions_are_analysed_with_the_recorded_speeds(sessions: list[Session], tmp_path: Path) -> None:
+    """Catch trials are counted separately."""
     results = sessions[0].path.parents[5]
     done = run("analyse", results, "--out", tmp_path / "analysis")
     assert done.exit_code == 0, done.output
@@ -256,13 +254,13 @@ def test_participants_are_analysed(sessions: list[Session], tmp_path: Path) -> N
     assert [row["estimate"] for row in catches[:2]] == [0, 0]
 
 
-def test_the_same_seed_is_the_same_person(sessions: list[Session], preflight: Preflight, tmp_path: Path) -> None:
-    """Fingers are drawn from seed and name: the answers are the same again."""
+def test_simulated_fingers_follow_from_the_seed(sessions: list[Session], preflight: Preflight, tmp_path: Path) -> None:
+    """The same seed and participant give the same answers."""
     assert answered(simulate_session(preflight, "p01", tmp_path)) == answered(sessions[0])
 
 
-def test_people_lay_their_own_fingers_on_the_simulated_beam(preflight: Preflight, shipped: Path) -> None:
-    """As the file says people differ: in mass and damping, not in stiffness. Nobody's, where the design has none."""
+def test_simulated_participants_have_individual_fingers(preflight: Preflight, shipped: Path) -> None:
+    """With the spread of the file: in mass and damping, not in stiffness; none without fingers in the design."""
     findings = preflight.findings
     drawn = [findings.with_true_fingers(np.random.default_rng(seed)).twin.fingers for seed in (1, 2, 1)]
     first, second, again = (
@@ -276,8 +274,8 @@ def test_people_lay_their_own_fingers_on_the_simulated_beam(preflight: Preflight
     assert untouched.with_true_fingers(np.random.default_rng(1)).twin.fingers is None
 
 
-def test_spreads_are_those_of_the_file_unless_the_twin_has_its_own(tmp_path: Path) -> None:
-    """A person's fingers differ between placements as the file says, and between trials as the apparatus says."""
+def test_the_twins_spreads_override_those_of_the_file(tmp_path: Path) -> None:
+    """Between placements the file's spread applies, between trials the apparatus's."""
     file = protocol_for(
         tmp_path / "protocols", f"{LIGHT}placement_spread: {{mass: 0.2}}\ntrial_spread: {{mass: 0.1}}\n"
     )
@@ -287,8 +285,8 @@ def test_spreads_are_those_of_the_file_unless_the_twin_has_its_own(tmp_path: Pat
     assert (twin.finger_spread.mass, twin.finger_trial_spread.mass) == (0.2, 0.5)
 
 
-def test_fingers_by_hand_make_a_design_to_each_placement(tmp_path: Path) -> None:
-    """One hand lies on the beam with other fingers than two hands do; eight records take turns in four memories."""
+def test_fingers_by_hand_have_a_design_per_placement(tmp_path: Path) -> None:
+    """One and two hands have different fingers; eight waveforms alternate in four memories."""
     pairs = "[[A, C], [B, D], [C, E]]", "[[A, C], [B, D]]"
     protocol = protocol_for(tmp_path / "protocols", BY_HAND, pairs, name="differentiated_stimulation")
     changed = protocol.read_text(encoding="utf-8").replace("  max_same_pair_running: 2\n", "")

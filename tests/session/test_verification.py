@@ -1,4 +1,4 @@
-"""A session is checked against itself: chain, order, drive and BIDS view, all recomputed; test_audit has the rest."""
+"""Verification of a session: chain, order, drive and BIDS view are recomputed; see also test_audit."""
 
 import json
 import shutil
@@ -21,7 +21,7 @@ PROTOCOL = Path(__file__).parents[2] / "protocols" / "demo.yaml"
 
 @pytest.fixture(scope="module")
 def sound(tmp_path_factory):
-    """The folder of a sound session."""
+    """The folder of a valid session."""
     setup = wire_run(
         examine(PROTOCOL).require(), "p01", answers="simulated", results=tmp_path_factory.mktemp("results")
     )
@@ -30,12 +30,12 @@ def sound(tmp_path_factory):
 
 @pytest.fixture
 def folder(sound, tmp_path):
-    """A copy of it that a test may spoil."""
+    """A copy of it that a test may change."""
     return Path(shutil.copytree(sound, tmp_path / "beh"))
 
 
 def forge(folder, change):
-    """Write the log anew with its start record changed and every check made to fit."""
+    """Rewrite the log with a changed start record and recomputed checksums."""
     log = folder / "session.jsonl"
     check, lines = GENESIS, []
     for event in read_chain(log).events:
@@ -46,15 +46,15 @@ def forge(folder, change):
     log.write_bytes(b"".join(lines))
 
 
-def test_a_sound_session_passes(folder):
-    """Nothing is wrong with what the program itself recorded."""
+def test_a_valid_session_passes(folder):
+    """As recorded by the program itself."""
     verdict = audit_session(Session.find(folder))
     assert verdict.problems == ()
     assert verdict.lines[-1] == "complete"
 
 
-def test_a_session_whose_screens_were_spoken_is_read_as_any_other(edit, tmp_path):
-    """The key `speech` is ignored, also with what former versions added to it in the record; the view alone differs."""
+def test_a_session_with_the_former_key_speech_is_readable(edit, tmp_path):
+    """The key is ignored, also with its former additions in the record; only the view differs."""
     protocol = edit("demo.yaml", ("answers:\n  given_by", "speech: {voice: en}\nanswers:\n  given_by"))
     setup = wire_run(examine(protocol).require(), "p01", answers="simulated", results=tmp_path / "results")
     folder = begin(setup).path.parent
@@ -64,28 +64,28 @@ def test_a_session_whose_screens_were_spoken_is_read_as_any_other(edit, tmp_path
     assert "was made from another log" in problem
 
 
-def test_lines_removed_from_the_end_are_noticed(folder):
-    """The chain alone cannot tell; the BIDS side file knows how far the log had come."""
+def test_lines_removed_from_the_end_are_detected(folder):
+    """By the BIDS side file, which has the number of lines; the chain alone cannot show it."""
     log = folder / "session.jsonl"
     log.write_bytes(b"".join(log.read_bytes().splitlines(keepends=True)[:-3]))
     assert any("lines were removed from its end" in problem for problem in audit_session(Session.find(folder)).problems)
 
 
-def test_a_changed_table_is_noticed(folder):
-    """An answer changed in the table, where the eye looks first."""
+def test_a_changed_table_is_detected(folder):
+    """An answer is changed in the table."""
     table = next(folder.glob("*_beh.tsv"))
     table.write_text(table.read_text().replace("\tboth\t", "\tleft\t", 1))
     assert any("differs from the log" in problem for problem in audit_session(Session.find(folder)).problems)
 
 
-def test_an_order_that_the_seed_does_not_draw_is_noticed(folder):
-    """Even in a log whose checks were all made to fit."""
+def test_an_order_that_does_not_follow_from_the_seed_is_detected(folder):
+    """Even with all checksums recomputed."""
     forge(folder, lambda start: start.update(seed=start["seed"] + 1))
     assert any("draws a different order" in problem for problem in audit_session(Session.find(folder)).problems)
 
 
-def test_a_drive_that_the_apparatus_does_not_give_is_noticed(folder):
-    """A gain changed in the recorded apparatus gives other codes than those recorded as played."""
+def test_a_drive_that_does_not_follow_from_the_apparatus_is_detected(folder):
+    """A changed gain in the recorded apparatus gives other codes than those recorded."""
 
     def change(start):
         apparatus = start["sources"]["apparatus"]
@@ -95,8 +95,8 @@ def test_a_drive_that_the_apparatus_does_not_give_is_noticed(folder):
     assert any("the recomputed drive" in problem for problem in audit_session(Session.find(folder)).problems)
 
 
-def test_the_side_file_carries_the_head_of_the_log(folder):
-    """It names the number of lines and the check of the last one."""
+def test_the_side_file_has_the_head_of_the_log(folder):
+    """The number of lines and the checksum of the last one."""
     head = json.loads(next(folder.glob("*_beh.json")).read_text())["SessionLog"]
     chain = read_chain(folder / "session.jsonl")
     assert head["lines"] == len(chain.events)
@@ -104,7 +104,7 @@ def test_the_side_file_carries_the_head_of_the_log(folder):
 
 
 def test_a_table_newer_than_its_side_file_agrees(folder):
-    """A kill between the replacement of the table and that of its side file."""
+    """After a kill between the replacements of table and side file."""
     (side,) = folder.glob("*_beh.json")
     values = json.loads(side.read_text())
     chain = read_chain(folder / "session.jsonl")
@@ -115,8 +115,8 @@ def test_a_table_newer_than_its_side_file_agrees(folder):
     assert any(line.startswith("BIDS view agrees: ") for line in verdict.lines)
 
 
-def test_a_view_behind_its_log_is_said_to_be_behind(folder):
-    """After a kill between the log and the table: not an error, and not called up to date either."""
+def test_a_view_behind_its_log_is_reported(folder):
+    """After a kill between log and table: not a fault, but not called up to date."""
     table = next(folder.glob("*_beh.tsv"))
     chain = read_chain(folder / "session.jsonl")
     n_lines = next(event["n"] for event in chain.events if event["event"] == "trial")
@@ -131,7 +131,7 @@ def test_a_view_behind_its_log_is_said_to_be_behind(folder):
 
 
 def test_a_complete_session_is_not_rewritten(folder, tmp_path):
-    """Gone on with, it keeps every file as it is, the time of its last change included."""
+    """Resuming leaves every file unchanged, including its modification time."""
     place = tmp_path / "simulated" / "demo" / "sub-p01" / "ses-1"
     place.mkdir(parents=True)
     folder = folder.rename(place / "beh")
@@ -141,8 +141,8 @@ def test_a_complete_session_is_not_rewritten(folder, tmp_path):
 
 
 @pytest.mark.parametrize("n_rows", [0, 1, None])
-def test_a_session_killed_before_its_first_side_file_goes_on(folder, tmp_path, n_rows):
-    """The table is written first: `verify` names what is missing, `resume` writes it, whatever lines the table has."""
+def test_a_session_killed_before_its_first_side_file_continues(folder, tmp_path, n_rows):
+    """`verify` reports the missing file, and `resume` writes it, whatever lines the table has."""
     place = tmp_path / "simulated" / "demo" / "sub-p01" / "ses-1"
     place.mkdir(parents=True)
     folder = folder.rename(place / "beh")
@@ -157,8 +157,8 @@ def test_a_session_killed_before_its_first_side_file_goes_on(folder, tmp_path, n
     assert audit_session(Session.find(folder)).problems == ()
 
 
-def test_a_changed_table_without_side_file_is_no_cut_session(folder):
-    """A table that no line of the log gives is refused, not written over."""
+def test_a_changed_table_without_side_file_is_refused(folder):
+    """A table that does not follow from the log is not overwritten."""
     (side,), (table,) = folder.glob("*_beh.json"), folder.glob("*_beh.tsv")
     side.unlink()
     table.write_text(table.read_text().replace("left", "right", 1))
@@ -169,8 +169,8 @@ def test_a_changed_table_without_side_file_is_no_cut_session(folder):
 
 
 @pytest.mark.parametrize("cut", [1, 40])
-def test_a_complete_session_is_given_the_last_line_that_was_cut(folder, tmp_path, cut):
-    """By a power cut, newline alone or half the line: no answer is missing, and it is sound again."""
+def test_the_torn_last_line_of_a_complete_session_is_repaired(folder, tmp_path, cut):
+    """After a power cut, without the newline or half the line: no answer is missing."""
     place = tmp_path / "simulated" / "demo" / "sub-p01" / "ses-1"
     place.mkdir(parents=True)
     log = folder.rename(place / "beh") / "session.jsonl"
@@ -201,8 +201,8 @@ COMMANDS = {
 @pytest.mark.parametrize("kind", UNREADABLE)
 @pytest.mark.parametrize("line", [1, 3])
 @pytest.mark.parametrize("command", COMMANDS)
-def test_a_line_that_nobody_can_read_ends_in_a_sentence(sound, tmp_path, command, line, kind):
-    """Its check is right, so that only what it says can tell; every command that reads the log names its place."""
+def test_an_unreadable_line_ends_in_a_clear_error(sound, tmp_path, command, line, kind):
+    """Its checksum is right; every command that reads the log reports its position."""
     folder = tmp_path / "results" / "simulated" / "demo" / "sub-p01" / "ses-1" / "beh"
     log = Path(shutil.copytree(sound, folder)) / "session.jsonl"
     check, lines = GENESIS, []
@@ -232,8 +232,8 @@ def test_a_line_that_nobody_can_read_ends_in_a_sentence(sound, tmp_path, command
         assert f"session.jsonl:{line}: cannot be read: " in told.output
 
 
-def test_a_damaged_log_is_neither_called_short_nor_offered_to_be_resumed(folder):
-    """What lies beyond a broken line was not read, so that it is not gone; and `resume` refuses such a log."""
+def test_a_damaged_log_is_not_reported_as_truncated(folder):
+    """Lines after the damage were not read; `resume` refuses such a log."""
     log = folder / "session.jsonl"
     lines = log.read_bytes().splitlines(keepends=True)
     lines[9] = lines[9].replace(b'"event":"', b'"event":"x')

@@ -1,4 +1,4 @@
-"""What is simulated, a pilot or real is decided in one place, and a session goes on as it began."""
+"""Whether a session is simulated, a pilot or real is decided in one place, and kept when it is resumed."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -25,7 +25,7 @@ def preflight():
 
 
 class Keys(Console):
-    """A console that asks for what it is told to, and goes on from every pause."""
+    """A console with given requests, which continues from every pause."""
 
     def __init__(self):
         self.asked, self.was = [], ""
@@ -40,8 +40,8 @@ class Keys(Console):
         return asked
 
 
-def test_a_pause_asked_for_while_the_noise_fades_is_kept(preflight, tmp_path):
-    """No window waits for events then; the pause comes as soon as one does, and the session goes on from it."""
+def test_a_pause_requested_during_a_fade_is_kept(preflight, tmp_path):
+    """It takes effect as soon as the window waits for events."""
     keys = Keys()
 
     class Fading(Masking):
@@ -69,21 +69,21 @@ def test_a_pause_asked_for_while_the_noise_fades_is_kept(preflight, tmp_path):
         (ADDRESS, "simulated", True, "simulated"),
     ],
 )
-def test_a_session_is_simulated_as_soon_as_anything_in_it_is(preflight, rig, answers, pilot, mode):
-    """Architecture: the mode is unforgeable, and it is the folder."""
+def test_a_session_with_any_simulated_part_is_simulated(preflight, rig, answers, pilot, mode):
+    """The mode is also the folder and cannot be chosen."""
     setup = wire_run(preflight, "p01", rig=rig, answers=answers, pilot=pilot)
     assert setup.place.mode == mode
 
 
-def test_a_session_does_not_go_on_as_another_kind(preflight, tmp_path):
-    """A simulated session resumed at a real rig by a person would be neither."""
+def test_a_session_cannot_be_resumed_in_another_mode(preflight, tmp_path):
+    """A simulated session resumed by a person at a real rig would be neither."""
     session = begin(wire_run(preflight, "p01", answers="simulated", results=tmp_path))
     with pytest.raises(RecordError, match="would continue as another kind"):
         wire_resume(session.path, rig=ADDRESS, answers="window")
 
 
 def test_a_simulated_participant_is_masked_without_a_sound_device(edit, tmp_path):
-    """Nobody hears the noise, so none is played; the record has masking as in the protocol, by the twin."""
+    """No noise is played; the record has masking by the twin."""
     old = "answers:\n  given_by"
     demanding = examine(edit("demo.yaml", (old, f"masking: {{level_dB_FS: -20}}\n{old}"))).require()
     for answers in ("simulated", "robot"):
@@ -120,8 +120,8 @@ def test_a_simulated_participant_is_masked_without_a_sound_device(edit, tmp_path
         ({"backend": "psychopy", "size_px": [800, 600]}, {}, WindowOptions((800, 600))),
     ],
 )
-def test_a_window_opens_again_as_it_was_unless_told_otherwise(preflight, tmp_path, recorded, given, opened):
-    """Of a full screen the size is the monitor's; what records of before do not say is as usual."""
+def test_a_resumed_window_keeps_its_options(preflight, tmp_path, recorded, given, opened):
+    """A full screen has the monitor's size; older records have defaults."""
     setup = wire_run(preflight, "p01", answers="simulated", results=tmp_path)
 
     def open_window(tick, log):

@@ -1,4 +1,4 @@
-"""A terminal of the tests' own: ``modaltouch`` on a pseudo-terminal, its picture read and its keys typed."""
+"""``modaltouch`` on a pseudo-terminal whose screen is read and whose keys are typed."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ ESCAPES = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]|\x1b[()][A-Z0-9]|\x1b[=>]")
 
 
 def _begin_as_at_a_terminal(slave: int) -> None:
-    """Take the terminal, and Ctrl-C: what a shell begins in the background ignores it, and so do its children."""
+    """Become the terminal's session leader, and restore Ctrl-C, which background jobs ignore."""
     fcntl.ioctl(slave, termios.TIOCSCTTY, 0)
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 class Terminal:
-    """A process on a pseudo-terminal of its own."""
+    """A process on its own pseudo-terminal."""
 
     def __init__(self, words: list[str], *, size: tuple[int, int] = (80, 24), **environment: str) -> None:
         self.master, slave = pty.openpty()
@@ -64,17 +64,17 @@ class Terminal:
 
     @property
     def raw(self) -> str:
-        """Everything that was written to the terminal."""
+        """All output to the terminal."""
         return self._output.decode("utf-8", "replace")
 
     @property
     def text(self) -> str:
-        """The same without control sequences."""
+        """The output without control sequences."""
         return ESCAPES.sub("", self.raw)
 
     @property
     def picture(self) -> list[str]:
-        """The lines of the last whole picture of the console."""
+        """The lines of the console's last complete picture."""
         for frame in reversed(self.raw.split("\x1b[H")):
             lines = [line.rstrip() for line in ESCAPES.sub("", frame).replace("\r", "").split("\n")]
             if len(lines) >= self.height:
@@ -86,23 +86,23 @@ class Terminal:
         os.write(self.master, keys.encode())
 
     def wait_for(self, words: str, seconds: float = 150.0) -> None:
-        """Wait until some words stand in the picture."""
+        """Wait until some words are in the picture."""
         self.wait_until(lambda: any(words in line for line in self.picture), f"{words!r} in the picture", seconds)
 
     def wait_until(self, holds: Callable[[], bool], what: str, seconds: float = 150.0) -> None:
-        """Wait for something to hold."""
+        """Wait until a condition holds."""
         end = time.monotonic() + seconds
         while not holds():
             assert time.monotonic() < end, f"{what} did not come; the terminal shows:\n" + "\n".join(self.picture)
             time.sleep(0.02)
 
     def finish(self, seconds: float = 150.0) -> int:
-        """Wait for the end and give the exit status."""
+        """Wait for the end and return the exit status."""
         return self.process.wait(seconds)
 
     @property
     def is_restored(self) -> bool:
-        """Whether the terminal is set as before, with its own page and cursor."""
+        """Whether the terminal has its former settings, screen and cursor."""
         left = self.raw.rfind("\x1b[?1049l") >= self.raw.rfind("\x1b[?1049h")
         shown = self.raw.rfind("\x1b[?25h") >= self.raw.rfind("\x1b[?25l")
         return termios.tcgetattr(self.slave) == self.settings and left and shown
@@ -118,7 +118,7 @@ class Terminal:
 
 @pytest.fixture
 def terminal() -> Iterator[Callable[..., Terminal]]:
-    """Start ``modaltouch`` with some words on a terminal."""
+    """Start ``modaltouch`` with some arguments on a terminal."""
     opened: list[Terminal] = []
 
     def start(*words: Any, **options: Any) -> Terminal:
@@ -132,13 +132,13 @@ def terminal() -> Iterator[Callable[..., Terminal]]:
 
 @pytest.fixture
 def long_protocol(edit: Callable[..., Path]) -> Path:
-    """Give the demonstration with 180 trials: a model answers them for some seconds."""
+    """Provide the demonstration with 180 trials, which a model answers in some seconds."""
     return edit("demo.yaml", ("  repetitions: 1", "  repetitions: 15"))
 
 
 @pytest.fixture
 def events_of() -> Callable[[Path], list[dict[str, Any]]]:
-    """Give the whole lines of the only session log under a folder."""
+    """Return the complete lines of the only session log in a folder."""
 
     def read(results: Path) -> list[dict[str, Any]]:
         log = next(results.rglob("session.jsonl"))

@@ -1,4 +1,4 @@
-"""``modaltouch run`` without its manual: it asks, refuses what exists, shows the check and waits for `start`."""
+"""``modaltouch run`` without options: prompts, refusals, the check, and the wait for `start`."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ def ask(terminal: Callable[..., Any], tmp_path: Path) -> Callable[..., Any]:
 
 
 def expect(terminal: Any, words: str, count: int = 1) -> None:
-    """Wait until some words have been written so often."""
+    """Wait until some words have been written a number of times."""
     terminal.wait_until(lambda: terminal.text.count(words) >= count, f"{words!r} ({count})")
 
 
-def test_it_asks_for_what_is_missing_and_waits_for_start(ask: Callable[..., Any], tmp_path: Path) -> None:
-    """Path tricks are refused, Enter takes the proposal, and only `start` starts."""
+def test_run_prompts_for_missing_options_and_waits_for_start(ask: Callable[..., Any], tmp_path: Path) -> None:
+    """Paths are refused as ids, Enter accepts the proposal, and only `start` starts."""
     session = ask()
     expect(session, "Participant id (a code of letters and digits, never a name) [p01]: ")
     session.type("../../etc\r")
@@ -50,7 +50,7 @@ def test_it_asks_for_what_is_missing_and_waits_for_start(ask: Callable[..., Any]
 
 
 def test_a_participant_who_has_had_every_session_is_refused(ask: Callable[..., Any], tmp_path: Path) -> None:
-    """One more needs its number; a given one that exists is refused before anything is shown."""
+    """An additional session needs its number; an existing number is refused immediately."""
     assert ask("-p", "p07", "--yes").finish() == 0
     session = ask("-p", "p07")
     assert session.finish() == 4
@@ -75,17 +75,17 @@ def test_a_participant_who_has_had_every_session_is_refused(ask: Callable[..., A
 
 
 def test_the_next_participant_follows_the_last_one(tmp_path: Path) -> None:
-    """Letters and width are kept; ids without a number propose none."""
+    """With its letters and width; ids without a number give no proposal."""
     assert propose_participant(tmp_path / "absent") == "p01"
     for name in ("sub-anonymous", "sub-P007", "sub-P012"):
         (tmp_path / name).mkdir()
     assert propose_participant(tmp_path) == "P013"
 
 
-def test_it_asks_where_it_is_seen(
+def test_prompts_appear_on_a_visible_stream(
     terminal: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """With standard error in a file, the questions come on standard output: nobody waits for what nobody sees."""
+    """If standard error is a file, the prompts are written to standard output."""
     (tmp_path / "sitecustomize.py").write_text(
         f"import sys; sys.stderr = open({str(tmp_path / 'errors.txt')!r}, 'w')\n"
     )
@@ -99,8 +99,8 @@ def test_it_asks_where_it_is_seen(
     assert session.finish() == 130
 
 
-def test_it_asks_for_the_rig_and_takes_what_is_one(terminal: Callable[..., Any], tmp_path: Path) -> None:
-    """A forgotten option leaves nobody at a silent beam: Enter proposes nothing, and `simulated` is typed by name."""
+def test_run_prompts_for_the_rig(terminal: Callable[..., Any], tmp_path: Path) -> None:
+    """There is no default, so that nobody sits at a silent beam; `simulated` must be typed."""
     session = terminal("run", "protocols/demo.yaml", "--answers", "simulated", "--results", tmp_path)
     expect(session, "Generator's VISA address")
     session.type("\r")
@@ -116,7 +116,7 @@ def test_it_asks_for_the_rig_and_takes_what_is_one(terminal: Callable[..., Any],
 
 
 def test_a_session_is_continued_once_start_is_typed(terminal: Callable[..., Any], tmp_path: Path) -> None:
-    """It says which session and how far it is, as `run` does; -y continues at once, and then all is answered."""
+    """The prompt shows the session and its progress; -y continues immediately."""
     log = simulate_session("demo", "p01", tmp_path).path
     lines = log.read_text(encoding="utf-8").splitlines(keepends=True)
     answered = [place for place, line in enumerate(lines) if '"event":"trial"' in line and '"practice":false' in line]

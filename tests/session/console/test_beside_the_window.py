@@ -1,4 +1,4 @@
-"""The console in a terminal beside the real window: each does what the other asks, with real keys on both."""
+"""The console in a terminal beside the real window, with real keys on both."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ pytestmark = pytest.mark.window
 
 @pytest.fixture
 def press() -> Iterator[Callable[[str], None]]:
-    """Press keys of a display of the test's own; its name is the function's attribute."""
+    """Press keys on a separate display, whose name is the function's attribute."""
     with virtual_display((1280, 800)) as name:
         display = Display(name)
 
@@ -40,13 +40,13 @@ def named(events: list[dict[str, Any]], name: str) -> list[dict[str, Any]]:
     return [event for event in events if event["event"] == name]
 
 
-def test_the_experimenter_pauses_what_the_participant_sees_and_the_key_for_emergencies_ends_it(
+def test_console_pause_and_window_emergency_key(
     terminal: Callable[..., Any],
     press: Any,
     tmp_path: Path,
     events_of: Callable[[Path], list[dict[str, Any]]],
 ) -> None:
-    """P cuts the trial that is on and holds the window, P again goes on; F12 in the window switches off at once."""
+    """P interrupts the trial and pauses the window, P again continues; F12 in the window ends the session."""
     session = terminal(
         "run",
         "protocols/demo.yaml",
@@ -101,14 +101,14 @@ def test_the_experimenter_pauses_what_the_participant_sees_and_the_key_for_emerg
     assert stop["clock"] - pressed < 5.0
 
 
-def test_the_experimenter_leads_and_answers_from_the_terminal_alone(
+def test_the_experimenter_conducts_a_session_from_the_terminal(
     terminal: Callable[..., Any],
     press: Any,
     edit: Callable[..., Path],
     tmp_path: Path,
     events_of: Callable[[Path], list[dict[str, Any]]],
 ) -> None:
-    """As over ssh, no key reaches the window: Space goes on, and the keys that the console shows answer."""
+    """As over ssh, no key reaches the window: Space continues, and the console's keys answer."""
     protocol = edit("demo.yaml", ("given_by: participant", "given_by: experimenter"))
     words = ("run", protocol, "-p", "p01", "--rig", "simulated", "--yes", "--results", tmp_path / "results")
     session = terminal(*words, DISPLAY=press.display)
@@ -139,12 +139,12 @@ def test_the_experimenter_leads_and_answers_from_the_terminal_alone(
 
 
 def _answers(events: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return the answers of a record, each once."""
+    """Return the answers of a record, once each."""
     return named(events, "trial")
 
 
 def _plays(events: list[dict[str, Any]], press: Callable[[str], None]) -> bool:
-    """Return whether a stimulus plays that nobody has answered yet; else place the fingers."""
+    """Return whether an unanswered stimulus plays; otherwise confirm the placement."""
     last = next((event for event in reversed(events) if event["event"] in ("fired", "trial", "trial_cut")), None)
     if last is not None and last["event"] == "fired":
         return True

@@ -1,4 +1,4 @@
-"""How a session stands, and what an experimenter should look into, from the record's events alone."""
+"""State of a session and warnings for the experimenter, from the record's events alone."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from modaltouch.window.interface import SessionStopped
 
 
 def start(n_trials: int = 24) -> dict[str, Any]:
-    """Return a start record, as far as the console looks at it."""
+    """Return a start record with the members that the console reads."""
     return {
         "n": 1,
         "event": "start",
@@ -55,7 +55,7 @@ def trial(
     speeds: tuple[float, float] = (100.0, 100.0),
     **response: Any,
 ) -> dict[str, Any]:
-    """Return a trial event, as far as the console looks at it."""
+    """Return a trial event with the members that the console reads."""
     return {
         "n": 10 + index,
         "event": "trial",
@@ -68,7 +68,7 @@ def trial(
 
 
 def test_the_time_left_follows_the_pace_of_the_answers() -> None:
-    """Ten seconds a trial, five of twenty-four answered: 190 s left; a break of an hour changes nothing."""
+    """Ten seconds per trial, 5 of 24 answered: 190 s left; a break of an hour changes nothing."""
     status = Status(seconds_per_trial=5.0)
     status.take(start())
     assert status.facts()["time_left_s"] == 24 * 5
@@ -81,7 +81,7 @@ def test_the_time_left_follows_the_pace_of_the_answers() -> None:
 
 
 def test_an_answer_that_is_withdrawn_is_not_counted() -> None:
-    """The console's count is the record's: superseded and withdrawn answers are out."""
+    """Superseded and withdrawn answers do not count, as in the record."""
     status = Status()
     status.take(start())
     for index in (1, 2, 3):
@@ -90,8 +90,8 @@ def test_an_answer_that_is_withdrawn_is_not_counted() -> None:
     assert status.facts()["n_answered"] == 1
 
 
-def test_a_lost_masking_noise_is_warned_of_until_it_is_back() -> None:
-    """The reason is told as long as it lasts; that the noise ends with the session is no return."""
+def test_a_warning_of_lost_masking_noise_lasts_until_it_returns() -> None:
+    """With its reason; switching the noise off at the end is not a return."""
     status = Status()
     status.take(start())
     status.take({"event": "masking", "state": "on"})
@@ -105,8 +105,8 @@ def test_a_lost_masking_noise_is_warned_of_until_it_is_back() -> None:
     assert status.facts()["warnings"] == []
 
 
-def test_hasty_answers_doubles_and_missed_catch_trials_are_told() -> None:
-    """Each with how often and where last; a catch trial is a trial of no velocity."""
+def test_hasty_answers_doubles_and_false_alarms_cause_warnings() -> None:
+    """Each with its count and its last trial; a catch trial has a level of 0."""
     trials = [
         trial(1, reaction_time=0.55),
         trial(2, double=True),
@@ -129,7 +129,7 @@ def test_hasty_answers_doubles_and_missed_catch_trials_are_told() -> None:
 
 
 class Unread(dict[str, Any]):
-    """An event that counts how often it is looked into."""
+    """An event that counts how often its members are read."""
 
     n_reads = 0
 
@@ -138,8 +138,8 @@ class Unread(dict[str, Any]):
         return super().__getitem__(name)
 
 
-def test_an_event_costs_as_much_at_the_end_of_a_session_as_at_its_beginning() -> None:
-    """Earlier trials are not read again: the window waits for the console at every event."""
+def test_the_cost_of_an_event_does_not_grow() -> None:
+    """Earlier trials are not read again, since the window waits for the console at every event."""
     status = Status()
     status.take(start(600))
     for index in range(1, 501):
@@ -151,7 +151,7 @@ def test_an_event_costs_as_much_at_the_end_of_a_session_as_at_its_beginning() ->
 
 
 class Asked(SilentConsole):
-    """A console at which somebody asks."""
+    """A console with given requests."""
 
     def __init__(self, *commands: str) -> None:
         self._requests = [Request(command) for command in commands]  # type: ignore[arg-type]
@@ -166,7 +166,7 @@ class Asked(SilentConsole):
     [("stop", "experimenter", [("experimenter", {"asks": "stop"})]), ("emergency_stop", "emergency stop", [])],
 )
 def test_stops_are_raised(command: str, reason: str, recorded: list[Any]) -> None:
-    """The record says who ended it; in an emergency nothing is written before the outputs are off."""
+    """The record says who stopped; in an emergency nothing is written before the outputs are off."""
     record: list[tuple[str, dict[str, Any]]] = []
     experimenter = Experimenter(Asked(command), lambda event, **facts: record.append((event, facts)))
     with pytest.raises(SessionStopped, match=reason):
@@ -174,8 +174,8 @@ def test_stops_are_raised(command: str, reason: str, recorded: list[Any]) -> Non
     assert record == recorded
 
 
-def test_a_repeat_can_be_taken_back_and_never_asks_for_a_withdrawn_answer() -> None:
-    """R twice asks for nothing; an answer that is to be asked again anyway is not repeated as well."""
+def test_a_repeat_can_be_cancelled() -> None:
+    """A second R cancels it; an answer that is withdrawn anyway is not repeated in addition."""
     twice = Experimenter(Asked("repeat", "repeat"))
     twice.tell(start())
     twice.tell(trial(1))
@@ -196,7 +196,7 @@ def test_a_repeat_can_be_taken_back_and_never_asks_for_a_withdrawn_answer() -> N
 
 
 def test_every_picture_fits_its_terminal() -> None:
-    """Long names, long errors and every warning at once: nothing that is asked and no key is ever out of sight."""
+    """With long names, long errors and all warnings, the prompts and keys stay visible."""
     status = Status()
     status.take({**start(240), "participant": "p" * 32, "protocol": "with_a_name_that_is_rather_long"})
     for index in range(1, 40):
@@ -223,8 +223,8 @@ def test_every_picture_fits_its_terminal() -> None:
             assert "right middle on A, right index on C (mirrored swapped)" in told
 
 
-def test_the_trial_is_told_with_its_stimulus_and_small_speeds_apart() -> None:
-    """Threshold runs go down to 2 mm/s, where whole numbers are all alike; a catch trial is none of 0 mm/s."""
+def test_the_trial_is_described_with_stimulus_and_small_speeds() -> None:
+    """Threshold runs go down to 2 mm/s, which needs decimals; a catch trial has no level."""
     facts = {
         "number": 7, "practice": False, "block": 1, "velocity_mm_s": 2.0, "predicted_left_mm_s": 1.2,
         "predicted_right_mm_s": 2.0, "finger_condition": "one_hand", "placement": "normal", "zone_left": "A",
@@ -251,10 +251,10 @@ def test_the_trial_is_told_with_its_stimulus_and_small_speeds_apart() -> None:
         ),
     ],
 )
-def test_one_finger_and_three_are_told_with_their_zones_and_speeds(
+def test_one_and_three_fingers_are_described_with_zones_and_speeds(
     zones: tuple[str, ...], fingers: str, predicted: str
 ) -> None:
-    """From the left; the facts are those that the session hands on."""
+    """From left to right, from the facts that the session provides."""
     example = Path(__file__).parents[3] / "docs" / "examples" / "protocol_three_fingers.yaml"
     protocol = Findings.read(example).experiment().protocol
     own = {"tip": ("right ring",), **protocol.conditions.fingers}
@@ -266,7 +266,7 @@ def test_one_finger_and_three_are_told_with_their_zones_and_speeds(
 
 
 def test_the_events_are_json_lines_with_units(tmp_path: Path) -> None:
-    """One object a line, each saying everything: a reader may come late."""
+    """One complete object per line, so that a reader may join late."""
     file = tmp_path / "events.jsonl"
     experimenter = Experimenter(EventLines(file))
     for event in (start(), trial(1), trial(2)):
@@ -277,8 +277,8 @@ def test_the_events_are_json_lines_with_units(tmp_path: Path) -> None:
     assert lines[-1]["last"]["reaction_time_s"] == 0.9
 
 
-def test_a_pipe_that_nobody_reads_holds_nothing_up(tmp_path: Path) -> None:
-    """No reader at all, one that never reads, one that leaves and another that comes: lines are dropped and counted."""
+def test_an_unread_pipe_does_not_block(tmp_path: Path) -> None:
+    """Without a reader, with one that never reads, and with a new one, lines are dropped and counted."""
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
     status = Status()
@@ -302,8 +302,8 @@ def test_a_pipe_that_nobody_reads_holds_nothing_up(tmp_path: Path) -> None:
     lines.close()
 
 
-def test_a_line_never_exceeds_what_a_pipe_takes_whole(tmp_path: Path) -> None:
-    """However long an instrument's complaint, a line stays whole JSON of at most 4096 bytes."""
+def test_a_line_fits_an_atomic_pipe_write(tmp_path: Path) -> None:
+    """However long an error message is, a line is valid JSON of at most 4096 bytes."""
     status = Status()
     status.take(start())
     status.take({"event": "exchange", "what": "instrument_errors", "errors": ["é" * 5000]})
@@ -314,8 +314,8 @@ def test_a_line_never_exceeds_what_a_pipe_takes_whole(tmp_path: Path) -> None:
     assert json.loads(line)["participant"] == "p01"
 
 
-def test_plain_lines_say_what_is_new_and_outlive_their_reader() -> None:
-    """Answers, pauses and a warning once; a closed file is no reason to stop."""
+def test_plain_lines_show_news_and_survive_a_closed_file() -> None:
+    """Answers, pauses and each warning once."""
     file = StringIO()
     experimenter = Experimenter(PlainLines(file))
     experimenter.tell(start())
@@ -331,8 +331,8 @@ def test_plain_lines_say_what_is_new_and_outlive_their_reader() -> None:
     experimenter.tell(trial(12))
 
 
-def test_plain_lines_of_a_resumed_session_are_those_of_this_sitting() -> None:
-    """A pause, an end or an answer of an earlier sitting is not printed again as if it were new."""
+def test_plain_lines_of_a_resumed_session_omit_earlier_events() -> None:
+    """Replayed pauses, stops and answers are not printed."""
     file = StringIO()
     experimenter = Experimenter(PlainLines(file))
     for event in (start(), trial(1), trial(2), {"event": "pause"}, {"event": "stop", "reason": "experimenter"}):
@@ -345,8 +345,8 @@ def test_plain_lines_of_a_resumed_session_are_those_of_this_sitting() -> None:
     ]
 
 
-def test_an_end_is_asked_twice_and_a_note_takes_letters_for_letters() -> None:
-    """Q alone ends nothing; in a note, q and x are letters; F12 is never one."""
+def test_ending_needs_confirmation_and_notes_take_letters() -> None:
+    """Q alone ends nothing; in a note, q and x are letters, but F12 is not."""
     dialogue = Dialogue(("f12",))
     assert dialogue.press("q") is None
     assert dialogue.press("n") is None
@@ -358,8 +358,8 @@ def test_an_end_is_asked_twice_and_a_note_takes_letters_for_letters() -> None:
     assert dialogue.press("y") == Request("stop")
 
 
-def test_a_note_that_is_full_says_so() -> None:
-    """What does not fit is not kept, and whoever types it is told."""
+def test_a_full_note_is_reported() -> None:
+    """Further characters are ignored, and the prompt says so."""
     dialogue = Dialogue()
     dialogue.press("n")
     for _ in range(LONGEST_NOTE - 1):
@@ -372,14 +372,14 @@ def test_a_note_that_is_full_says_so() -> None:
 
 
 @given(st.text(max_size=30))
-def test_no_bytes_of_a_terminal_upset_the_keyboard(text: str) -> None:
-    """Whatever is pasted: keys are printable characters or names."""
+def test_any_text_splits_into_keys(text: str) -> None:
+    """Keys are printable characters or key names."""
     assert all(len(key) == 1 and key.isprintable() or key.isascii() for key in split_keys(text))
 
 
 @pytest.mark.parametrize("place", range(1, len("\x1b[24~")))
 def test_a_sequence_that_arrives_in_pieces_is_one_key(monkeypatch: pytest.MonkeyPatch, place: int) -> None:
-    """F12, the emergency stop, over a slow line: wherever it is cut, its rest does not answer with 4."""
+    """F12, the emergency stop, over a slow line: wherever it is split, its rest does not count as a 4."""
     pieces = iter(["\x1b[24~"[:place], "\x1b[24~"[place:]])
     keyboard = UnixKeyboard(0)
     monkeypatch.setattr(keyboard, "_receive", lambda: next(pieces))
@@ -387,8 +387,8 @@ def test_a_sequence_that_arrives_in_pieces_is_one_key(monkeypatch: pytest.Monkey
     assert keyboard.read(0.0) == ["f12"]
 
 
-def test_events_are_written_from_the_session_alone(tmp_path: Path) -> None:
-    """A file in a folder that does not exist is said at once, before anything begins."""
+def test_unusable_event_files_are_refused(tmp_path: Path) -> None:
+    """A missing folder and a file with other contents, before the session begins."""
     with pytest.raises(OSError, match="No such file"):
         EventLines(tmp_path / "absent" / "events.jsonl")
     protocol = tmp_path / "protocol.yaml"
@@ -399,7 +399,7 @@ def test_events_are_written_from_the_session_alone(tmp_path: Path) -> None:
 
 
 def test_a_terminal_of_another_session_gets_plain_lines(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As after `setsid`: it shows lines, but does not control this process, so that its keys cannot be read."""
+    """As after `setsid`: the terminal can be written, but its keys cannot be read."""
     master, slave = pty.openpty()
     with os.fdopen(slave, "r+b", buffering=0) as raw, TextIOWrapper(raw, write_through=True) as terminal:
         monkeypatch.setattr("sys.stdin", terminal)
@@ -411,15 +411,15 @@ def test_a_terminal_of_another_session_gets_plain_lines(monkeypatch: pytest.Monk
 
 
 def test_a_pause_within_a_break_leads_back_to_the_break() -> None:
-    """The participant's screen does, and the console says what is on it."""
+    """The console shows the break again, as the participant's screen does."""
     status = Status()
     for event in (start(), trial(1), {"event": "rest"}, {"event": "pause"}, {"event": "continued"}):
         status.take(event)
     assert status.facts()["state"] == "break"
 
 
-def test_the_console_says_why_a_session_is_paused() -> None:
-    """Nobody else sees that the keyboard went to another window."""
+def test_the_console_shows_the_reason_of_a_pause() -> None:
+    """For example that the keyboard focus is in another window."""
     status = Status()
     status.take(start())
     for event, words in (

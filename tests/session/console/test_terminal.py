@@ -1,4 +1,4 @@
-"""The live console, on a real terminal with real keys, beside a session that a model answers."""
+"""The live console on a real terminal with real keys, beside a session that a model answers."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def named(events: list[dict[str, Any]], name: str) -> list[dict[str, Any]]:
 
 
 def console_of(process: int) -> int:
-    """Return the number of the console's process."""
+    """Return the process id of the console."""
     listed = subprocess.run(
         ["ps", "-ww", "-o", "pid=,args=", "--ppid", str(process)], capture_output=True, text=True, check=True
     )
@@ -56,7 +56,7 @@ def console_of(process: int) -> int:
 def test_the_keys_pause_note_repeat_and_stop_a_session(
     run: Callable[..., Any], tmp_path: Path, events_of: Callable[[Path], list[dict[str, Any]]]
 ) -> None:
-    """Each key does what it says, each is in the record, and the terminal is as it was."""
+    """Each key has its effect and is recorded, and the terminal is restored."""
     console = run()
     picture = "\n".join(console.picture)
     for words in (
@@ -104,13 +104,13 @@ def test_the_keys_pause_note_repeat_and_stop_a_session(
     assert again["trial"] == events[line - 1]["trial"], "the old answer stays, superseded"
 
 
-def test_a_session_can_end_after_its_block_and_go_on_later(
+def test_a_session_can_end_after_its_block_and_continue_later(
     run: Callable[..., Any],
     terminal: Callable[..., Any],
     tmp_path: Path,
     events_of: Callable[[Path], list[dict[str, Any]]],
 ) -> None:
-    """Every trial of the block is answered, none of the next, and `resume` has the rest."""
+    """All trials of the block are answered and none of the next; `resume` continues with it."""
     console = run()
     console.type("b")
     console.wait_for("end after this block")
@@ -125,7 +125,7 @@ def test_a_session_can_end_after_its_block_and_go_on_later(
 def test_an_emergency_stop_needs_one_key(
     run: Callable[..., Any], tmp_path: Path, events_of: Callable[[Path], list[dict[str, Any]]], key: str
 ) -> None:
-    """No stimulus begins any more, and the session ends in order; F12 works amid a note, too."""
+    """No further stimulus begins, and the session ends normally; F12 works in a note, too."""
     console = run()
     if key != "x":
         console.type("n")
@@ -143,8 +143,8 @@ def test_an_emergency_stop_needs_one_key(
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGKILL])
-def test_the_terminal_is_given_back_however_the_session_ends(run: Callable[..., Any], number: signal.Signals) -> None:
-    """After SIGKILL of the session its console notices and restores the terminal by itself."""
+def test_the_terminal_is_restored_after_any_end(run: Callable[..., Any], number: signal.Signals) -> None:
+    """After SIGKILL of the session, the console process restores the terminal."""
     console = run()
     if number == signal.SIGINT:
         console.type("\x03")
@@ -155,8 +155,8 @@ def test_the_terminal_is_given_back_however_the_session_ends(run: Callable[..., 
     console.wait_until(lambda: console.is_restored, "the terminal as it was", 10)
 
 
-def test_a_session_outlives_its_console(run: Callable[..., Any]) -> None:
-    """The console's process is killed: the terminal is given back, and plain lines tell of the rest of the session."""
+def test_a_session_survives_its_console(run: Callable[..., Any]) -> None:
+    """If the console process is killed, the terminal is restored, and plain lines continue."""
     console = run()
     os.kill(console_of(console.process.pid), signal.SIGKILL)
     assert console.finish() == 0
@@ -166,7 +166,7 @@ def test_a_session_outlives_its_console(run: Callable[..., Any]) -> None:
 
 
 def test_the_console_is_readable_without_colours(run: Callable[..., Any]) -> None:
-    """NO_COLOR: no colour is ever set, and the state is still told in words."""
+    """With NO_COLOR no colour is set, and the state is shown in words."""
     console = run(NO_COLOR="1")
     console.type("p")
     console.wait_for("PAUSED")
@@ -176,10 +176,10 @@ def test_the_console_is_readable_without_colours(run: Callable[..., Any]) -> Non
     assert console.finish() == 130
 
 
-def test_a_terminal_that_stands_still_does_not_hold_the_session(
+def test_a_stopped_console_does_not_block_the_session(
     run: Callable[..., Any], tmp_path: Path, events_of: Callable[[Path], list[dict[str, Any]]]
 ) -> None:
-    """The console's process is stopped: trials go on being answered all the same."""
+    """Trials continue while the console process is stopped."""
     console = run()
     process = console_of(console.process.pid)
     os.kill(process, signal.SIGSTOP)

@@ -1,4 +1,4 @@
-"""Answers that the experimenter types at the console, and answers that a record tells in two lines."""
+"""Answers that the experimenter types at the console, and answers recorded in two lines."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ SHOWN = ("left", "both", "right", "none")
 
 
 def start() -> dict[str, Any]:
-    """Return a start record, as far as the console looks at it."""
+    """Return a start record with the members that the console reads."""
     named = {"participant": "p01", "session": 1, "mode": "real", "protocol": "demo", "rig": {"identity": "x"}}
     return {"n": 1, "event": "start", **named, "schedule": {"n_trials": 24}, "clock": 0.0}
 
 
 def trial(index: int, *, clock: float = 0.0) -> dict[str, Any]:
-    """Return a trial event, as far as the console looks at it."""
+    """Return a trial event with the members that the console reads."""
     return {
         "n": 10 + index,
         "event": "trial",
@@ -47,7 +47,7 @@ def trial(index: int, *, clock: float = 0.0) -> dict[str, Any]:
 
 
 class Asked(SilentConsole):
-    """A console at which somebody asks."""
+    """A console with given requests."""
 
     def __init__(self, *asked: Request) -> None:
         self.asked = list(asked)
@@ -58,7 +58,7 @@ class Asked(SilentConsole):
 
 
 def draw(facts: dict[str, Any], width: int, height: int) -> str:
-    """Return the console's picture as one line of words."""
+    """Return the console's picture as one line of text."""
     file = StringIO()
     console = Console(file=file, width=width, height=height, force_terminal=False)
     console.print(draw_session(facts, "", width=width, height=height))
@@ -72,18 +72,18 @@ def experimenters(**answers: Any) -> dict[str, Any]:
 
 
 def asked(way: str = "experimenter") -> list[dict[str, Any]]:
-    """Return what happens until a stimulus plays."""
+    """Return the events up to a playing stimulus."""
     firing = {"commanded_amplitude": [1.0, 1.0], "confirmed": False, "reason": ""}
     return [{"event": "trial_next", "trial": {**TRIAL, "way": way}}, {"n": 5, "event": "fired", "confirmed": firing}]
 
 
-def test_where_all_digits_are_taken_a_letter_answers() -> None:
-    """The first that is no key of the console; p keeps its meaning there."""
+def test_a_letter_is_used_if_all_digits_are_taken() -> None:
+    """The first letter that is not a key of the console."""
     assert typed_keys({"aa": ["p"], "bb": list("123456789")}, ("aa", "bb"))["aa"] == ["a"]
 
 
-def test_every_answer_has_a_key_that_is_not_the_consoles_own() -> None:
-    """`p`, `r`, `n`, `b`, `q` and `x` keep their meaning; the screen's order numbers the answers."""
+def test_answer_keys_do_not_collide_with_the_consoles_keys() -> None:
+    """P, R, N, B, Q and X keep their meaning; digits follow the order on the screen."""
     keys = typed_keys({"left": ["p"], "both": ["q"], "right": ["1"], "none": ["x", "num_enter"]}, SHOWN)
     assert keys == {"left": ["5"], "both": ["2"], "right": ["1", "3"], "none": ["4"]}
     own = typed_keys({answer: ["n", "b", "r"] for answer in SHOWN[:3]}, SHOWN[:3])
@@ -91,8 +91,8 @@ def test_every_answer_has_a_key_that_is_not_the_consoles_own() -> None:
 
 
 @given(st.permutations(["p", "q", "1", "2", "3", "4", "left", "num_4", "f5", "space"]))
-def test_no_key_answers_twice_and_none_lacks_a_key(names: list[str]) -> None:
-    """Whatever keys a protocol gives its answers."""
+def test_every_answer_has_its_own_keys(names: list[str]) -> None:
+    """For any keys of a protocol."""
     given = {answer: names[place : place + 2] for place, answer in enumerate(SHOWN)}
     keys = typed_keys(given, SHOWN)
     typed = [key for named in keys.values() for key in named]
@@ -100,8 +100,8 @@ def test_no_key_answers_twice_and_none_lacks_a_key(names: list[str]) -> None:
     assert not OWN_KEYS.intersection(typed)
 
 
-def test_the_console_answers_while_a_trial_is_on_and_only_then() -> None:
-    """Before it and after it a word tells that the key is not taken; the console's own keys work at every moment."""
+def test_the_console_answers_only_during_a_trial() -> None:
+    """At other times it says that the key is not accepted; its own keys always work."""
     status, dialogue = Status(), Dialogue()
     for event in (experimenters(), *asked()[:1]):
         status.take(event)
@@ -124,7 +124,7 @@ def test_the_console_answers_while_a_trial_is_on_and_only_then() -> None:
 
 @pytest.mark.parametrize("way", ["free_hand", "lifting", "foot_switch"])
 def test_a_participants_answer_is_not_typed_at_the_console(way: str) -> None:
-    """Where one finger condition is the experimenter's and another is not."""
+    """If only one finger condition is answered by the experimenter."""
     status = Status()
     for event in (experimenters(given_by="participant", ways={"two_hands": "experimenter"}), *asked(way)):
         status.take(event)
@@ -135,7 +135,7 @@ def test_a_participants_answer_is_not_typed_at_the_console(way: str) -> None:
 
 
 def test_a_typed_answer_reaches_the_window_with_its_key_and_its_time() -> None:
-    """Nothing is written for it: the line of the answer says it. A key that answers nothing is not sent on."""
+    """The answer's line records it; a key without a meaning is not forwarded."""
     console, recorded = Asked(Request("answer", "up", 12.5), Request("answer", "8", 12.6)), []
     experimenter = Experimenter(console, lambda event, **facts: recorded.append(event))
     for event in (experimenters(), *asked()):
@@ -147,7 +147,7 @@ def test_a_typed_answer_reaches_the_window_with_its_key_and_its_time() -> None:
 
 
 def test_keys_typed_together_reach_the_window_one_by_one() -> None:
-    """Where a screen takes long to draw, two digits of a number or two answers come at once, and the first counts."""
+    """While a screen is being drawn, several keys may arrive; their order is kept."""
     experimenter = Experimenter(Asked(Request("answer", "1", 7.0), Request("answer", "3", 7.1), Request("pause")))
     for event in (experimenters(), *asked()):
         experimenter.tell(event)
@@ -160,8 +160,8 @@ def test_keys_typed_together_reach_the_window_one_by_one() -> None:
     ]
 
 
-def test_the_picture_shows_the_keys_while_a_trial_is_on() -> None:
-    """And a key that came too early is told."""
+def test_the_picture_shows_the_answer_keys_during_a_trial() -> None:
+    """A key that came too early is reported."""
     status = Status()
     for event in (experimenters(), asked()[0]):
         status.take(event)
@@ -173,7 +173,7 @@ def test_the_picture_shows_the_keys_while_a_trial_is_on() -> None:
 
 
 def answered_then_confirmed(index: int, *, confirmed: bool = True, **firing: Any) -> list[dict[str, Any]]:
-    """Return the two lines of an answer since format 2 of the record."""
+    """Return the two lines of an answer in format 2 of the record."""
     line = {**trial(index, clock=10.0 * index), "n": 10 * index, "event": "answered"}
     after = {**line, "n": 10 * index + 1, "event": "trial", "answered": 10 * index}
     return [
@@ -182,8 +182,8 @@ def answered_then_confirmed(index: int, *, confirmed: bool = True, **firing: Any
     ]
 
 
-def test_an_answer_in_two_lines_is_told_once() -> None:
-    """At its first line; the second adds what was confirmed, and counts nothing again."""
+def test_an_answer_in_two_lines_is_shown_once() -> None:
+    """At its first line; the second adds the confirmation and counts nothing again."""
     status, file = Status(), StringIO()
     lines = PlainLines(file)
     status.take(start())
@@ -200,8 +200,8 @@ def test_an_answer_in_two_lines_is_told_once() -> None:
     assert status.facts()["n_answered"] == 1
 
 
-def test_an_answer_whose_end_is_not_confirmed_does_not_count() -> None:
-    """Neither where the instrument changed, nor where a kill came between its two lines."""
+def test_an_unconfirmed_answer_does_not_count() -> None:
+    """Whether the instrument changed or the session was killed between the two lines."""
     status = Status()
     status.take(start())
     for event in answered_then_confirmed(1, confirmed=False, stalled=True):
@@ -214,8 +214,8 @@ def test_an_answer_whose_end_is_not_confirmed_does_not_count() -> None:
     assert status.facts()["n_answered"] == 0
 
 
-def test_lines_are_numbered_and_say_what_is_replayed(tmp_path: Path) -> None:
-    """The number is that of the log's line; what is not one of the record has none."""
+def test_event_lines_have_numbers_and_mark_replays(tmp_path: Path) -> None:
+    """The number is that of the log's line; other events have none."""
     path, status = tmp_path / "events.jsonl", Status()
     experimenter = Experimenter(EventLines(path), status=status)
     experimenter.tell(start(), replayed=True)
@@ -232,8 +232,8 @@ def test_lines_are_numbered_and_say_what_is_replayed(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("reason", "confirmed"), [("", None), ("amplitude off", False)])
-def test_a_stimulus_that_begins_is_not_told_as_unconfirmed(reason: str, confirmed: bool | None) -> None:
-    """It is confirmed at its end; a reason against it is told at once."""
+def test_a_stimulus_is_not_shown_as_unconfirmed_before_its_end(reason: str, confirmed: bool | None) -> None:
+    """Unless there is a reason against it."""
     status = Status()
     status.take({"n": 5, "event": "fired", "confirmed": {**asked()[1]["confirmed"], "reason": reason}})
     assert status.facts()["generator"]["confirmed"] is confirmed
