@@ -1,13 +1,13 @@
-"""How often the true state of a twin lies in the interval that its calibration states, mode by mode.
+"""Coverage of a calibration's intervals for the true state of a twin, mode by mode.
 
 ``python tests/lab/intervals.py --twins 200 --out results/benchmarks/intervals.json``
 
-Half of the twins have the mismatch that the apparatus is shipped with, half one five times as large and an amplifier
-of 100 kHz and 5 us. The trigger's latency, the vibrometer's low-pass and its sensitivity are drawn as the apparatus
-file says they are known: normal, 95 % within 0.05 us, a fifth of the data sheet's lag, and 95 % within 1 %. What a
-sensitivity does is common to all modes of a twin: sensitivities are drawn evenly over their quantiles. Each twin is
-calibrated; velocity and w eta of every modelled mode under the kept targets are read from it and held against what the
-calibration's file says: error after, plus or minus its uncertainty; so is the highest level at the focus.
+Half of the twins have the shipped mismatch, half one five times as large and an amplifier of 100 kHz and 5 us. The
+trigger's latency, the vibrometer's low-pass and its sensitivity are drawn with the uncertainties of the apparatus
+file: normal, 95 % within 0.05 us, a fifth of the data sheet's lag, and 95 % within 1 %. A sensitivity affects all modes
+of a twin alike, so sensitivities are drawn evenly over their quantiles. Each twin is calibrated; its true velocity and
+w eta of every modelled mode under the kept targets are compared with the calibration's file (error after, plus or minus
+its uncertainty), and so is the highest level at the focus.
 """
 
 from __future__ import annotations
@@ -34,16 +34,16 @@ from modaltouch.rig.scope import Acquisition, Recording
 def calibrated(
     preflight: Preflight, rig: Apparatus, seed: int, listed: Apparatus, reads: float = 1.0
 ) -> tuple[CalibrationResult, np.ndarray, float]:
-    """Return a calibration of a twin, and how far its statements lie from the truth.
+    """Return a calibration of a twin, and the errors of its statements.
 
     Returns
     -------
     outcome : CalibrationResult
         The calibration.
     off : (2, n_modes) array
-        Stated less true velocity, and w eta, under the targets that are kept [m/s].
+        Stated minus true velocity, and w eta, under the kept targets [m/s].
     level_off : float
-        Stated less true velocity at the focus at the highest level [m/s].
+        Stated minus true velocity at the focus at the highest level [m/s].
     """
     bench, inputs = Reading(rig, seed, reads), preflight.inputs
     outcome = CalibrationLoop(bench, listed, inputs).run()
@@ -60,7 +60,7 @@ def calibrated(
 
 
 class Reading(TwinBench):
-    """A bench whose vibrometer shows a multiple of the velocity."""
+    """A bench whose vibrometer reads a multiple of the velocity."""
 
     def __init__(self, apparatus: Apparatus, seed: int, reads: float) -> None:
         super().__init__(apparatus, seed)
@@ -75,13 +75,13 @@ GOLDEN = (5**0.5 - 1) / 2
 
 
 def reading(apparatus: Apparatus, number: int) -> float:
-    """Return what a vibrometer shows of a velocity, drawn evenly over the quantiles of what is known of it [1]."""
+    """Return a vibrometer's reading of a velocity of 1, evenly over the quantiles of its uncertainty [1]."""
     known = apparatus.acquisition.sensitivity_uncertainty_percent * 1e-2 / NORMAL_95
     return 1 + known * float(norm.ppf((0.5 + number * GOLDEN) % 1))
 
 
 def drawn(rig: Apparatus, shipped: Apparatus, seed: int) -> tuple[Apparatus, Apparatus]:
-    """Return a rig, and what is listed of it, as far apart as the apparatus file says they may be."""
+    """Return a rig and its listed values, which differ within the uncertainties of the apparatus file."""
     rng, knobs, twin = np.random.default_rng([seed, 9]), shipped.acquisition, rig.twin
     slower = max(0.4, 1 + DATA_SHEET * rng.standard_normal())
     filtered = twin.vibrometer.model_copy(update={"bandwidth_kHz": knobs.vibrometer_bandwidth_kHz / slower})
@@ -94,7 +94,7 @@ def drawn(rig: Apparatus, shipped: Apparatus, seed: int) -> tuple[Apparatus, App
 
 
 def main() -> None:
-    """Calibrate the twins in turn, and write the shares after each."""
+    """Calibrate the twins in turn, and write the coverage after each."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--twins", type=int, default=200)
     parser.add_argument("--out", type=Path, required=True)

@@ -1,12 +1,12 @@
-"""Measurements of the twin with one fault each: every result outside its interval must bear a mark.
+"""Measurements of the twin with one fault each: every result outside its interval must have a mark.
 
 ``python tests/lab/spoilt.py --cases 1000 --out results/benchmarks/spoilt.json``
 
-A *mark* is a refusal, or a sentence among the warnings of the result. An identification is *silently wrong* if it
-bears none and a natural frequency, damping ratio or gain of modes 1 to 11 is further from the twin's than twice the
-half-width of its 95 % interval (natural frequencies and damping ratios of one blow, where a record is clipped); a
+A *mark* is a refusal, or a sentence among the warnings of the result. An identification is *silently wrong* if it has
+none and a natural frequency, damping ratio or gain of modes 1 to 11 is further from the twin's than twice the
+half-width of its 95 % interval (natural frequencies and damping ratios of one impact, if a record is clipped); a
 calibration, if the velocity or w eta of a mode is further from the twin's true state. A calibration that misses its
-limits counts as refused. A refusal is *right* if it names the true cause, by a word of `CAUSES`.
+limits counts as refused. A refusal is *right* if it contains one of the words of `CAUSES` for the true cause.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ def response_of(
 
 
 def measured(frequency: np.ndarray, response: np.ndarray, seed: int, noise: float = 1.0) -> FrequencyResponses:
-    """Return estimated responses with a noise of 0.02 of the median response, or a multiple of it."""
+    """Return estimated responses with noise of 0.02 of the median response, or a multiple of it."""
     rng = np.random.default_rng(seed)
     power = (noise * 0.02 * np.median(np.abs(response))) ** 2 * N_AVERAGES
     scatter = rng.standard_normal(response.shape) + 1j * rng.standard_normal(response.shape)
@@ -172,13 +172,13 @@ FAULTS: dict[str, Fault] = {
 
 
 def saturated(apparatus: Apparatus, needed: float, rng: np.random.Generator) -> Apparatus:
-    """Return an apparatus whose amplifier saturates at 30 to 100 % of what the stimulus needs."""
+    """Return an apparatus whose amplifier saturates at 30 to 100 % of the stimulus's need."""
     amplifier = apparatus.twin.amplifier.model_copy(update={"limit_V": needed * rng.uniform(0.3, 1.0)})
     return apparatus.model_copy(update={"twin": apparatus.twin.model_copy(update={"amplifier": amplifier})})
 
 
 def hysteretic(apparatus: Apparatus, needed: float, rng: np.random.Generator) -> Apparatus:
-    """Return an apparatus whose actuators have hysteresis, of 2 to 60 % of their force."""
+    """Return an apparatus whose actuators have hysteresis of 2 to 60 % of their force."""
     share = float(np.exp(rng.uniform(np.log(0.02), np.log(0.6))))
     return apparatus.model_copy(update={"twin": apparatus.twin.model_copy(update={"hysteresis": share})})
 
@@ -197,7 +197,7 @@ def paper() -> Preflight:
 
 
 def calibration_of(name: str, seed: int) -> dict[str, bool]:
-    """Return what came of calibrating a rig with a fault."""
+    """Return the outcome of calibrating a rig with a fault."""
     preflight, rng = paper(), np.random.default_rng(seed)
     listed = preflight.experiment.apparatus
     rig = RIGS[name](listed, float(preflight.stimulus.peak_voltage.max()), rng)
@@ -217,7 +217,7 @@ LOW = (1, 3)
 
 
 def clipped(seed: int, apparatus: Apparatus) -> dict[str, bool]:
-    """Return what came of a blow's record that is cut at 30 to 99 % of its highest acceleration."""
+    """Return the outcome for an impact record clipped at 30 to 99 % of its highest acceleration."""
     rng = np.random.default_rng(seed)
     beam = true_beam(apparatus, int(rng.integers(1 << 31)))
     rate, n = 20e3, 16_384
@@ -277,7 +277,7 @@ CAUSES = {
 
 
 def is_wrong(found: Identification, beam: TrueBeam) -> bool:
-    """Return whether a number is further from the true one than twice the half-width of its interval."""
+    """Return whether a number differs from the truth by more than twice the half-width of its interval."""
     for label in LABELS:
         mode, k = found.by_label[label], beam.table.label.index(label)
         numbers = (mode.natural_frequency, mode.damping_ratio, *mode.gain)
@@ -288,12 +288,12 @@ def is_wrong(found: Identification, beam: TrueBeam) -> bool:
 
 
 def refused(name: str, said: str) -> dict[str, bool]:
-    """Return what a refusal is."""
+    """Return the outcome for a refusal."""
     return {"marked": True, "refused": True, "right": CAUSES.get(name, "\0") in said, "silently_wrong": False}
 
 
 def outcome(name: str, seed: int, apparatus: Apparatus) -> dict[str, bool]:
-    """Return what came of one case: marked, refused, refused with the true cause, silently wrong."""
+    """Return the outcome of one case: marked, refused, refused with the true cause, silently wrong."""
     if name in RIGS:
         return calibration_of(name, seed)
     if name == "clipping":
@@ -318,7 +318,7 @@ def outcome(name: str, seed: int, apparatus: Apparatus) -> dict[str, bool]:
 
 
 def main() -> None:
-    """Run the cases, the faults in turn, and write how many of each were marked, refused and right."""
+    """Run the cases, with all faults in turn, and write the counts of marked, refused and right."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--cases", type=int, default=1000)
     parser.add_argument("--out", type=Path, required=True)

@@ -1,4 +1,4 @@
-"""A bench at physics level, twin and scope without the generator's commands, and a large mismatch."""
+"""A bench at the level of physics: twin and scope without the generator's commands, and a large mismatch."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ LEVEL_BAR = 0.01
 
 
 class TwinBench:
-    """Plays on a twin and records with its scope; `amplitude_error` is what the generator makes of an amplitude."""
+    """Plays on a twin and records with its scope; `amplitude_error` distorts the generator's amplitude."""
 
     progress = SILENT_PROGRESS
 
@@ -49,7 +49,7 @@ class TwinBench:
         self._burst = burst
 
     def play(self, burst: Burst, velocity: float) -> None:
-        """Send a burst at a level."""
+        """Play a burst at a level."""
         first = burst.amplitude_for(velocity)[0]
         self.playing = tuple(
             Playback(
@@ -73,14 +73,14 @@ class TwinBench:
         return self._scope.measure(position)
 
     def true_state(self, burst: Burst, velocity: float, instant: float) -> TrueState:
-        """Return what a burst, repeated for long, really does at an instant."""
+        """Return the true state at an instant of a burst that has been repeated for long."""
         self.play(burst, velocity)
         return self.twin.true_state(self.playing, instant)
 
 
 @pytest.fixture(scope="session")
 def make_bench() -> type[TwinBench]:
-    """What makes a bench of an apparatus and a seed."""
+    """Return a function that makes a bench of an apparatus and a seed."""
     return TwinBench
 
 
@@ -92,7 +92,7 @@ def preflight() -> Preflight:
 
 @pytest.fixture(scope="session")
 def shipped_apparatus(preflight: Preflight) -> Apparatus:
-    """The apparatus with the mismatch it is shipped with."""
+    """The apparatus with its shipped mismatch."""
     return preflight.experiment.apparatus
 
 

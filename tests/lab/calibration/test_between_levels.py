@@ -1,4 +1,4 @@
-"""A calibration for adaptive runs: levels between the bounds are verified, and those between them follow."""
+"""A calibration for adaptive runs: some levels are verified, and those between them are interpolated."""
 
 from __future__ import annotations
 
@@ -19,17 +19,15 @@ THRESHOLD = Path(__file__).parents[3] / "protocols" / "threshold.yaml"
 
 
 def test_three_levels_at_equal_ratios_are_verified_between_the_bounds() -> None:
-    """Of 2 to 200 mm/s a factor of 100^(1/4) = 3.162 apart; a protocol of fixed levels needs none."""
+    """From 2 to 200 mm/s, a factor of 100^(1/4) = 3.162 apart; fixed levels need none."""
     assert levels_between(examine(THRESHOLD).require().experiment.protocol) == (6.325, 20.0, 63.25)
     own = examine(THRESHOLD.with_name("sensation_levels.yaml")).require().experiment.protocol
     assert levels_between(own) == (6.325, 20.0, 63.25), "participants' own levels lie anywhere between"
     assert levels_between(examine(THRESHOLD.with_name("demo.yaml")).require().experiment.protocol) == ()
 
 
-def test_levels_that_a_run_may_play_are_met_between_those_that_were_verified(
-    make_bench: Callable, shipped_apparatus: Apparatus
-) -> None:
-    """Amplitudes come out 2 % higher for each decade below 15 Vpp; between, levels hold to 1 % or 0.3 mm/s."""
+def test_levels_between_the_verified_ones_are_met(make_bench: Callable, shipped_apparatus: Apparatus) -> None:
+    """Amplitudes are 2 % high per decade below 15 Vpp; levels between hold to 1 % or 0.3 mm/s."""
     preflight = examine(THRESHOLD).require()
     grounds, between = design_inputs_of(preflight), levels_between(preflight.experiment.protocol)
     bench = make_bench(shipped_apparatus, 1, lambda amplitude: 1 + 0.02 * math.log10(15 / max(amplitude, 0.01)))

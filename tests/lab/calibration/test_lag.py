@@ -1,4 +1,4 @@
-"""Delay, lag, gain and clock told from what a scope sees, against the twin's true values and closed forms."""
+"""Delay, lag, gain and clock error from records of a scope, against the twin's true values and closed forms."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from modaltouch.protocol.apparatus_sections import TrueAmplifier
 
 
 @pytest.mark.parametrize(("kilohertz", "delay"), [(100.0, 5.0), (300.0, 1.0), (30.0, 20.0)])
-def test_drive_tells_amplifier_and_clock(
+def test_amplifier_and_clock_are_found_from_the_drive(
     make_bench: Callable, preflight: Preflight, shipped_apparatus: Apparatus, kilohertz: float, delay: float
 ) -> None:
-    """Delay within 10 ns of the true one less the trigger's 50 ns, corner within 2 %, clock within 0.1 ppm of 5."""
+    """Delay within 10 ns of the truth less the trigger's 50 ns, corner within 2 %, clock within 0.1 ppm of 5."""
     true = shipped_apparatus.twin.model_copy(
         update={"amplifier": TrueAmplifier(bandwidth_kHz=kilohertz, delay_us=delay)}
     )
@@ -43,8 +43,8 @@ def test_drive_tells_amplifier_and_clock(
 
 
 @pytest.mark.parametrize(("delay", "lag"), list(product([0.5, 4.0, 15.0], [0.3, 0.64])))
-def test_sight_is_told_by_phases_alone(preflight: Preflight, delay: float, lag: float) -> None:
-    """Real gains of any size, half of them of unknown sign, behind a delay and a low-pass: both come out."""
+def test_vibrometer_delay_and_lag_are_found_from_phases(preflight: Preflight, delay: float, lag: float) -> None:
+    """With real gains of any size, half of them with unknown sign."""
     pole = preflight.stimulus.model.exponent
     true = VibrometerDelay(delay * 1e-6, lag * 1e-6, 0.0)
     rng = np.random.default_rng(3)

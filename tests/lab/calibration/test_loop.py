@@ -1,4 +1,4 @@
-"""The loop: what it must correct, what it must not do, and what it does when something is in its way."""
+"""The calibration loop: what it must correct, what it must not do, and how it deals with obstacles."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ from modaltouch.stimulus.burst import Correction
 from modaltouch.system.operating_system import Interrupted
 
 
-def test_shipped_mismatch_is_met_closer(
+def test_the_shipped_mismatch_is_corrected(
     make_bench: Callable, preflight: Preflight, shipped_apparatus: Apparatus, judge: Callable
 ) -> None:
-    """The twin as shipped, 2.7 mm/s off before: 0.15 mm/s in both states, levels within half a per cent."""
+    """From 2.7 mm/s to within 0.15 mm/s in both states, and levels within 0.5 %."""
     bench = make_bench(shipped_apparatus, 1)
     outcome = CalibrationLoop(bench, shipped_apparatus, preflight.inputs).run()
     velocity, displacement, level = judge(bench, outcome)
@@ -34,10 +34,10 @@ def test_shipped_mismatch_is_met_closer(
     assert level < 5e-3
 
 
-def test_a_real_valued_correction_leaves_the_displacements(
+def test_correcting_velocities_alone_leaves_the_displacements(
     make_bench: Callable, preflight: Preflight, mismatched: Apparatus
 ) -> None:
-    """Velocities alone, corrected four times on the listed model: w eta stays wrong by millimetres a second."""
+    """Four corrections of the velocities on the listed model leave w eta wrong by more than 3 mm/s."""
     bench = make_bench(mismatched.model_copy(update={"twin": _without_delay(mismatched)}), 0)
     inputs, corrected_target = preflight.inputs, preflight.stimulus.target.copy()
     for _ in range(5):
@@ -49,10 +49,10 @@ def test_a_real_valued_correction_leaves_the_displacements(
     assert np.abs(state.displacement).max() > 3e-3
 
 
-def test_a_delay_that_is_not_known_lets_the_loop_diverge(
+def test_an_unknown_delay_makes_the_correction_diverge(
     make_bench: Callable, preflight: Preflight, mismatched: Apparatus
 ) -> None:
-    """Both states corrected with the true ones, but 5 us and 100 kHz unknown: worse from turn to turn."""
+    """With 5 us and 100 kHz unknown, correcting both states gets worse from iteration to iteration."""
     bench = make_bench(mismatched, 3)
     inputs, wished = preflight.inputs, preflight.stimulus.target
     corrected_target = np.stack([wished, np.zeros_like(wished)])
@@ -74,7 +74,7 @@ def _without_delay(apparatus: Apparatus):
 
 
 def test_noise_is_not_corrected() -> None:
-    """Within three standard errors nothing, far beyond them nearly all."""
+    """Within three standard errors nothing is corrected, far beyond them nearly everything."""
     target = np.zeros(3)
     state = ModalState(np.array([2e-4, 4e-4, 9e-3]), np.zeros(3), np.full(3, 1e-4))
     velocity, displacement = significant(state, target)
@@ -84,18 +84,18 @@ def test_noise_is_not_corrected() -> None:
     assert (displacement == 0).all()
 
 
-def test_points_see_every_mode_and_stand_in_pairs(preflight: Preflight) -> None:
-    """Mirrored about the middle, and no mode is seen by less than a quarter of its mean."""
+def test_measuring_points_see_every_mode_and_form_pairs(preflight: Preflight) -> None:
+    """Mirrored about the middle; the mean square of each mode at the points exceeds a quarter."""
     model = preflight.stimulus.model
     points = measuring_points(model)
     assert points == pytest.approx(-points[::-1])
     assert ((model.shapes(points) ** 2).mean(axis=1) > 0.25).all()
 
 
-def test_more_than_the_amplifier_gives_is_never_played(
+def test_voltages_beyond_the_amplifiers_limit_are_never_played(
     make_bench: Callable, preflight: Preflight, mismatched: Apparatus
 ) -> None:
-    """A rig that turns out to need more than its limit is refused in words; nothing beyond the limit was played."""
+    """A rig that needs more than its limit is refused; no higher voltage was played."""
     # Seed 3 needs 182 V where the table says 184 V; gains a third lower need more.
     weak = mismatched.model_copy(
         update={
@@ -115,10 +115,10 @@ def _low_gain(apparatus: Apparatus):
     return apparatus.twin.amplifier.model_copy(update={"gain_V_per_V": 24.0})
 
 
-def test_a_generator_that_is_off_at_one_level_is_trimmed(
+def test_an_amplitude_error_at_one_level_is_corrected(
     make_bench: Callable, preflight: Preflight, shipped_apparatus: Apparatus, judge: Callable
 ) -> None:
-    """Amplitudes below 7 Vpp come out 3 % high: the level of 80 mm/s gets its own factor, and is met within 1 %."""
+    """Amplitudes below 7 Vpp are 3 % high: the level of 80 mm/s gets its own factor and is met within 1 %."""
     bench = make_bench(shipped_apparatus, 1, lambda amplitude: 1.03 if amplitude < 7 else 1.0)
     outcome = CalibrationLoop(bench, shipped_apparatus, preflight.inputs).run()
     assert outcome.levels[0].factor == pytest.approx(1 / 1.03, rel=5e-3)
@@ -126,8 +126,10 @@ def test_a_generator_that_is_off_at_one_level_is_trimmed(
     assert judge(bench, outcome)[2] < 0.01
 
 
-def test_ranges_fit_what_is_measured(make_bench: Callable, preflight: Preflight, shipped_apparatus: Apparatus) -> None:
-    """After the first point of a scan the scope's range follows the highest value, and nothing is overloaded."""
+def test_ranges_follow_the_measurements(
+    make_bench: Callable, preflight: Preflight, shipped_apparatus: Apparatus
+) -> None:
+    """After the first point of a scan the range follows the highest value, and nothing is overloaded."""
     bench = make_bench(shipped_apparatus, 1)
     CalibrationLoop(bench, shipped_apparatus, preflight.inputs).run()
     ranges = [each.velocity_range for each in bench.asked if not each.drives]
@@ -138,7 +140,7 @@ def test_ranges_fit_what_is_measured(make_bench: Callable, preflight: Preflight,
 def test_a_signal_ends_it_before_the_next_record(
     make_bench: Callable, preflight: Preflight, shipped_apparatus: Apparatus
 ) -> None:
-    """What `check` raises comes out as it is, after no further record."""
+    """The exception of `check` propagates without a further record."""
     bench = make_bench(shipped_apparatus, 1)
 
     def check() -> None:
@@ -151,10 +153,10 @@ def test_a_signal_ends_it_before_the_next_record(
     assert bench.n_records == 5
 
 
-def test_turns_are_told_as_they_are_measured(
+def test_iterations_are_reported_as_they_are_measured(
     make_bench: Callable, preflight: Preflight, shipped_apparatus: Apparatus
 ) -> None:
-    """Every turn, in order, with the number of records announced beforehand; each step ends complete."""
+    """In order, with the number of records announced beforehand; each step ends complete."""
     bench, said, shown = make_bench(shipped_apparatus, 2), list[str](), dict[str, tuple[int, int]]()
     bench.progress = MeasurementProgress(
         say=said.append, show=lambda what, done, total: shown.__setitem__(what, (done, total))
@@ -167,15 +169,15 @@ def test_turns_are_told_as_they_are_measured(
     assert sum(total for _, total in shown.values()) == bench.n_records
 
 
-def test_the_papers_law_has_no_targets(edit: Callable) -> None:
-    """Refused at its key."""
+def test_the_papers_law_cannot_be_calibrated(edit: Callable) -> None:
+    """It is refused at its key."""
     path = edit("differentiated_stimulation.yaml", ("law: exact  ", "law: paper  "))
     with pytest.raises(InputError, match=r":10:8: stimulus.law: given paper, a law whose targets cannot be corrected"):
         design_inputs_of(examine(path))
 
 
-def test_a_field_in_a_file_of_its_own_is_refused(edit: Callable) -> None:
-    """The calibration could not say later whether it still is that field."""
+def test_a_field_in_a_separate_file_is_refused(edit: Callable) -> None:
+    """A calibration could not check later that the field is unchanged."""
     field = ("field: {shape: triangle, base_mm: 56}", "field: {shape: sampled, file: field.csv}")
     path = edit("differentiated_stimulation.yaml", field)
     (path.parent / "field.csv").write_text("position_mm,velocity\n-20,0\n0,1\n20,0\n", encoding="utf-8")
@@ -183,10 +185,10 @@ def test_a_field_in_a_file_of_its_own_is_refused(edit: Callable) -> None:
         design_inputs_of(examine(path))
 
 
-def test_a_trigger_latency_that_is_told_is_taken_out(
+def test_a_known_trigger_latency_is_removed(
     preflight: Preflight, shipped_apparatus: Apparatus, make_bench: Callable, judge: Callable
 ) -> None:
-    """Half a microsecond leaves 0.8 mm/s in a displacement where the apparatus file does not say it, and else none."""
+    """An unlisted latency of 0.5 us leaves over 0.5 mm/s in a displacement; a listed one leaves none."""
     late = shipped_apparatus.twin.scope.model_copy(update={"trigger_latency_us": 0.5})
     true = shipped_apparatus.model_copy(update={"twin": shipped_apparatus.twin.model_copy(update={"scope": late})})
     told = true.model_copy(update={"acquisition": true.acquisition.model_copy(update={"trigger_latency_us": 0.5})})
@@ -198,10 +200,10 @@ def test_a_trigger_latency_that_is_told_is_taken_out(
     assert max(met[:2]) < 0.15e-3
 
 
-def test_every_level_is_verified_whatever_the_amplitude_grid(
+def test_every_level_is_verified_even_off_the_amplitude_grid(
     preflight: Preflight, shipped_apparatus: Apparatus, make_bench: Callable
 ) -> None:
-    """Full scale above what the generator may be set to, so that levels lie off its grid: all four are measured."""
+    """The full scale is such that levels lie off the generator's grid: all four are still measured."""
     inputs = preflight.inputs
     tight = inputs.apparatus.amplifier.model_copy(update={"limit_V": 186.4})
     inputs = replace(inputs, apparatus=inputs.apparatus.model_copy(update={"amplifier": tight}))

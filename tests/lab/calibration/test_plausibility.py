@@ -1,4 +1,4 @@
-"""What a calibration refuses to believe: each fault of a rig said in words, with what to look at."""
+"""Implausible measurements that a calibration refuses, each with its cause and remedy."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from modaltouch.rig.scope import Acquisition, Recording
 
 
 class Spoilt:
-    """A bench whose recordings are changed on their way."""
+    """A bench whose recordings are altered."""
 
     def __init__(self, bench, change: Callable[[Recording], Recording]) -> None:
         self.load, self.progress = bench.load, bench.progress
@@ -32,7 +32,7 @@ class Spoilt:
 
 
 def changed(**factors: float) -> Callable[[Recording], Recording]:
-    """Return what multiplies velocity or drive."""
+    """Return a function that multiplies velocity or drive."""
 
     def change(recording: Recording) -> Recording:
         return replace(recording, **{name: getattr(recording, name) * factor for name, factor in factors.items()})
@@ -46,7 +46,7 @@ def exchanged(recording: Recording) -> Recording:
 
 
 def humming(size: float) -> Callable[[Recording], Recording]:
-    """Return what adds 50 Hz and multiples to the velocity, with another phase in each record [m/s]."""
+    """Return a function that adds 50 Hz and multiples to the velocity, with random phases per record [m/s]."""
     rng = np.random.default_rng(0)
 
     def change(recording: Recording) -> Recording:
@@ -58,7 +58,7 @@ def humming(size: float) -> Callable[[Recording], Recording]:
 
 
 def whistling(size: float, *, locked: bool) -> Callable[[Recording], Recording]:
-    """Return what adds a tone of 13.7 kHz to the velocity, of one phase in all records or of another in each [m/s]."""
+    """Return a function that adds a tone of 13.7 kHz, with one phase for all records or random phases [m/s]."""
     rng = np.random.default_rng(0)
 
     def change(recording: Recording) -> Recording:
@@ -70,7 +70,7 @@ def whistling(size: float, *, locked: bool) -> Callable[[Recording], Recording]:
 
 
 def inverted_at(place: float) -> Callable[[Recording], Recording]:
-    """Return what turns the velocity at one place."""
+    """Return a function that inverts the velocity at one position."""
 
     def change(recording: Recording) -> Recording:
         sign = -1.0 if np.isclose(recording.position, place) else 1.0
@@ -126,7 +126,7 @@ def inverted_at(place: float) -> Callable[[Recording], Recording]:
         "no drive",
     ],
 )
-def test_fault_of_a_rig_is_told(
+def test_faults_of_a_rig_are_reported(
     preflight: Preflight, shipped_apparatus: Apparatus, make_bench: Callable, change: Callable, said: str
 ) -> None:
     """Before anything is corrected."""
@@ -135,10 +135,10 @@ def test_fault_of_a_rig_is_told(
         CalibrationLoop(bench, shipped_apparatus, preflight.inputs).run()
 
 
-def test_drive_that_is_another_is_told(
+def test_a_disturbed_drive_is_reported(
     preflight: Preflight, shipped_apparatus: Apparatus, make_bench: Callable
 ) -> None:
-    """A probe that picks up hum of its own."""
+    """The drive probe picks up a disturbance."""
 
     def hum(recording: Recording) -> Recording:
         drive = recording.drive + 20 * np.sin(2 * np.pi * 31e3 * recording.time)
@@ -149,15 +149,19 @@ def test_drive_that_is_another_is_told(
         CalibrationLoop(bench, shipped_apparatus, preflight.inputs).run()
 
 
-def test_a_late_vibrometer_is_told(preflight: Preflight, shipped_apparatus: Apparatus, make_bench: Callable) -> None:
-    """45 us: the records would begin before its signal."""
+def test_a_late_vibrometer_is_reported(
+    preflight: Preflight, shipped_apparatus: Apparatus, make_bench: Callable
+) -> None:
+    """With 45 us the records would begin before its signal."""
     late = shipped_apparatus.twin.model_copy(update={"vibrometer": Vibrometer(delay_us=45.0)})
     bench = make_bench(shipped_apparatus.model_copy(update={"twin": late}), 1)
     with pytest.raises(RigError, match=r"the vibrometer is 4\d us late"):
         CalibrationLoop(bench, shipped_apparatus, preflight.inputs).run()
 
 
-def test_a_tripped_amplifier_is_told(preflight: Preflight, shipped_apparatus: Apparatus, make_bench: Callable) -> None:
+def test_a_tripped_amplifier_is_reported(
+    preflight: Preflight, shipped_apparatus: Apparatus, make_bench: Callable
+) -> None:
     """Nothing reaches the beam."""
     bench = make_bench(shipped_apparatus, 1)
     bench.twin.tripped = True
@@ -165,8 +169,8 @@ def test_a_tripped_amplifier_is_told(preflight: Preflight, shipped_apparatus: Ap
         CalibrationLoop(bench, shipped_apparatus, preflight.inputs).run()
 
 
-def test_another_beam_is_told(preflight: Preflight, shipped_apparatus: Apparatus, make_bench: Callable) -> None:
-    """Every natural frequency 7 % higher than listed."""
+def test_another_beam_is_reported(preflight: Preflight, shipped_apparatus: Apparatus, make_bench: Callable) -> None:
+    """Every natural frequency is 7 % higher than listed."""
     higher = tuple(
         mode.model_copy(update={"natural_frequency_Hz": 1.07 * mode.natural_frequency_Hz})
         for mode in shipped_apparatus.modes
@@ -176,8 +180,10 @@ def test_another_beam_is_told(preflight: Preflight, shipped_apparatus: Apparatus
         CalibrationLoop(bench, shipped_apparatus, preflight.inputs).run()
 
 
-def test_a_range_too_small_is_told(preflight: Preflight, shipped_apparatus: Apparatus, make_bench: Callable) -> None:
-    """A vibrometer set to 100 mm/s: 200 mm/s cannot be seen."""
+def test_too_small_a_range_is_reported(
+    preflight: Preflight, shipped_apparatus: Apparatus, make_bench: Callable
+) -> None:
+    """A vibrometer set to 100 mm/s cannot measure 200 mm/s."""
     small = shipped_apparatus.model_copy(
         update={"acquisition": shipped_apparatus.acquisition.model_copy(update={"range_mm_s": 100.0})}
     )
@@ -187,12 +193,12 @@ def test_a_range_too_small_is_told(preflight: Preflight, shipped_apparatus: Appa
 
 
 @pytest.mark.parametrize("reads", [0.995, 1.005])
-def test_a_gain_that_reads_half_a_percent_off_is_within_what_is_stated(
+def test_a_sensitivity_error_of_half_a_percent_is_within_the_interval(
     preflight: Preflight, shipped_apparatus: Apparatus, make_bench: Callable, reads: float
 ) -> None:
-    """A true stimulus is made worse by 0.29 mm/s in a mode of 59 mm/s: the file says so, and the limits still hold.
+    """The error of 0.29 mm/s in a mode of 59 mm/s is within the stated interval, and the limits hold.
 
-    A vibrometer is known to 1 % where the apparatus file does not say it better, as data sheets do.
+    By default a vibrometer's sensitivity is known to 1 %, as in data sheets.
     """
     assert shipped_apparatus.acquisition.sensitivity_uncertainty_percent == 1.0
     bench = make_bench(shipped_apparatus, 1)
@@ -211,10 +217,10 @@ def test_a_gain_that_reads_half_a_percent_off_is_within_what_is_stated(
 
 
 @pytest.mark.parametrize("microseconds", [30.0, 60.0])
-def test_a_slow_amplifier_is_waited_for(
+def test_a_long_amplifier_delay_is_corrected(
     preflight: Preflight, shipped_apparatus: Apparatus, make_bench: Callable, judge: Callable, microseconds: float
 ) -> None:
-    """A delay of the amplifier longer than the usual margin is found, waited for and corrected."""
+    """A delay longer than the usual margin is found and allowed for."""
     slow = shipped_apparatus.twin.model_copy(
         update={"amplifier": TrueAmplifier(bandwidth_kHz=100.0, delay_us=microseconds)}
     )

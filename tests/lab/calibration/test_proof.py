@@ -1,4 +1,4 @@
-"""What a calibration may say it has reached: limits, the cause of each that is missed, and the mark."""
+"""Acceptance of a calibration: limits, the cause of each limit that is missed, and the mark."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ from modaltouch.rig.interface import RigError
 
 @pytest.fixture(scope="module")
 def outcome(preflight: Preflight, shipped_apparatus: Apparatus, make_bench: Callable) -> CalibrationResult:
-    """The shipped twin, calibrated."""
+    """The calibration of the shipped twin."""
     return CalibrationLoop(make_bench(shipped_apparatus, 1), shipped_apparatus, preflight.inputs).run()
 
 
 def spoilt(apparatus: Apparatus, **twin: Any) -> Apparatus:
-    """Return an apparatus whose twin departs from a linear, constant rig; `limit_V` and `dropouts_Hz` lie deeper."""
+    """Return an apparatus whose twin departs from a linear, constant rig."""
     amplifier = apparatus.twin.amplifier.model_copy(update={"limit_V": twin.pop("limit_V", None)})
     vibrometer = apparatus.twin.vibrometer.model_copy(update={"dropouts_Hz": twin.pop("dropouts_Hz", 0.0)})
     changed = {**twin, "amplifier": amplifier, "vibrometer": vibrometer}
@@ -44,8 +44,8 @@ def limited(protocol: Protocol, **limits: float) -> Protocol:
     return protocol.model_copy(update={"calibration": section})
 
 
-def test_what_is_proved_has_no_mark(preflight: Preflight, outcome: CalibrationResult) -> None:
-    """The shipped twin keeps the default limits of 0.3 mm/s and 1 %, its uncertainty counted against it."""
+def test_a_calibration_within_its_limits_has_no_mark(preflight: Preflight, outcome: CalibrationResult) -> None:
+    """The shipped twin keeps the default limits of 0.3 mm/s and 1 %, including its uncertainty."""
     assert mark_of(outcome, preflight.experiment.protocol) == {"missed": [], "causes": []}
 
 
@@ -60,25 +60,23 @@ def test_what_is_proved_has_no_mark(preflight: Preflight, outcome: CalibrationRe
 def test_each_limit_of_the_protocol_counts(
     preflight: Preflight, outcome: CalibrationResult, limits: dict[str, float], missed: set[str]
 ) -> None:
-    """Tighter than what is known of the state, it is missed, and what was allowed is said."""
+    """A limit below the uncertainty is missed, and the mark has the allowed value."""
     mark = mark_of(outcome, limited(preflight.experiment.protocol, **limits))
     assert {each["limit"] for each in mark["missed"]} == missed
     assert all(each["reached"] > each["allowed"] in limits.values() for each in mark["missed"])
     assert mark["causes"]
 
 
-def test_what_is_no_number_is_missed(preflight: Preflight, outcome: CalibrationResult) -> None:
-    """A fit that failed proves nothing."""
+def test_nan_misses_every_limit(preflight: Preflight, outcome: CalibrationResult) -> None:
+    """A failed fit proves nothing."""
     state = replace(outcome.best.state, velocity=np.full_like(outcome.target, np.nan))
     failed = replace(outcome, best=replace(outcome.best, state=state))
     (first, *_) = mark_of(failed, preflight.experiment.protocol)["missed"]
     assert (first["limit"], first["reached"]) == ("velocity_mm_s", 1e9)
 
 
-def test_sensor_that_reads_otherwise_after_the_identification_is_named(
-    preflight: Preflight, outcome: CalibrationResult
-) -> None:
-    """3 % from its second half on: the loop would scale the targets to it, and every level would be 3 % off."""
+def test_a_change_of_the_sensors_reading_is_reported(preflight: Preflight, outcome: CalibrationResult) -> None:
+    """3 % from the second iteration on: the loop would scale the targets, and every level would be 3 % off."""
     first, second, *others = outcome.turns
     assert abs(outcome.reading_change) < 0.002
     read = replace(second, state=replace(second.state, velocity=1.03 * second.state.velocity))
@@ -104,7 +102,7 @@ def test_sensor_that_reads_otherwise_after_the_identification_is_named(
     ],
     ids=["saturation", "softening"],
 )
-def test_cause_is_named(
+def test_causes_of_missed_limits_are_reported(
     preflight: Preflight,
     shipped_apparatus: Apparatus,
     make_bench: Callable,
@@ -112,7 +110,7 @@ def test_cause_is_named(
     missed: str,
     cause: str,
 ) -> None:
-    """A departure of the twin: the limit that it costs, and one cause with its remedy."""
+    """A departure of the twin misses a limit and has one cause with its remedy."""
     bench = make_bench(spoilt(shipped_apparatus, **departures), 0)
     mark = mark_of(CalibrationLoop(bench, shipped_apparatus, preflight.inputs).run(), preflight.experiment.protocol)
     assert missed in {each["limit"] for each in mark["missed"]}
@@ -127,7 +125,7 @@ def test_cause_is_named(
         (24.0, 1.05, "the points along the beam disagree: the sensor is loose, its spot is in the wrong place"),
     ],
 )
-def test_a_spot_that_reads_too_much_is_named_and_its_level_not_trusted(
+def test_a_wrong_reading_at_one_point_is_reported(
     preflight: Preflight,
     shipped_apparatus: Apparatus,
     make_bench: Callable,
@@ -136,7 +134,7 @@ def test_a_spot_that_reads_too_much_is_named_and_its_level_not_trusted(
     factor: float,
     cause: str,
 ) -> None:
-    """At the focus every level was trimmed by as much, with an interval of 1 %, and hysteresis was blamed."""
+    """At the focus it would change every level; the interval must contain the truth."""
     bench = make_bench(shipped_apparatus, 1)
     record = bench.record
 
@@ -161,7 +159,7 @@ def test_a_spot_that_reads_too_much_is_named_and_its_level_not_trusted(
         (0.0, 10e-6, "at the focus the records leave .* uncertain, .* or the records are late"),
     ],
 )
-def test_a_spot_whose_records_are_late_is_no_drift(
+def test_late_records_at_one_point_are_not_called_drift(
     preflight: Preflight,
     shipped_apparatus: Apparatus,
     make_bench: Callable,
@@ -170,7 +168,7 @@ def test_a_spot_whose_records_are_late_is_no_drift(
     late: float,
     cause: str,
 ) -> None:
-    """A delay at one point looks like another frequency: drift, a change with the amplitude or noise were blamed."""
+    """A delay at one point resembles a change of frequency."""
     bench = make_bench(shipped_apparatus, 1)
     record = bench.record
 
@@ -185,18 +183,18 @@ def test_a_spot_whose_records_are_late_is_no_drift(
     assert re.match(cause, "".join(mark["causes"]))
 
 
-def test_one_bad_record_halfway_is_no_hysteresis(preflight: Preflight, outcome: CalibrationResult) -> None:
-    """Hysteresis keeps the shapes; a point that reads too much does not."""
+def test_one_bad_record_is_not_called_hysteresis(preflight: Preflight, outcome: CalibrationResult) -> None:
+    """Hysteresis keeps the mode shapes; a wrong reading at one point does not."""
     half = outcome.halfway.state
     off = replace(half, velocity=half.velocity * 1.05, disagreement=half.spread + 1e-3)
     mark = mark_of(replace(outcome, halfway=replace(outcome.halfway, state=off)), preflight.experiment.protocol)
     assert mark["causes"][0].startswith("the points along the beam disagree")
 
 
-def test_a_drift_is_named_and_the_best_turn_kept(
+def test_drift_is_reported_and_the_best_iteration_kept(
     preflight: Preflight, shipped_apparatus: Apparatus, make_bench: Callable
 ) -> None:
-    """1e-4 a record makes every turn worse than the one before: the stimulus as listed, the first, is kept."""
+    """With 1e-4 per record each iteration is worse than the last, so the listed stimulus is kept."""
     bench = make_bench(spoilt(shipped_apparatus, frequency_drift=-1e-4), 0)
     outcome = CalibrationLoop(bench, shipped_apparatus, preflight.inputs).run()
     worst = [turn.worst for turn in outcome.turns]
@@ -209,8 +207,8 @@ def test_a_drift_is_named_and_the_best_turn_kept(
     assert re.match(r"the beam drifts: .* mode 1 changed by -0\.00[23].*steady temperature", "".join(mark["causes"]))
 
 
-def test_other_causes_are_told_from_the_states(preflight: Preflight, outcome: CalibrationResult) -> None:
-    """The same calibration, but for a state halfway, a noise or a point that is off."""
+def test_other_causes_are_distinguished_by_the_states(preflight: Preflight, outcome: CalibrationResult) -> None:
+    """Nonlinearity, noise and disagreeing points, each simulated in the same calibration."""
     state, protocol = outcome.best.state, preflight.experiment.protocol
 
     def cause(**changed: Any) -> str:
@@ -243,10 +241,10 @@ def test_other_causes_are_told_from_the_states(preflight: Preflight, outcome: Ca
     ],
     ids=["loose sensor", "strong saturation", "strong hysteresis", "strong drift"],
 )
-def test_what_cannot_be_identified_is_refused(
+def test_unidentifiable_rigs_are_refused(
     preflight: Preflight, shipped_apparatus: Apparatus, make_bench: Callable, departures: dict[str, float], said: str
 ) -> None:
-    """Before anything is corrected, for its own reason: no wiring is blamed for a drift."""
+    """Before anything is corrected, with the right cause: drift is not blamed on wiring."""
     with pytest.raises(RigError, match=said):
         CalibrationLoop(
             make_bench(spoilt(shipped_apparatus, **departures), 0), shipped_apparatus, preflight.inputs
@@ -254,10 +252,10 @@ def test_what_cannot_be_identified_is_refused(
 
 
 @pytest.mark.parametrize("accept", [False, True])
-def test_what_misses_is_written_only_if_accepted(
+def test_a_calibration_beyond_its_limits_is_written_only_with_accept(
     accept: bool, outcome: CalibrationResult, edit: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Without --accept nothing, and the message has limit, cause and way out; with it a file that carries its mark."""
+    """Otherwise the message has limit, cause and remedy; with --accept the file has a mark."""
     limits = "calibration: {limits: {velocity_mm_s: 0.02}}\n\nschedule:"
     protocol = edit("differentiated_stimulation.yaml", ("\nschedule:", f"\n{limits}"))
     monkeypatch.setattr(command, "calibrate_each", lambda *_: {"": outcome})
@@ -276,10 +274,10 @@ def test_what_misses_is_written_only_if_accepted(
     assert "--with-marked-calibration" in problem.remedy
 
 
-def test_too_few_volts_of_a_linear_beam_are_no_hysteresis(
+def test_a_lack_of_voltage_is_not_called_hysteresis(
     preflight: Preflight, shipped_apparatus: Apparatus, make_bench: Callable
 ) -> None:
-    """A beam that moves as listed but a tenth less for its volts needs more of them: the limit is named, as it is."""
+    """A beam that moves a tenth less per volt needs more voltage than the limit, which is reported."""
     amplifier = shipped_apparatus.amplifier.model_copy(update={"limit_V": 195.0})
     weaker = shipped_apparatus.twin.amplifier.model_copy(update={"gain_V_per_V": 0.9 * amplifier.gain_V_per_V})
     rig = shipped_apparatus.model_copy(
@@ -294,8 +292,8 @@ def test_too_few_volts_of_a_linear_beam_are_no_hysteresis(
         CalibrationLoop(bench, rig, preflight.inputs).run()
 
 
-def test_peaks_that_lack_are_told_from_a_gain() -> None:
-    """A drive of 1.1 times the predicted lacks nothing; clipped at 90 % of its peak it lacks a twentieth there."""
+def test_clipped_peaks_are_distinguished_from_a_gain() -> None:
+    """A drive of 1.1 times the prediction lacks no peaks; one clipped at 90 % of its peak does."""
     time = np.linspace(0, 1, 5000)
     wave = np.stack([np.sin(40 * time) * time, 0.1 * time])
     assert peak_shortfall(wave, 1.1 * wave) == pytest.approx([0, 0], abs=1e-12)
@@ -304,8 +302,8 @@ def test_peaks_that_lack_are_told_from_a_gain() -> None:
     assert lacking[1] == 0
 
 
-def test_a_lag_that_phases_hardly_tell_makes_high_modes_uncertain() -> None:
-    """Delay and lag against each other, 0.1 us each: the phase stays, a mode of 88 kHz is known to some per cent."""
+def test_an_uncertain_lag_makes_high_modes_uncertain() -> None:
+    """Delay and lag exchanged by 0.1 us: the phase is the same, but a mode at 88 kHz changes by some per cent."""
     covariance = 1e-14 * np.array([[1.0, -1.0], [-1.0, 1.0]])
     lag = VibrometerDelay(4e-6, 0.64e-6, 0.0, covariance)
     pole = 2j * np.pi * np.array([229.0, 87855.0])

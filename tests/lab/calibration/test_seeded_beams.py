@@ -1,6 +1,6 @@
-"""Beams off their table by 0.5 % in frequency, 10 % in damping and gain, 100 kHz, 5 us.
+"""Beams that differ from their table by 0.5 % in frequency and 10 % in damping and gain; 100 kHz, 5 us.
 
-``MODALTOUCH_SEEDED_BEAMS`` says how many; ``make soak-calibration`` takes forty.
+``MODALTOUCH_SEEDED_BEAMS`` sets their number; ``make soak-calibration`` uses forty.
 """
 
 from __future__ import annotations

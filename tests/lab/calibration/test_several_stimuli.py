@@ -1,4 +1,4 @@
-"""A calibration of a protocol with several stimuli: one file, each stimulus true on the rig, used by its sessions."""
+"""Calibration of a protocol with several stimuli: one file, each stimulus correct on the rig, used by sessions."""
 
 from __future__ import annotations
 
@@ -47,8 +47,8 @@ def changed(made: Path, folder: Path, *changes: tuple[str, str]) -> Path:
     return file
 
 
-def test_the_rig_is_identified_once_for_all(make_bench: Callable, mismatched: Apparatus) -> None:
-    """Records of amplifier, clock and modes are taken before the first stimulus alone; both end within 0.3 mm/s."""
+def test_the_rig_is_identified_once(make_bench: Callable, mismatched: Apparatus) -> None:
+    """Amplifier, clock and modes are measured before the first stimulus only; both end within 0.3 mm/s."""
     preflight = examine(TWO_FIELDS).require()
     bench, steps = make_bench(mismatched, 3), []
 
@@ -73,8 +73,8 @@ def test_the_rig_is_identified_once_for_all(make_bench: Callable, mismatched: Ap
 
 
 @pytest.mark.parametrize("name", ["sharp", "blunt"])
-def test_a_session_plays_each_stimulus_true(made: Path, name: str) -> None:
-    """0.3 mm/s in velocity and w eta of every modelled mode, 1 % of each level, on the twin a session plays on."""
+def test_a_session_plays_each_stimulus_within_the_limits(made: Path, name: str) -> None:
+    """0.3 mm/s in velocity and w eta of every mode and 1 % of each level, by the twin's true state."""
     part = examine(TWO_FIELDS, made).require().parts[name]
     stimulus, uncalibrated = part.stimulus, examine(TWO_FIELDS).require().parts[name].stimulus
     with open_laboratory(part.experiment.apparatus) as laboratory:
@@ -95,8 +95,8 @@ def test_a_session_plays_each_stimulus_true(made: Path, name: str) -> None:
         assert all(worst(stimulus, level) <= 0.3e-3 for level in stimulus.levels)
 
 
-def test_a_session_keeps_it_and_is_verified(made: Path, edit: Callable, tmp_path: Path) -> None:
-    """Run, verify: the drives of both stimuli are computed again from the record's own text."""
+def test_the_record_has_the_calibration_and_is_verified(made: Path, edit: Callable, tmp_path: Path) -> None:
+    """`verify` recomputes the drives of both stimuli from the record."""
     protocol = edit("two_fields.yaml", ("repetitions: 2", "repetitions: 1"))
     copy = tmp_path / "calibration.yaml"
     copy.write_bytes(made.read_bytes())
@@ -124,8 +124,8 @@ def test_a_session_keeps_it_and_is_verified(made: Path, edit: Callable, tmp_path
     assert all(hashes[name] != before[name] for name in hashes)
 
 
-def test_what_the_check_tells_is_the_worst_of_them(made: Path) -> None:
-    """The largest error after calibration over both stimuli, as the file has them."""
+def test_the_check_shows_the_largest_error(made: Path) -> None:
+    """After calibration, over both stimuli, as in the file."""
     held = examine_calibration(Source.load(made)).value
     assert held is not None
     errors = [abs(e) for own in held.by_stimulus.values() for mode in own.modes for e in mode.error_after_mm_s]
@@ -144,27 +144,27 @@ def test_what_the_check_tells_is_the_worst_of_them(made: Path) -> None:
         ("two_fields", [("positions_mm: [", "positions_mm: [a, ")], "positions_mm[0]", "'a'; allowed: a number [mm]"),
     ],
 )  # fmt: skip
-def test_one_that_does_not_fit_is_refused_in_its_place(
+def test_a_calibration_that_does_not_fit_is_refused(
     made: Path, tmp_path: Path, protocol: str, changes: list[tuple[str, str]], place: str, words: str
 ) -> None:
-    """File, line and key of what differs; a shared fault once, an own one with the stimulus."""
+    """With file, line and key; a common fault once, an individual one with its stimulus."""
     file = changed(made, tmp_path, *changes)
     problems = [str(each) for each in examine(SHIPPED / f"{protocol}.yaml", file).problems]
     assert any(str(file) in each and f" {place}: " in each and words in each for each in problems), problems
 
 
-def test_one_of_a_single_stimulus_is_refused_for_several() -> None:
-    """The names that are wanted, and what to do."""
+def test_a_calibration_of_one_stimulus_is_refused_for_several() -> None:
+    """The message has the stimuli and the remedy."""
     file = Path(__file__).with_name("of_one_stimulus.yaml")
     (problem,) = (each for each in examine(TWO_FIELDS, file).problems if each.path == "stimuli")
     assert "a calibration of one stimulus; allowed: one of sharp, blunt" in str(problem)
     assert "calibrate again" in str(problem)
 
 
-def test_a_law_without_targets_is_refused_at_its_stimulus(
+def test_the_papers_law_is_refused_at_its_stimulus(
     edit: Callable, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Exit 2 before anything is opened, at the law of the stimulus that has it."""
+    """With exit status 2, before anything is opened."""
     protocol = edit("two_fields.yaml", ("blunt: {field", "blunt: {law: paper, field"))
     assert command("calibrate", protocol, "--out", tmp_path / "c.yaml") == 2
     assert "stimuli.blunt.law: given paper, a law whose targets cannot be corrected" in " ".join(
@@ -174,7 +174,7 @@ def test_a_law_without_targets_is_refused_at_its_stimulus(
 
 
 def test_a_faulty_calibration_hides_no_fault_of_the_protocol(made: Path, edit: Callable, tmp_path: Path) -> None:
-    """All at once: a value of the file that is none, and a level beyond the apparatus."""
+    """An invalid value in the file and a level beyond the apparatus are reported together."""
     protocol = edit("two_fields.yaml", ("[80, 150]", "[80, 900]"))
     file = changed(made, tmp_path, ("positions_mm: [", "positions_mm: [a, "))
     paths = {problem.path for problem in examine(protocol, file).problems}

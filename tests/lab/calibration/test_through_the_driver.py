@@ -1,6 +1,6 @@
-"""Whole runs through VISA: `calibrate`, then a session with its file, judged by the twin's true state.
+"""`calibrate` through VISA, then a session with its file, judged by the twin's true state.
 
-``MODALTOUCH_CALIBRATED_BEAMS`` says how many beams are calibrated so; ``make soak-calibration`` takes forty.
+``MODALTOUCH_CALIBRATED_BEAMS`` sets the number of beams; ``make soak-calibration`` uses forty.
 """
 
 from __future__ import annotations
@@ -42,10 +42,10 @@ def command(*words: object) -> int:
 
 @pytest.mark.timeout(120)
 @pytest.mark.parametrize("seed", range(100, 100 + N_BEAMS))
-def test_calibrated_session_plays_the_wished_field(
+def test_a_calibrated_session_plays_the_target_field(
     seed: int, edit: Callable, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """0.3 mm/s in velocity and w eta of every modelled mode, 1 % of each level, on the twin a session plays on."""
+    """0.3 mm/s in velocity and w eta of every mode and 1 % of each level, by the twin's true state."""
     apparatus = edit("apparatus/beam_100x6x2.yaml", ("  seed: 1\n", f"  seed: {seed}\n"), *MISMATCH)
     folder = apparatus.parents[1]
     protocol, out = folder / "differentiated_stimulation.yaml", tmp_path / "calibration.yaml"
@@ -78,8 +78,8 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def test_session_keeps_its_calibration(made: Path, edit: Callable, tmp_path: Path) -> None:
-    """Run, verify: the record holds the calibration's text, and the drive is computed again from it alone."""
+def test_the_record_has_the_calibration(made: Path, edit: Callable, tmp_path: Path) -> None:
+    """`verify` recomputes the drive from the record alone."""
     protocol = edit("demo.yaml")
     copy = tmp_path / "calibration.yaml"
     copy.write_bytes(made.read_bytes())
@@ -105,8 +105,8 @@ def test_session_keeps_its_calibration(made: Path, edit: Callable, tmp_path: Pat
     assert command("verify", log) == 0
 
 
-def test_a_marked_calibration_is_said_in_record_and_report(made: Path, edit: Callable, tmp_path: Path) -> None:
-    """`simulate`, as `run`: refused without the option; with it the log's first line and the report's table say it."""
+def test_a_marked_calibration_is_stated_in_record_and_report(made: Path, edit: Callable, tmp_path: Path) -> None:
+    """Refused without its option; with it, the log's first line and the report have the mark."""
     protocol, marked = edit("demo.yaml"), tmp_path / "marked.yaml"
     mark = "missed:\n- {limit: level_percent, level_mm_s: 200, reached: 2, allowed: 1}\ncauses: [a test]\n"
     unmarked = made.read_text(encoding="utf-8").replace("missed: []\n", "").replace("causes: []\n", "")
@@ -123,7 +123,7 @@ def test_a_marked_calibration_is_said_in_record_and_report(made: Path, edit: Cal
 def test_another_generator_is_refused(
     made: Path, edit: Callable, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A serial number that is not the open generator's: exit 2 with the place in the file, before any record."""
+    """A different serial number: exit status 2 with the position in the file, before any record."""
     protocol, other = edit("demo.yaml"), tmp_path / "other.yaml"
     other.write_text(made.read_text(encoding="utf-8").replace(",SIMULATED,", ",C012345,"), encoding="utf-8")
     words = (
@@ -146,23 +146,23 @@ def test_another_generator_is_refused(
 
 
 def test_an_existing_file_is_refused_before_anything_is_opened(made: Path, shipped: Path) -> None:
-    """Exit 4, the file as it was."""
+    """Exit status 4, with the file unchanged."""
     before = made.read_bytes()
     assert command("calibrate", shipped / "demo.yaml", "--out", made) == 4
     assert made.read_bytes() == before
 
 
-def test_calibrate_needs_a_sound_protocol(edit: Callable, tmp_path: Path) -> None:
-    """Exit 2, nothing written."""
+def test_calibrate_needs_a_valid_protocol(edit: Callable, tmp_path: Path) -> None:
+    """Otherwise exit status 2, and nothing is written."""
     path = edit("demo.yaml", ("focus: C", "focus: Q"))
     assert command("calibrate", path, "--out", tmp_path / "c.yaml") == 2
     assert not (tmp_path / "c.yaml").exists()
 
 
-def test_a_signal_ends_it_with_the_outputs_off_and_nothing_written(
+def test_a_signal_ends_calibrate_with_the_outputs_off(
     shipped: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """SIGINT while the fourth record is taken: exit 130 before a fifth, outputs off, no file, one JSON object."""
+    """SIGINT in the fourth record: exit status 130 before a fifth, no file, one JSON object."""
     records, outputs = [], []
     genuine = Laboratory.record
 

@@ -1,4 +1,4 @@
-"""A calibration on the disk: read back it is the same stimulus, to the last code; nothing is overwritten."""
+"""A calibration file gives the same stimulus when read back, and is never overwritten."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from modaltouch.record.chain import RecordError
 
 @pytest.fixture(scope="module")
 def outcome(preflight: Preflight, make_bench: Callable) -> CalibrationResult:
-    """A calibration of the twin as shipped, one level trimmed."""
+    """A calibration of the shipped twin, with one level corrected."""
     apparatus = preflight.experiment.apparatus
     bench = make_bench(apparatus, 1, lambda amplitude: 1.02 if amplitude < 7 else 1.0)
     return CalibrationLoop(bench, apparatus, preflight.inputs).run()
@@ -32,7 +32,7 @@ def outcome(preflight: Preflight, make_bench: Callable) -> CalibrationResult:
 
 @pytest.fixture(scope="module")
 def calibration(preflight: Preflight, outcome: CalibrationResult) -> Calibration:
-    """Its file's content."""
+    """The contents of its file."""
     return calibration_of(
         {"": outcome},
         protocol="differentiated_stimulation",
@@ -45,8 +45,8 @@ def calibration(preflight: Preflight, outcome: CalibrationResult) -> Calibration
     )
 
 
-def test_read_back_it_is_what_was_written(calibration: Calibration, tmp_path: Path) -> None:
-    """Every value, through YAML and the reader with its line numbers."""
+def test_a_calibration_is_read_back_unchanged(calibration: Calibration, tmp_path: Path) -> None:
+    """Every value, through YAML and the reader with line numbers."""
     write_calibration(calibration, tmp_path / "c.yaml")
     reading = examine_calibration(Source.load(tmp_path / "c.yaml"))
     assert reading.problems == ()
@@ -58,7 +58,7 @@ def test_read_back_it_is_what_was_written(calibration: Calibration, tmp_path: Pa
 def test_the_session_plays_what_the_loop_verified(
     preflight: Preflight, outcome: CalibrationResult, calibration: Calibration, tmp_path: Path
 ) -> None:
-    """Designed from the file, codes and amplitudes are those of the stimulus that was measured."""
+    """Codes and amplitudes designed from the file are those of the measured stimulus."""
     path = tmp_path / "calibration.yaml"
     write_calibration(calibration, path)
     read = examine(preflight.findings.protocol.source.path, path).require().stimulus
@@ -69,8 +69,8 @@ def test_the_session_plays_what_the_loop_verified(
     assert calibration.levels[0].amplitude_factor == pytest.approx(1 / 1.02, rel=5e-3)
 
 
-def test_a_file_from_before_several_stimuli_is_read_as_it_was() -> None:
-    """Of one stimulus, as `modaltouch calibrate` wrote it then: no fault, its keys where they stand."""
+def test_a_file_of_the_former_format_is_readable() -> None:
+    """For one stimulus, without faults, with its keys in the former places."""
     text = Path(__file__).with_name("of_one_stimulus.yaml").read_text(encoding="utf-8")
     reading = examine_calibration(Source(Path("c.yaml"), text))
     assert reading.problems == ()
@@ -82,8 +82,8 @@ def test_a_file_from_before_several_stimuli_is_read_as_it_was() -> None:
     assert reading.value.alone("sharp") is None
 
 
-def test_nothing_is_overwritten(calibration: Calibration, tmp_path: Path) -> None:
-    """A second calibration into the same file is refused and the first one kept, whole."""
+def test_an_existing_file_is_not_overwritten(calibration: Calibration, tmp_path: Path) -> None:
+    """A second calibration into the same file is refused, and the first is unchanged."""
     path = tmp_path / "folder" / "calibration.yaml"
     write_calibration(calibration, path)
     before = path.read_bytes()
@@ -93,8 +93,8 @@ def test_nothing_is_overwritten(calibration: Calibration, tmp_path: Path) -> Non
     assert [each.name for each in path.parent.iterdir()] == ["calibration.yaml"]
 
 
-def test_a_folder_that_cannot_be_made_is_refused(calibration: Calibration, tmp_path: Path) -> None:
-    """A file stands where the folder should be."""
+def test_an_impossible_folder_is_refused(calibration: Calibration, tmp_path: Path) -> None:
+    """A file has the name of the folder."""
     (tmp_path / "taken").write_text("")
     with pytest.raises(RecordError, match="c.yaml: cannot be written"):
         write_calibration(calibration, tmp_path / "taken" / "c.yaml")

@@ -1,4 +1,4 @@
-"""The beam of Table I as recordings without noise would show it, and the shipped protocol."""
+"""Noiseless responses of the beam of Table I, and the shipped protocol."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def preflight() -> Preflight:
 
 @pytest.fixture(scope="session")
 def known(preflight: Preflight) -> TrainingData:
-    """Return what every method is given: the table, and the responses that go with it."""
+    """Return the data given to every method: the table and its responses."""
     stimulus = preflight.stimulus
     positions = np.round(np.linspace(-0.05, 0.05, 41), 9)
     responses = responses_of(stimulus.model, positions)

@@ -1,4 +1,4 @@
-"""The comparison: one generator, one judge, and words that follow the numbers."""
+"""The comparison of methods: one generator, one judge, and sentences that follow the numbers."""
 
 import csv
 import json
@@ -25,13 +25,13 @@ ABOUT = {"title": "A <title>", "protocol": "p.yaml", "apparatus": "beam", "seed"
 
 @pytest.fixture(scope="module")
 def found(preflight, known):
-    """Return the comparison with what the table says, played through the driver, on two other beams."""
+    """Return the comparison with the table's beam, played through the driver, and on two other beams."""
     return run_contest(preflight, known, n_beams=2)
 
 
 @pytest.fixture(scope="module")
 def rows(found):
-    """Return the figures of every method."""
+    """Return the rows of all methods."""
     return rows_of(found)
 
 
@@ -40,16 +40,16 @@ def by_method(rows):
     return {row["method"]: row for row in rows}
 
 
-def test_every_method_keeps_the_limit_and_fills_the_burst(found):
-    """Same limit, same clock, same length for all; the generator's codes begin and end at rest."""
+def test_every_method_has_the_same_limit_and_length(found):
+    """And the same clock; the generator's codes begin and end at rest."""
     for each in found.designed:
         assert each.peak_voltage <= found.known.amplifier.limit * (1 + 1e-9), each.method.key
         assert each.burst.codes.shape == (2, found.known.timing.n_samples), each.method.key
         assert (each.burst.codes[:, [0, -1]] == 8191).all(), each.method.key
 
 
-def test_judge_reads_the_true_state(found, preflight):
-    """The exact law on the beam of the table: the field of the selected modes, for all that the twin has besides."""
+def test_the_judge_reads_the_true_state(found, preflight):
+    """The exact law on the table's beam reaches the field of the selected modes despite the twin's other modes."""
     verdict = found.verdicts[0]
     assert found.designed[0].method.key == "exact"
     assert verdict.row["at_focus_mm_s"] == pytest.approx(200, abs=2)
@@ -58,8 +58,8 @@ def test_judge_reads_the_true_state(found, preflight):
     assert true_delay(rig) == pytest.approx(1e-6 + 1 / (2 * np.pi * 300e3))
 
 
-def test_other_beams_differ_and_the_learned_one_does_not_depend_on_a_seed(found, preflight):
-    """Mismatch left out, two seeds are one beam; with it they are two."""
+def test_only_the_other_beams_depend_on_the_seed(found, preflight):
+    """Without mismatch two seeds give the same beam."""
     centre = without_mismatch(preflight.experiment.apparatus)
     one, other = Simulator(centre, 1).twin.beam.table, Simulator(centre, 2).twin.beam.table
     assert (one.natural_frequency == other.natural_frequency).all()
@@ -78,8 +78,8 @@ def test_each_method_wins_where_theory_says(rows):
     assert row["time_reversal"]["recordings"] == 2 < row["exact"]["recordings"] == 82
 
 
-def test_winners_share_what_is_printed_alike():
-    """Two that print the same both win; a level is won from either side; a dash wins nothing."""
+def test_equal_printed_values_are_equal_winners():
+    """Levels count in both directions; a dash never wins."""
     low = Criterion("x", "x", "V", "low", 1)
     rows = [{"x": 1.04}, {"x": 1.01}, {"x": 3.0}, {"x": None}]
     assert low.winners(rows, 0.0) == rows[:2]
@@ -88,8 +88,8 @@ def test_winners_share_what_is_printed_alike():
     assert [low.printed(row) for row in rows] == ["1.0", "1.0", "3.0", "–"]
 
 
-def test_a_zone_whose_name_has_an_underscore_is_ranked(rows):
-    """`Word` in `protocol.section` allows it; a high contrast with the focus is best, one without it is not ranked."""
+def test_zone_names_may_contain_underscores(rows):
+    """As `Word` in `protocol.section` allows; contrasts with the focus are ranked, others are not."""
     peaks = {"left_end": 10.0, "mid": 200.0, "far_right": 20.0}
     keys = {"contrast_left_end_mid": 20.0, "contrast_left_end_far_right": 2.0}
     row = {name: value for name, value in rows[0].items() if "contrast_" not in name}
@@ -98,8 +98,8 @@ def test_a_zone_whose_name_has_an_underscore_is_ranked(rows):
     assert [found[key].best for key in keys] == ["high", "none"]
 
 
-def test_page_json_and_table_hold_the_same(found, rows, tmp_path):
-    """One page without network, one JSON, one CSV; every criterion and every method."""
+def test_page_json_and_table_agree(found, rows, tmp_path):
+    """A page without network access, a JSON and a CSV, each with every criterion and method."""
     written = write_comparison(found, ABOUT, tmp_path / "out")
     files = {name: Path(path) for name, path in written["files"].items()}
     page = files["comparison.html"].read_text()
@@ -115,14 +115,14 @@ def test_page_json_and_table_hold_the_same(found, rows, tmp_path):
         assert float(line["rms_error_mm_s"]) == pytest.approx(method["rms_error_mm_s"], abs=1e-4)
 
 
-def test_without_other_beams_there_is_no_robustness_to_show(found):
-    """Expected: dashes instead of numbers."""
+def test_without_other_beams_robustness_is_not_shown(found):
+    """Dashes replace the numbers."""
     alone = rows_of(replace(found, changed=tuple(() for _ in found.designed)))
     assert alone[0]["changed_drift_mm_s"] is None
 
 
-def test_an_infinite_contrast_has_no_place_in_the_figures(found, rows):
-    """A zone at rest: the contrast is None in JSON; the other methods and beams are drawn."""
+def test_an_infinite_contrast_is_not_drawn(found, rows):
+    """For a zone at rest the contrast is None in JSON; the other methods and beams are drawn."""
     pair = "contrast_{}_{}".format(*found.preflight.experiment.protocol.conditions.pairs[0])
     still = [row | {key: None for key in row if key.startswith("contrast_")} for row in rows[:1]] + rows[1:]
     draw_price(still, 250.0).canvas.draw()
@@ -138,8 +138,8 @@ def test_an_infinite_contrast_has_no_place_in_the_figures(found, rows):
         (["--beams", "-1"], "--beams"),
     ],
 )
-def test_command_refuses_bad_options(tmp_path, words, message):
-    """Exit status 2, what is allowed, nothing written."""
+def test_the_command_refuses_bad_options(tmp_path, words, message):
+    """With exit status 2 and the allowed values; nothing is written."""
     done = CliRunner().invoke(app, ["compare", str(SHIPPED), *words, "--out", str(tmp_path / "o")])
     assert done.exit_code == 2
     assert message in done.output
@@ -150,6 +150,6 @@ def test_command_refuses_bad_options(tmp_path, words, message):
     ("name", "title"),
     [("two_fields", "Sharp and blunt fields, stimulus sharp"), ("threshold", "Threshold of differentiation")],
 )
-def test_the_title_says_which_stimulus_is_taken(name, title):
-    """`validate` and `compare` take the first of several."""
+def test_the_title_has_the_stimulus(name, title):
+    """`validate` and `compare` use the first of several."""
     assert title_of(examine(SHIPPED.with_name(f"{name}.yaml"))) == title

@@ -1,4 +1,4 @@
-"""What the methods are given: responses as the scope records them, and the modes identified from the same."""
+"""Data given to the methods: responses recorded by the scope, and the modes identified from them."""
 
 from dataclasses import replace
 
@@ -20,7 +20,7 @@ NOISE = 2e-6
 
 @pytest.fixture(scope="module")
 def recorded(known):
-    """Return the responses of the table as if recorded: late by a vibrometer, with noise, on 27 points."""
+    """Return responses of the table as recorded at 27 points: with noise and a vibrometer delay."""
     some = known.responses
     points = np.round(np.linspace(0, some.position.size - 1, 27)).astype(int)
     rng = np.random.default_rng(8)
@@ -33,7 +33,7 @@ def recorded(known):
 
 
 def test_learning_measures_the_true_responses(preflight):
-    """At the middle of the beam, at every resonance of the table: the true beam's velocity per volt.
+    """At mid-beam and at every resonance of the table: the true beam's velocity per volt.
 
     Within 4 %, and four times the noise of two records.
     """
@@ -58,7 +58,7 @@ def test_learning_measures_the_true_responses(preflight):
 
 
 def test_laws_and_rivals_learn_from_the_same_recordings(preflight, known, recorded):
-    """The modes identified are the table's within 1 %, the delay is found, and the rivals' responses have it out."""
+    """The identified modes agree with the table within 1 %, and the rivals' responses are corrected for the delay."""
     apparatus = preflight.experiment.apparatus
     found = identify(recorded, 0.1)
     model = identified_model(found, apparatus)
@@ -98,7 +98,7 @@ def test_a_mode_that_was_not_found_ends_the_comparison(recorded, monkeypatch, tm
 
 
 def test_steps_end_at_the_focusing_instant(known):
-    """Rivals hold voltages for several samples; the last ends with the focusing instant, whatever the count."""
+    """Rivals hold voltages for several samples; the last step ends at the focusing instant for any count."""
     odd = replace(known, timing=replace(known.timing, focusing_instant=0.0249996))
     assert isinstance(odd, TrainingData)
     before = odd.timing.samples_until(odd.timing.focusing_instant)[0]

@@ -1,4 +1,4 @@
-"""The rivals do what their inventors say: reversal focuses, the inverse hits, regularisation trades."""
+"""The rival methods: focusing by time reversal, the inverse filter, and regularisation."""
 
 from dataclasses import dataclass, replace
 
@@ -24,7 +24,7 @@ from modaltouch.stimulus.target_field import TargetField
 
 @dataclass(frozen=True, eq=False)
 class InTime(TransferFunctions):
-    """Responses that are known in time: those of modes without damping have no spectrum on a grid."""
+    """Responses given in time: modes without damping have no spectrum on a grid."""
 
     given: np.ndarray
 
@@ -49,9 +49,9 @@ def lossless(source: float = 0.031) -> tuple[ModalModel, TrainingData]:
 
 
 def test_reversal_focuses_in_time_and_space_on_a_lossless_reciprocal_beam():
-    """Autocorrelation: at the focus nothing is as high as at the focusing instant; elsewhere then all is lower.
+    """Autocorrelation: maximal in time at the focusing instant and in space at the focus.
 
-    Twelve modes and one source leave side lobes, highest at the end of the beam, which moves twice as much.
+    Twelve modes and one source leave side lobes, the highest at the end of the beam, which moves twice as much.
     """
     model, known = lossless()
     voltage = time_reversal(known)
@@ -66,7 +66,7 @@ def test_reversal_focuses_in_time_and_space_on_a_lossless_reciprocal_beam():
 
 
 def test_reversal_is_the_autocorrelation_of_the_impulse_response():
-    """Field at t_F = A sum of h(x) h(x0): by numpy's own correlation of the two impulse responses at lag zero."""
+    """The field at t_F is A sum of h(x) h(x0), by NumPy's correlation at lag zero."""
     _, known = lossless()
     steps = time_reversal(known)
     amplitude = steps[0, -2] / known.towards[0, known.focus, 1]
@@ -78,7 +78,7 @@ def test_reversal_is_the_autocorrelation_of_the_impulse_response():
 @settings(max_examples=30, deadline=None)
 @given(st.integers(0, 2**32 - 1))
 def test_no_drive_of_equal_energy_moves_the_focus_more_than_reversal(seed):
-    """Cauchy and Schwarz: the matched filter."""
+    """By the Cauchy-Schwarz inequality (matched filter)."""
     _, known = lossless()
     steps = time_reversal(known)
     other = np.random.default_rng(seed).normal(size=steps.shape) + steps * np.random.default_rng(seed).normal()
@@ -96,8 +96,8 @@ def test_inverse_without_regularisation_hits_a_square_problem():
     assert np.einsum("cmf,cf->mf", H, drive) == pytest.approx(target, abs=1e-9)
 
 
-def test_regularisation_trades_distance_for_energy():
-    """Tikhonov: the more of it, the less drive and the greater the distance."""
+def test_regularisation_trades_error_for_energy():
+    """Tikhonov: more regularisation means less drive and a larger error."""
     rng = np.random.default_rng(6)
     H = rng.normal(size=(2, 9, 40)) + 1j * rng.normal(size=(2, 9, 40))
     target = rng.normal(size=(9, 40)) + 0j
@@ -109,7 +109,7 @@ def test_regularisation_trades_distance_for_energy():
 
 
 def test_impulse_responses_are_those_of_the_modes(known):
-    """Closed form, G phi e^{-at} (cos bt - a/b sin bt), from 100 us on; the band costs under 1 %."""
+    """Closed form G phi e^{-at} (cos bt - a/b sin bt) from 100 us on; the band causes less than 1 %."""
     model, step = known.model, known.step
     ago = (np.arange(known.n_before) + 0.5) * step
     a, b = -model.exponent.real[:, None], model.exponent.imag[:, None]
@@ -120,7 +120,7 @@ def test_impulse_responses_are_those_of_the_modes(known):
 
 
 def test_every_rival_keeps_the_voltage_limit(known):
-    """With a twentieth of the limit each plays at the limit, not beyond, and says so by what it expects."""
+    """With a low limit each method plays at the limit and expects a lower velocity."""
     poor = replace(known, amplifier=replace(known.amplifier, limit=2.0))
     for way in (time_reversal, inverse_filter):
         drive = way(poor)
@@ -129,8 +129,8 @@ def test_every_rival_keeps_the_voltage_limit(known):
         assert poor.expected(steps)[poor.focus] < 0.1, way.__name__
 
 
-def test_a_focus_that_does_not_move_is_refused(known):
-    """A node of every mode cannot be a focus: said, not divided by zero."""
+def test_a_focus_that_cannot_move_is_refused(known):
+    """A node of every mode gives an error, not a division by zero."""
     still = replace(known.responses, response=known.responses.response * 0)
     with pytest.raises(ValueError, match="do not move the focus"):
         time_reversal(replace(known, responses=still))

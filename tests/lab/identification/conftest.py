@@ -1,4 +1,4 @@
-"""Responses of the twin's true beam in closed form, with the noise of averaged records."""
+"""Closed-form responses of the twin's true beam, with the noise of averaged records."""
 
 from __future__ import annotations
 
@@ -57,10 +57,10 @@ def exact(beam: TrueBeam) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
 
 @pytest.fixture(scope="session")
 def make(beam: TrueBeam, exact: Callable[..., np.ndarray]) -> MakeResponses:
-    """Return what makes estimated responses: a seed, and the noise in units of a reference.
+    """Return a function that makes estimated responses for a seed and a noise relative to a reference.
 
-    At unit noise the median over the points of the coherence at the peak of the weakest listed mode is 0.95. Of
-    n_averages records the mean keeps 1/n of the noise power, and the residual power has n - 1 degrees of freedom.
+    At unit noise the median over the points of the coherence at the peak of the weakest listed mode is 0.95. The mean
+    of n_averages records has 1/n of the noise power, and the residual power has n - 1 degrees of freedom.
     """
 
     def responses(
@@ -94,5 +94,5 @@ def make(beam: TrueBeam, exact: Callable[..., np.ndarray]) -> MakeResponses:
 
 @pytest.fixture(scope="session")
 def found(make: MakeResponses) -> Identification:
-    """Return the identification from nothing but noisy responses: no poles, no number of modes is given."""
+    """Return the identification from noisy responses alone, without initial poles or a number of modes."""
     return identify(make(0), LENGTH)

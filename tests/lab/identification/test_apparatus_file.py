@@ -1,4 +1,4 @@
-"""What is identified becomes an apparatus file: values, intervals, provenance; nothing of the rest is lost."""
+"""Apparatus files from an identification: values, intervals and provenance; all other settings are kept."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ LABELS = (1, 3, 5, 7, 9, 11, 13, 15, 17)
 FACTS = {"date": "2026-01-01T00:00:00", "mode": "simulated", "source": "test"}
 
 
-def test_file_is_read_back_with_every_number(found: Identification, tmp_path: Path) -> None:
-    """Values in the middle of their intervals, gains of both sets, provenance in words; beam and zones as before."""
+def test_the_file_is_read_back_with_every_number(found: Identification, tmp_path: Path) -> None:
+    """Values within their intervals, gains of both sets, provenance; beam and zones unchanged."""
     source = Source.load(APPARATUS)
     name, text = identified_apparatus(source, found, LABELS, FACTS)
     path = tmp_path / name
@@ -55,8 +55,8 @@ def test_file_is_read_back_with_every_number(found: Identification, tmp_path: Pa
     assert after.identified.velocity_delay_us == pytest.approx(4.0, abs=0.01)
 
 
-def test_intervals_of_gains_hold_the_sensitivity(found: Identification) -> None:
-    """A vibrometer 0.8 % off, within its data sheet of 1 %: each gain read with it has the true one in its interval."""
+def test_intervals_of_gains_include_the_sensitivity(found: Identification) -> None:
+    """With a vibrometer 0.8 % off, within its 1 %, each interval contains the true gain."""
     stated = found.with_sensitivity_uncertainty(0.01)
     for mode, before in zip(stated.modes, found.modes, strict=True):
         assert mode.natural_frequency == before.natural_frequency
@@ -67,8 +67,8 @@ def test_intervals_of_gains_hold_the_sensitivity(found: Identification) -> None:
             assert [gain.value - gain.low, gain.high - gain.value] == pytest.approx([half, half])
 
 
-def test_modes_that_are_listed_now_leave_the_twin(found: Identification, tmp_path: Path) -> None:
-    """Label 4 becomes a mode of the table: as an unlisted one it would stand twice, and the file would be refused."""
+def test_newly_listed_modes_are_removed_from_the_twin(found: Identification, tmp_path: Path) -> None:
+    """Label 4 becomes a mode of the table; as an unlisted one it would be there twice."""
     _, text = identified_apparatus(Source.load(APPARATUS), found, (1, 3, 4, 5), FACTS)
     path = tmp_path / "all.yaml"
     path.write_text(text, encoding="utf-8")
@@ -77,8 +77,8 @@ def test_modes_that_are_listed_now_leave_the_twin(found: Identification, tmp_pat
     assert 4 not in [mode.label for mode in apparatus.twin.unlisted_modes if mode.family == "bending"]
 
 
-def test_interval_that_is_upside_down_is_refused_in_its_place(found: Identification, tmp_path: Path) -> None:
-    """Whoever edits the file by hand is told the line."""
+def test_a_reversed_interval_is_refused(found: Identification, tmp_path: Path) -> None:
+    """With the line, for files edited by hand."""
     _, text = identified_apparatus(Source.load(APPARATUS), found, (1,), FACTS)
     line = next(row for row in text.splitlines() if "damping_ratio: [" in row)
     path = tmp_path / "edited.yaml"
@@ -87,8 +87,8 @@ def test_interval_that_is_upside_down_is_refused_in_its_place(found: Identificat
         Apparatus.read(path)
 
 
-def test_folder_holds_table_shapes_and_figures(found: Identification, tmp_path: Path) -> None:
-    """Table I with half-power beside the fit; shapes that the stimulus engine reads; nothing stands for no number."""
+def test_the_folder_has_table_shapes_and_figures(found: Identification, tmp_path: Path) -> None:
+    """Table I with half-power values, shapes that the stimulus engine reads, and empty cells for missing numbers."""
     name, text = identified_apparatus(Source.load(APPARATUS), found, LABELS, FACTS)
     values = write_identification(found, tmp_path / "out", "file", "beam.csv", labels=LABELS, apparatus=(name, text))
     files = {name: Path(path) for name, path in values["files"].items()}
@@ -110,8 +110,8 @@ def test_folder_holds_table_shapes_and_figures(found: Identification, tmp_path: 
         assert f"{picture}.png" in files
 
 
-def test_missing_and_incoherent_modes_are_all_named(found: Identification) -> None:
-    """One mode that is not there and one that is too weak: both in one message, with what to do."""
+def test_missing_and_incoherent_modes_are_reported_together(found: Identification) -> None:
+    """With the remedy for each."""
     weak = replace(found.by_label[3], coherence=0.2)
     modes = tuple(weak if mode.label == 3 else mode for mode in found.modes if mode.label != 9)
     with pytest.raises(ValueError, match=r"(?s)mode 3 has a coherence of 0.20 .*--averages.*mode 9 was not found"):
@@ -129,10 +129,10 @@ def write_responses(path: Path, exact: Callable[..., np.ndarray], sets: list[str
     return path
 
 
-def test_files_with_positions_give_an_apparatus_file_too(
+def test_files_with_positions_give_an_apparatus_file(
     exact: Callable[..., np.ndarray], beam: TrueBeam, tmp_path: Path
 ) -> None:
-    """Both sets at eight points: modes 1, 3 and 5 with gains within 5 %, in a file that is read back."""
+    """Both sets at eight points: modes 1, 3 and 5 with gains within 5 %."""
     file, out = write_responses(tmp_path / "lab.npz", exact, ["centre", "side"]), tmp_path / "out"
     command = ["identify", str(file), "--apparatus", str(APPARATUS), "--modes", "1,3,5", "--out", str(out), "--json"]
     done = CliRunner().invoke(app, command)
@@ -148,8 +148,8 @@ def test_files_with_positions_give_an_apparatus_file_too(
     assert after.identified.mode == "file"
 
 
-def test_actuator_set_that_is_missing_in_the_files_is_named(exact: Callable[..., np.ndarray], tmp_path: Path) -> None:
-    """One set was measured: refused, unless it is said that this is all there is."""
+def test_a_missing_actuator_set_is_reported(exact: Callable[..., np.ndarray], tmp_path: Path) -> None:
+    """It is refused unless --set says that only the other one was measured."""
     file, out = write_responses(tmp_path / "lab.npz", exact, ["centre"]), tmp_path / "out"
     command = ["identify", str(file), "--apparatus", str(APPARATUS), "--modes", "1,3", "--out", str(out)]
     done = CliRunner().invoke(app, command)
@@ -162,8 +162,8 @@ def test_actuator_set_that_is_missing_in_the_files_is_named(exact: Callable[...,
     assert after.unknown_gains() == ((1, "side"), (3, "side"))
 
 
-def test_estimate_contains_what_its_interval_covers() -> None:
-    """1.96 deviations each way."""
+def test_an_estimate_contains_its_interval() -> None:
+    """1.96 standard deviations each way."""
     estimate = Estimate.of(10.0, 1.0)
     assert 11.9 in estimate
     assert 12.1 not in estimate

@@ -1,4 +1,4 @@
-"""What is exported for other programs says the same there: responses read back, shapes read by pyuff."""
+"""Exports for other programs: responses are read back, and shapes are read by pyuff."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def found() -> Identification:
 
 @pytest.mark.parametrize("name", ["beam.uff", "beam.unv", "beam.csv"])
 def test_exported_responses_are_read_back(tmp_path: Path, found: Identification, name: str) -> None:
-    """Frequencies, places and responses to 1e-8; a universal file says by itself that they are velocities."""
+    """Frequencies, positions and responses within 1e-8; a universal file states that they are velocities."""
     path = tmp_path / "new" / name
     export(found, path)
     quantity = "velocity" if name.endswith("csv") else None
@@ -66,7 +66,7 @@ def test_exported_responses_are_read_back(tmp_path: Path, found: Identification,
 
 
 def test_shapes_are_data_set_55(tmp_path: Path, found: Identification) -> None:
-    """One normal mode: its number, natural frequency, damping ratio and the displacement of every node."""
+    """One normal mode: number, natural frequency, damping ratio and the displacement of every node."""
     export(found, tmp_path / "beam.uff")
     sets = pyuff.UFF(str(tmp_path / "beam.uff")).read_sets()
     assert [each["type"] for each in sets] == [164, 2411, *[58] * 8, 55]
@@ -76,16 +76,16 @@ def test_shapes_are_data_set_55(tmp_path: Path, found: Identification) -> None:
     assert sets[1]["x"] == pytest.approx(POSITIONS)
 
 
-def test_responses_without_places_are_exported_without_nodes(tmp_path: Path, found: Identification) -> None:
-    """A file that named no position names none after it either."""
+def test_responses_without_positions_are_exported_without_nodes(tmp_path: Path, found: Identification) -> None:
+    """No position is invented."""
     bare = Identification((), found.delay, 1.0, FrequencyResponses(
         found.responses.frequency, found.responses.response[:1], None, ("hammer",)), None, found.fitted)  # fmt: skip
     export(bare, tmp_path / "beam.uff")
     assert {each["type"] for each in pyuff.UFF(str(tmp_path / "beam.uff")).read_sets()} == {164, 58}
 
 
-def test_ending_without_a_form_is_refused_first(tmp_path: Path, found: Identification) -> None:
-    """Before a scan of an hour; and what cannot be written leaves nothing behind."""
+def test_unknown_formats_are_refused_first(tmp_path: Path, found: Identification) -> None:
+    """Before a long scan; a failed export leaves no file."""
     with pytest.raises(InputError, match=r"--export with the ending '.mat'; allowed: .uff, .unv, .csv"):
         check_export(tmp_path / "beam.mat")
     (tmp_path / "file").touch()

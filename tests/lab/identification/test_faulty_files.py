@@ -1,4 +1,4 @@
-"""Files with faults that would shift or hide numbers: each is refused with its line or its cause."""
+"""Files with faults that would shift or hide numbers are refused with the line or the cause."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ HEAD = "***End_of_Header***\nY_Unit_Label\tm/s^2\tN\nDelta_X\t5E-5\t5E-5\n***End
 
 
 def blow(start: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return an impact of three samples from `start` on, and the decay of a resonance at 500 Hz after it."""
+    """Return an impact of three samples from `start` on, and the following decay of a resonance at 500 Hz."""
     time = np.arange(4000) / RATE
     drive = np.zeros(time.size)
     drive[max(start, 0) : start + 3] = [0.5, 1.0, 0.7][max(-start, 0) :]
@@ -25,7 +25,7 @@ def blow(start: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def write_times(path: Path, drive: np.ndarray, motion: np.ndarray) -> Path:
-    """Write a record as CSV."""
+    """Write a time record as CSV."""
     lines = (f"{n / RATE:.6f},hammer,0,{a:.6g},{b:.6g}" for n, (a, b) in enumerate(zip(drive, motion, strict=True)))
     path.write_text("\n".join([OVER_TIME, *lines]))
     return path
@@ -33,7 +33,7 @@ def write_times(path: Path, drive: np.ndarray, motion: np.ndarray) -> Path:
 
 @pytest.mark.parametrize(("line", "cells"), [("\tnan\t0", None), ("\t0.1", "'0.1'"), ("\t0.1\tx", "'0.1', 'x'")])
 def test_a_faulty_line_of_a_labview_file_is_not_skipped(tmp_path: Path, line: str, cells: str | None) -> None:
-    """A sample that is left out brings all later ones forward by one, which no residual shows."""
+    """A missing sample would shift all later ones, which no residual shows."""
     rows = [f"\t{motion:.6g}\t{drive:.6g}" for drive, motion in zip(*blow(200), strict=True)]
     path = tmp_path / "a.lvm"
     path.write_text(HEAD + "\n".join(rows))
@@ -45,7 +45,7 @@ def test_a_faulty_line_of_a_labview_file_is_not_skipped(tmp_path: Path, line: st
 
 
 def test_a_record_that_begins_within_an_impact_is_refused(tmp_path: Path) -> None:
-    """Without the start of the impact the ratio of the spectra is no response; an impact at the start is one."""
+    """Without the start of the impact the ratio of the spectra is not the response."""
     late, early = (read_responses([write_times(tmp_path / "a.csv", *blow(at))], VELOCITY) for at in (200, 1))
     n_bins = min(late.frequency.size, early.frequency.size)
     assert n_bins > 1000
@@ -71,15 +71,15 @@ def test_a_motion_of_zeros_is_refused(tmp_path: Path) -> None:
         (f"{OVER_FREQUENCY}\n1,s,0,1,2", "a.csv: it has 1 bins; at least 32 are needed"),
     ],
 )
-def test_faulty_tables_are_named(tmp_path: Path, text: str, words: str) -> None:
-    """A quotation mark that never ends; two columns of one name; a frequency that is none; a single bin."""
+def test_faulty_tables_are_reported(tmp_path: Path, text: str, words: str) -> None:
+    """An unclosed quotation mark, two columns with one name, an invalid frequency, a single bin."""
     (tmp_path / "a.csv").write_text(text)
     with pytest.raises(ValueError, match=words):
         read_responses([tmp_path / "a.csv"], VELOCITY)
 
 
-def test_an_axis_with_no_number_is_not_one_of_another_file(tmp_path: Path) -> None:
-    """A single file cannot differ from itself."""
+def test_an_axis_with_nan_is_reported_as_such(tmp_path: Path) -> None:
+    """A single file cannot differ from another one."""
     frequency = np.where(np.arange(40) == 7, np.nan, np.arange(40.0))
     response = np.random.default_rng(1).standard_normal((1, 1, 40)) + 1j
     np.savez(tmp_path / "a.npz", frequency=frequency, response=response, sets=["v"], quantity="velocity")
@@ -91,7 +91,7 @@ def test_an_axis_with_no_number_is_not_one_of_another_file(tmp_path: Path) -> No
 
 
 def test_a_universal_file_with_too_few_coordinates_is_damaged(tmp_path: Path) -> None:
-    """Two nodes, but coordinates of one, as a lost line leaves them."""
+    """Two nodes with coordinates of only one, as after a lost line."""
     sets = [{"type": 15, "node_nums": [1, 2], "x": [0.0], "y": [0.0], "z": [0.0]}]
     response = {"type": 58, "func_type": 4, "rsp_dir": 3, "ref_node": 1, "x": np.arange(40.0), "data": np.ones(40) * 1j}
     sets += [response | {"rsp_node": node} for node in (1, 2)]
@@ -102,8 +102,8 @@ def test_a_universal_file_with_too_few_coordinates_is_damaged(tmp_path: Path) ->
             read_responses([tmp_path / "a.uff"], VELOCITY)
 
 
-def test_a_response_of_zeros_is_named_by_its_place(tmp_path: Path) -> None:
-    """An empty column has no noise either, so nothing else would tell it from a node."""
+def test_a_response_of_zeros_is_reported_with_its_position(tmp_path: Path) -> None:
+    """It has no noise, so nothing else distinguishes it from a node."""
     response = np.random.default_rng(1).standard_normal((2, 8, 400)) + 1j
     response[1, 3] = 0
     arrays = {"frequency": np.arange(400.0), "sets": ["centre", "side"], "quantity": "velocity"}
@@ -113,7 +113,7 @@ def test_a_response_of_zeros_is_named_by_its_place(tmp_path: Path) -> None:
 
 
 def responses(**changes: object) -> dict[str, object]:
-    """Return the arrays of a file of responses of noise, or what is changed in them."""
+    """Return the arrays of a file of random responses, with changes."""
     response = np.random.default_rng(1).standard_normal((2, 8, 400)) + 1j
     places = {"positions": np.linspace(-0.04, 0.03, 8), "sets": ["centre", "side"], "quantity": "velocity"}
     return {"frequency": np.arange(400.0), "response": response, **places, **changes}
@@ -142,7 +142,7 @@ def responses(**changes: object) -> dict[str, object]:
     ids=["a point copied", "a set copied", "a value held", "gaps filled with zeros"],
 )
 def test_values_that_were_not_measured_are_refused(tmp_path: Path, where: object, source: object, said: str) -> None:
-    """Noise never repeats and is never exactly zero; the first two passed without a word."""
+    """Noise never repeats and is never exactly zero."""
     arrays = responses()
     response = np.asarray(arrays["response"])
     response[where] = 0 if source is None else response[source].copy()
@@ -151,8 +151,8 @@ def test_values_that_were_not_measured_are_refused(tmp_path: Path, where: object
         read_responses([tmp_path / "a.npz"])
 
 
-def test_zeros_outside_the_band_are_not_used(tmp_path: Path) -> None:
-    """Exports fill what was not excited with zeros: a band without them is read, the whole axis is refused."""
+def test_zeros_outside_the_band_do_not_matter(tmp_path: Path) -> None:
+    """Exports fill unexcited frequencies with zeros: a narrower band is read, the whole axis is refused."""
     arrays = responses()
     np.asarray(arrays["response"])[..., 300:] = 0
     np.savez(tmp_path / "a.npz", **arrays)
@@ -161,8 +161,8 @@ def test_zeros_outside_the_band_are_not_used(tmp_path: Path) -> None:
     assert read_responses([tmp_path / "a.npz"], ResponseFormat(band=(0.0, 299.0))).frequency[-1] == 399
 
 
-def test_mirror_images_may_be_alike(tmp_path: Path) -> None:
-    """Computed responses of a symmetric beam without noise."""
+def test_mirror_images_may_be_identical(tmp_path: Path) -> None:
+    """As in noiseless computed responses of a symmetric beam."""
     arrays = responses(positions=np.linspace(-0.035, 0.035, 8))
     response = np.asarray(arrays["response"])
     response[:, 4:] = response[:, 3::-1]
@@ -170,8 +170,8 @@ def test_mirror_images_may_be_alike(tmp_path: Path) -> None:
     assert read_responses([tmp_path / "a.npz"]).response.shape == (2, 8, 399)
 
 
-def test_a_file_given_twice_is_no_repeat(tmp_path: Path) -> None:
-    """Its scatter is zero, and would be stated as that of two measurements."""
+def test_a_file_given_twice_is_refused(tmp_path: Path) -> None:
+    """Its scatter of zero would be stated as that of two measurements."""
     for name in ("a.npz", "b.npz"):
         np.savez(tmp_path / name, **responses())
     with pytest.raises(ValueError, match="two measurements are identical: the same one was given twice"):
@@ -179,7 +179,7 @@ def test_a_file_given_twice_is_no_repeat(tmp_path: Path) -> None:
 
 
 def test_directions_of_a_universal_file_are_signs(tmp_path: Path) -> None:
-    """A sensor that points along -Z, code -3 of data set 58: what it measures has the other sign."""
+    """A sensor along -Z, code -3 of data set 58, inverts its measurement."""
     values = np.random.default_rng(1).standard_normal((2, 40)) + 1j
     common = {"type": 58, "func_type": 4, "ref_node": 1, "x": np.arange(40.0), "ordinate_spec_data_type": 11}
     nodes = {"type": 15, "node_nums": [1, 2], "x": [0.0, 0.1], "y": [0.0, 0.0], "z": [0.0, 0.0]}
@@ -194,8 +194,8 @@ def test_directions_of_a_universal_file_are_signs(tmp_path: Path) -> None:
             read_responses([tmp_path / "a.uff"])
 
 
-def test_columns_of_times_in_a_labview_file_are_no_channels(tmp_path: Path) -> None:
-    """`X_Columns Multi` has a column of times before each channel: the second one was read as the excitation."""
+def test_time_columns_of_a_labview_file_are_not_channels(tmp_path: Path) -> None:
+    """`X_Columns Multi` has a column of times before each channel."""
     path, rows = tmp_path / "a.lvm", [f"{motion:.6g}\t{drive:.6g}" for drive, motion in zip(*blow(200), strict=True)]
     path.write_text(HEAD + "\n".join(f"\t{row}" for row in rows))
     expected = read_responses([path]).response
@@ -214,16 +214,16 @@ def test_columns_of_times_in_a_labview_file_are_no_channels(tmp_path: Path) -> N
         (("Delta_X", "Samples\t9000\t9000\nDelta_X"), "a record has 4000 of 9000 samples: the file was cut off"),
     ],
 )
-def test_a_labview_file_must_hold_what_its_header_says(tmp_path: Path, change: tuple[str, str], said: str) -> None:
-    """Channels of other times, and a file that was cut off in the decay."""
+def test_a_labview_file_must_agree_with_its_header(tmp_path: Path, change: tuple[str, str], said: str) -> None:
+    """Channels with different times, and a truncated file."""
     rows = [f"\t{motion:.6g}\t{drive:.6g}" for drive, motion in zip(*blow(200), strict=True)]
     (tmp_path / "a.lvm").write_text(HEAD.replace(*change) + "\n".join(rows))
     with pytest.raises(ValueError, match=f"a.lvm: {said}"):
         read_responses([tmp_path / "a.lvm"])
 
 
-def test_frequencies_that_are_complex_are_refused(tmp_path: Path) -> None:
-    """They were read with a warning of numpy, and their imaginary part was dropped."""
+def test_complex_frequencies_are_refused(tmp_path: Path) -> None:
+    """NumPy would only warn and drop the imaginary part."""
     bins = np.arange(64)
     response = (bins + 1j)[None, None]
     np.savez(tmp_path / "a.npz", frequency=bins + 1j, response=response, sets=["centre"], positions=[0.0])

@@ -1,4 +1,4 @@
-"""Pictures of an identification: what the fit makes of the responses, poles by order, and the phases of the shapes."""
+"""Figures of an identification: fitted responses, poles by model order, and phases of the shapes."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from modaltouch.lab.identification.shapes import phase_collinearity, phase_devia
 from modaltouch.rig.simulator.true_beam import TrueBeam
 
 
-def test_what_is_left_of_the_responses_is_their_noise(found: Identification) -> None:
-    """Measured less fitted has the power that the coherence says, within 3 %, and half of it in either part."""
+def test_the_residual_is_the_noise(found: Identification) -> None:
+    """Its power is that given by the coherence, within 3 %, half in each part."""
     responses = found.responses
     left = (responses.response - found.fitted) / np.sqrt(responses.noise)[:, None]
     assert np.mean(left.real**2) == pytest.approx(0.5, rel=0.03)
@@ -26,7 +26,7 @@ def test_what_is_left_of_the_responses_is_their_noise(found: Identification) -> 
 
 
 def test_every_listed_mode_is_stable_over_the_model_orders(found: Identification, beam: TrueBeam) -> None:
-    """In all orders above 35, frequencies in 0.1 %, damping ratios, which noise lowers, in 12 %."""
+    """In all orders above 35: frequencies within 0.1 %, damping ratios, which noise lowers, within 12 %."""
     order, frequency, damping, stability = poles_by_order(found.responses)
     for own, ratio in zip(beam.table.natural_frequency, beam.table.damping_ratio, strict=True):
         near = (order > 35) & (np.abs(frequency / own - 1) < 0.02)
@@ -35,8 +35,8 @@ def test_every_listed_mode_is_stable_over_the_model_orders(found: Identification
         assert np.median(damping[near]) == pytest.approx(ratio, rel=0.12)
 
 
-def test_normal_mode_has_its_phases_on_a_line() -> None:
-    """Whatever the common phase; two points in quadrature have none of it, and 45 degrees from any line."""
+def test_collinearity_and_deviation_of_phases() -> None:
+    """For any common phase; two points in quadrature have zero collinearity and a deviation of 45 degrees."""
     shape = np.array([1.0, -0.4, 0.2, -1.3]) * np.exp(0.7j)
     assert phase_collinearity(shape) == pytest.approx(1.0, abs=1e-12)
     assert phase_deviation(shape) == pytest.approx(0.0, abs=1e-7)
@@ -45,8 +45,8 @@ def test_normal_mode_has_its_phases_on_a_line() -> None:
     assert math.isnan(phase_collinearity(np.array([1j])))
 
 
-def test_complexity_of_a_mode_is_found(found: Identification) -> None:
-    """The beam's modes are real, within 0.1 degrees; a damper that turns one end by 20 degrees shows as such."""
+def test_the_complexity_of_a_mode_is_found(found: Identification) -> None:
+    """The beam's modes are real within 0.1 degrees; a damper that turns one end by 20 degrees is visible."""
     assert math.degrees(phase_deviation(found.by_label[5].residue)) < 0.1
     frequency = np.arange(100.0, 400.0, 0.25)
     shape = np.array([1.0, -0.5, 0.8]) * np.exp(1j * np.radians([0.0, 0.0, 20.0]))
@@ -59,8 +59,8 @@ def test_complexity_of_a_mode_is_found(found: Identification) -> None:
     assert phase_collinearity(one.modes[0].residue) == pytest.approx(phase_collinearity(shape), abs=1e-3)
 
 
-def test_axes_end_where_beam_and_band_do(found: Identification) -> None:
-    """Shapes from end to end of the beam; responses from the first bin to the last."""
+def test_axes_end_with_the_beam_and_the_band(found: Identification) -> None:
+    """Shapes from end to end of the beam, responses from the first bin to the last."""
     few = replace(found, modes=tuple(mode for mode in found.modes if mode.label in (1, 3, 5)))
     shapes = figures.draw_shapes(few)
     assert [axes.get_xlim() for axes in shapes.axes] == [pytest.approx((-50, 50))] * 3
@@ -70,8 +70,8 @@ def test_axes_end_where_beam_and_band_do(found: Identification) -> None:
     assert [each.get_text() for each in figures.draw_coherence(few).axes[0].texts] == ["1", "3", "5"]
 
 
-def test_worst_and_best_fit_are_named(found: Identification) -> None:
-    """One point spoilt by half of its own motion in quadrature: it is the worst, and 0.5 / 1.118 of it are left."""
+def test_the_worst_fit_is_shown_with_its_residual(found: Identification) -> None:
+    """One point with half of its motion added in quadrature: 0.5 / 1.118 of it remains."""
     response = found.responses.response.copy()
     response[1, 7] *= 1 + 0.5j
     worst = figures.draw_fits(replace(found, responses=replace(found.responses, response=response))).axes[0]

@@ -1,4 +1,4 @@
-"""Files of other programs: what they say is taken, what they do not say is asked for, what is wrong is named."""
+"""Files of other programs: stated facts are used, missing ones requested, wrong ones reported."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ def accelerance(frequency: np.ndarray, residue: np.ndarray) -> np.ndarray:
 
 @pytest.fixture
 def frequency() -> np.ndarray:
-    """Return an axis from 0, half a hertz apart."""
+    """Return a frequency axis from 0 with steps of 0.5 Hz."""
     return np.arange(0, 1600) * 0.5
 
 
 def noisy(values: np.ndarray, seed: int = 0) -> np.ndarray:
-    """Return values with noise a thousandth of their largest."""
+    """Return values with noise of a thousandth of their maximum."""
     rng = np.random.default_rng(seed)
     size = 1e-3 * np.abs(values).max()
     return values + size * (rng.standard_normal(values.shape) + 1j * rng.standard_normal(values.shape))
@@ -77,7 +77,7 @@ def write_uff(path: Path, frequency: np.ndarray, *, kind: int = 12) -> Path:
 
 
 def write_csv(path: Path, frequency: np.ndarray, *, conjugated: bool = False) -> Path:
-    """Write two responses in the long form."""
+    """Write two responses in long form."""
     lines = ["frequency_Hz,set,position_mm,real,imag"]
     for place, residue in zip((-20, 20), RESIDUES, strict=True):
         values = noisy(accelerance(frequency, residue))
@@ -91,14 +91,14 @@ def write_csv(path: Path, frequency: np.ndarray, *, conjugated: bool = False) ->
 
 
 def write_npz(path: Path, frequency: np.ndarray) -> Path:
-    """Write two responses as arrays that say what they are of."""
+    """Write two responses as arrays with their quantity."""
     values = np.array([[noisy(accelerance(frequency, residue)) for residue in RESIDUES]])
     np.savez(path, frequency=frequency, response=values, sets=["hammer"], quantity="acceleration")
     return path
 
 
 def write_lvm(path: Path, *, unit: str = "g", clipped: bool = False) -> Path:
-    """Write a blow and its decay as LabVIEW does, with decimal commas."""
+    """Write an impact and its decay as LabVIEW does, with decimal commas."""
     rate, n = 4096.0, 8192
     time = np.arange(n) / rate - 0.01
     force = np.where((time > 0) & (time < 5e-4), 200 * np.sin(np.pi * time / 5e-4), 0.0)
@@ -135,7 +135,7 @@ WRITERS: dict[str, tuple[Callable[..., Path], ResponseFormat]] = {
 
 @pytest.mark.parametrize("name", WRITERS)
 def test_every_format_gives_the_modes(tmp_path: Path, frequency: np.ndarray, name: str) -> None:
-    """Natural frequencies within 0.02 %, damping ratios within 2 %, and the first mode's height in m/s per N."""
+    """Natural frequencies within 0.02 %, damping ratios within 2 %, and the first peak in m/s per N."""
     write, how = WRITERS[name]
     responses = read_responses([write(tmp_path / name, frequency)], how)
     found = identify_each(responses)
@@ -147,21 +147,21 @@ def test_every_format_gives_the_modes(tmp_path: Path, frequency: np.ndarray, nam
 
 
 def test_positions_of_a_universal_file_are_from_the_middle(tmp_path: Path, frequency: np.ndarray) -> None:
-    """Nodes 0.3 m apart: -0.15 and 0.15 m; the reference's name is one that an actuator set can have."""
+    """Nodes 0.3 m apart are at -0.15 and 0.15 m; the reference gives a valid name of an actuator set."""
     responses = read_responses([write_uff(tmp_path / "modes.uff", frequency)])
     assert responses.sets == ("reference_1",)
     assert responses.positions == pytest.approx([-0.15, 0.15])
 
 
-def test_hammer_record_gives_its_modes(tmp_path: Path) -> None:
-    """One blow in LabVIEW's text, decimal commas, g and N: within 0.05 %, damping within 5 %."""
+def test_a_hammer_record_gives_its_modes(tmp_path: Path) -> None:
+    """One impact in LabVIEW's format, in g and N: frequencies within 0.05 %, damping within 5 %."""
     found = identify_each(read_responses([write_lvm(tmp_path / "blow.lvm")]).between(60, 900))
     assert [mode.natural_frequency.value for mode in found.modes] == pytest.approx([own for own, _ in POLES], rel=5e-4)
     assert [mode.damping_ratio.value for mode in found.modes] == pytest.approx([ratio for _, ratio in POLES], rel=0.05)
 
 
 def test_plain_numbers_need_their_spacing(tmp_path: Path, frequency: np.ndarray) -> None:
-    """One complex number a line, as Python prints it; without the spacing nobody knows the frequencies."""
+    """One complex number per line; the frequencies are unknown without the spacing."""
     path = tmp_path / "point.txt"
     path.write_text("\n".join(str(value) for value in noisy(accelerance(frequency, RESIDUES[0]))))
     with pytest.raises(ValueError, match=r"point.txt: it contains only numbers.*--spacing-Hz"):
@@ -170,8 +170,8 @@ def test_plain_numbers_need_their_spacing(tmp_path: Path, frequency: np.ndarray)
     assert found.modes[0].natural_frequency.value == pytest.approx(120, rel=1e-3)
 
 
-def test_conjugated_file_is_refused_until_it_is_said(tmp_path: Path, frequency: np.ndarray) -> None:
-    """By exp(-i w t): refused with the option, and read right with it."""
+def test_a_conjugated_file_needs_its_option(tmp_path: Path, frequency: np.ndarray) -> None:
+    """Responses by exp(-i w t) are refused without --conjugated and read correctly with it."""
     path = write_csv(tmp_path / "modes.csv", frequency, conjugated=True)
     with pytest.raises(ValueError, match="conjugated.*--conjugated"):
         identify_each(read_responses([path], ResponseFormat("acceleration")))
@@ -180,7 +180,7 @@ def test_conjugated_file_is_refused_until_it_is_said(tmp_path: Path, frequency: 
 
 
 def test_noise_is_not_called_conjugated(tmp_path: Path, frequency: np.ndarray) -> None:
-    """Noise turns both ways: of twenty responses that are as noisy as their peaks none is given the wrong remedy."""
+    """Of twenty responses as noisy as their peaks, none gets this wrong remedy."""
     for seed in range(20):
         rng = np.random.default_rng(seed)
         values = accelerance(frequency, RESIDUES[0])
@@ -196,7 +196,7 @@ def test_noise_is_not_called_conjugated(tmp_path: Path, frequency: np.ndarray) -
         assert "--conjugated" not in said
 
 
-def test_wrong_quantity_is_refused(tmp_path: Path, frequency: np.ndarray) -> None:
+def test_a_wrong_quantity_is_refused(tmp_path: Path, frequency: np.ndarray) -> None:
     """An acceleration taken for a velocity is imaginary at its resonances."""
     path = write_csv(tmp_path / "modes.csv", frequency)
     with pytest.raises(ValueError, match="imaginary at their resonances.*--quantity"):
@@ -222,8 +222,8 @@ def test_wrong_quantity_is_refused(tmp_path: Path, frequency: np.ndarray) -> Non
         ("a.uff", "nothing", "universal file|no frequency response"),
     ],
 )
-def test_damaged_files_are_named(tmp_path: Path, name: str, content: str, words: str) -> None:
-    """Path, line where there is one, and what is needed."""
+def test_damaged_files_are_reported(tmp_path: Path, name: str, content: str, words: str) -> None:
+    """With path, line if possible, and the remedy."""
     path = tmp_path / name
     path.write_text(content)
     with pytest.raises(ValueError, match=words):
@@ -240,8 +240,8 @@ def test_a_labview_file_without_a_time_step_is_refused(tmp_path: Path, line: str
         read_responses([path])
 
 
-def test_missing_file_and_uneven_axis_are_refused(tmp_path: Path) -> None:
-    """No such file; frequencies that jump."""
+def test_a_missing_file_and_an_uneven_axis_are_refused(tmp_path: Path) -> None:
+    """The second has a jump in its frequencies."""
     with pytest.raises(ValueError, match="there is no such file"):
         read_responses([tmp_path / "none.csv"])
     frequency = np.append(np.arange(40.0), 99.0)
@@ -250,8 +250,8 @@ def test_missing_file_and_uneven_axis_are_refused(tmp_path: Path) -> None:
         read_responses([tmp_path / "a.npz"])
 
 
-def test_frequencies_of_few_digits_are_even(tmp_path: Path) -> None:
-    """Six digits, as data set 58 has them, of bins 7.3 Hz apart at 20 kHz: the axis is even again."""
+def test_frequencies_of_few_digits_are_evenly_spaced(tmp_path: Path) -> None:
+    """Six digits, as in data set 58, of bins 7.3 Hz apart at 20 kHz: the even axis is restored."""
     frequency = 7.3 * np.arange(1, 3001)
     printed = np.array([float(f"{each:.5e}") for each in frequency])
     response = np.random.default_rng(0).standard_normal((1, 1, 3000))
@@ -261,7 +261,7 @@ def test_frequencies_of_few_digits_are_even(tmp_path: Path) -> None:
 
 
 def blow(path: Path, **spoilt: np.ndarray) -> Path:
-    """Write a burst of sines and its decay as arrays over time, with a constant beside both, or what spoils them."""
+    """Write a burst of sines and its decay as arrays over time, with an offset, or altered arrays."""
     time = np.arange(4096) / 4096
     drive = np.where((time > 0.01) & (time < 0.3), np.sin(2 * np.pi * (50 + 500 * time) * time), 0.0)
     motion = np.convolve(drive, np.exp(-20 * time) * np.sin(2 * np.pi * 120 * time))[: time.size]
@@ -270,8 +270,8 @@ def blow(path: Path, **spoilt: np.ndarray) -> Path:
     return path
 
 
-def test_records_with_lost_samples_or_no_number_are_refused(tmp_path: Path) -> None:
-    """Forty samples lost in the middle would shift all frequencies by 1 %; one value is NaN."""
+def test_records_with_lost_samples_or_nan_are_refused(tmp_path: Path) -> None:
+    """Forty lost samples would shift all frequencies by 1 %."""
     time = np.arange(4096) / 4096
     time[2000:] += 40 / 4096
     with pytest.raises(ValueError, match=r"a.npz: its times are not evenly spaced.*: samples are missing"):
@@ -281,8 +281,8 @@ def test_records_with_lost_samples_or_no_number_are_refused(tmp_path: Path) -> N
         read_responses([blow(tmp_path / "a.npz", motion=motion)])
 
 
-def test_decay_that_is_cut_off_is_marked(tmp_path: Path) -> None:
-    """A blow, recorded for a quarter of the time in which its motion decays."""
+def test_a_truncated_decay_is_marked(tmp_path: Path) -> None:
+    """An impact recorded for a quarter of the time in which its motion decays."""
     time = np.arange(2048) / 4096
     drive = np.where(abs(time - 0.01) < 2e-3, np.cos(2 * np.pi * 125 * (time - 0.01)), 0.0)
     motion = np.exp(-2 * time) * np.sin(2 * np.pi * 120 * time)
@@ -292,14 +292,14 @@ def test_decay_that_is_cut_off_is_marked(tmp_path: Path) -> None:
     )
 
 
-def test_burst_beside_a_constant_is_one_that_rests(tmp_path: Path) -> None:
-    """The offset of an amplifier is no motion: the whole record is one spectrum, not an average of parts of it."""
+def test_a_burst_with_an_offset_is_one_spectrum(tmp_path: Path) -> None:
+    """An amplifier's offset is not motion, so the record is not divided into windows."""
     assert read_responses([blow(tmp_path / "a.npz")]).spacing == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize("coherence", [np.nan, 100.0, -0.1])
-def test_coherence_that_is_none_is_refused(tmp_path: Path, frequency: np.ndarray, coherence: float) -> None:
-    """In percent, or where nothing was measured."""
+def test_an_invalid_coherence_is_refused(tmp_path: Path, frequency: np.ndarray, coherence: float) -> None:
+    """In per cent, negative, or NaN."""
     arrays = {"response": accelerance(frequency, RESIDUES[0])[None, None], "coherence": coherence}
     np.savez(tmp_path / "a.npz", frequency=frequency, sets=["v"], quantity="acceleration", **arrays)
     with pytest.raises(ValueError, match="the response to v 1 has a coherence that is not between 0 and 1 throughout"):
@@ -307,7 +307,7 @@ def test_coherence_that_is_none_is_refused(tmp_path: Path, frequency: np.ndarray
 
 
 def test_an_axis_one_bin_too_high_is_refused(tmp_path: Path, frequency: np.ndarray) -> None:
-    """A discrete Fourier transform of real records is real at 0 Hz, and nowhere else in the band."""
+    """The Fourier transform of real records is real at 0 Hz, and nowhere else in the band."""
     even = np.arange(frequency.size) * (step := frequency[1] - frequency[0])
     response = accelerance(even, RESIDUES[0]) + 1e-3  # the offset of a sensor, which any record has
     assert response[0].imag == 0 < response[0].real
@@ -336,10 +336,10 @@ def test_an_axis_one_bin_too_high_is_refused(tmp_path: Path, frequency: np.ndarr
     ],
     ids=["amplitude and phase", "degrees", "real part", "imaginary part", "decibels"],
 )
-def test_what_is_no_complex_response_is_refused(
+def test_other_forms_of_a_response_are_refused(
     tmp_path: Path, frequency: np.ndarray, made: Callable, said: str
 ) -> None:
-    """At six places: other forms of a response than its real and imaginary part."""
+    """At six positions: anything but real and imaginary parts."""
     response = made(np.tile(accelerance(frequency, RESIDUES[0]), (1, 6, 1)))
     np.savez(
         tmp_path / "a.npz", frequency=frequency, response=response, sets=["v"], quantity="velocity",
@@ -349,8 +349,8 @@ def test_what_is_no_complex_response_is_refused(
         read_responses([tmp_path / "a.npz"])
 
 
-def test_damaged_universal_file_is_named(tmp_path: Path, frequency: np.ndarray) -> None:
-    """Cut off within its second response; a letter for a digit, with its line."""
+def test_a_damaged_universal_file_is_reported(tmp_path: Path, frequency: np.ndarray) -> None:
+    """Truncated in its second response; and with a letter for a digit, with its line."""
     whole = write_uff(tmp_path / "a.uff", frequency).read_text()
     (tmp_path / "b.uff").write_text(whole[: len(whole) * 7 // 10])
     with pytest.raises(ValueError, match="b.uff: it ends within a data set: it was cut off"):
@@ -362,8 +362,8 @@ def test_damaged_universal_file_is_named(tmp_path: Path, frequency: np.ndarray) 
         read_responses([tmp_path / "c.uff"])
 
 
-def test_coarse_converter_and_exponential_window_are_marked(tmp_path: Path) -> None:
-    """Noise that fades with the motion, and a motion of 8 bits."""
+def test_a_coarse_converter_and_an_exponential_window_are_marked(tmp_path: Path) -> None:
+    """Noise that decays with the motion, and a motion of 8 bits."""
     rng, time = np.random.default_rng(0), np.arange(4096) / 4096
     drive = np.where(abs(time - 0.1) < 2e-3, np.cos(2 * np.pi * 125 * (time - 0.1)), 0.0)
     motion = np.where(time > 0.1, np.exp(-20 * (time - 0.1)) * np.sin(2 * np.pi * 120 * time), 0.0)
@@ -375,15 +375,15 @@ def test_coarse_converter_and_exponential_window_are_marked(tmp_path: Path) -> N
 
 
 def test_unknown_units_and_saturated_records_are_refused(tmp_path: Path) -> None:
-    """Mils are no unit here; a record that stays at its end was cut."""
+    """A unit of mils, and a record that stays at its end of range."""
     with pytest.raises(ValueError, match="its channels are in mil, Newtons; it needs one motion"):
         read_responses([write_lvm(tmp_path / "a.lvm", unit="mil")])
     with pytest.raises(ValueError, match="the motion stays at .* it was saturated; measure again"):
         read_responses([write_lvm(tmp_path / "b.lvm", clipped=True)])
 
 
-def test_free_decay_of_a_saturated_record_is_used_if_asked(tmp_path: Path) -> None:
-    """After the last saturated sample: the first mode within 0.1 %, damping within 5 %, and the mark that says so."""
+def test_the_free_decay_of_a_saturated_record_may_be_used(tmp_path: Path) -> None:
+    """After the last saturated sample: first mode within 0.1 %, damping within 5 %, with a mark."""
     path = write_lvm(tmp_path / "b.lvm", clipped=True)
     responses = read_responses([path], ResponseFormat(use_clipped=True))
     assert responses.marks[0].startswith("the record b.lvm was saturated: only its free decay from ")
@@ -392,8 +392,8 @@ def test_free_decay_of_a_saturated_record_is_used_if_asked(tmp_path: Path) -> No
     assert found.modes[0].damping_ratio.value == pytest.approx(0.012, rel=0.05)
 
 
-def test_set_missing_at_a_position_is_named(tmp_path: Path, frequency: np.ndarray) -> None:
-    """Two excitations, one of them at one position only."""
+def test_a_set_missing_at_a_position_is_reported(tmp_path: Path, frequency: np.ndarray) -> None:
+    """Two excitations, one of them at a single position."""
     path = write_csv(tmp_path / "modes.csv", frequency)
     other = [line.replace("hammer", "shaker") for line in path.read_text().splitlines() if ",-20," in line]
     path.write_text(path.read_text() + "\n" + "\n".join(other))
@@ -401,8 +401,8 @@ def test_set_missing_at_a_position_is_named(tmp_path: Path, frequency: np.ndarra
         read_responses([path], ResponseFormat("acceleration"))
 
 
-def test_half_power_of_one_mode_is_its_damping() -> None:
-    """A single lightly damped velocity response: bandwidth over twice the frequency is the damping ratio, in 0.1 %."""
+def test_the_half_power_method_on_a_single_mode() -> None:
+    """Bandwidth over twice the frequency is the damping ratio, within 0.1 %."""
     frequency = np.arange(900, 1100, 0.02)
     omega, own = 2 * np.pi * frequency, 2 * np.pi * 1000
     response = np.abs(1j * omega / (own**2 - omega**2 + 2j * 0.005 * own * omega))
@@ -411,8 +411,8 @@ def test_half_power_of_one_mode_is_its_damping() -> None:
     assert peak.verdict == ""
 
 
-def test_resolution_guard_fires_below_five_bins() -> None:
-    """Of a mode 10 Hz wide, bins 4 Hz apart give a damping that is not to be believed, and say so."""
+def test_half_power_needs_five_bins_across_the_peak() -> None:
+    """For a mode 10 Hz wide, bins 4 Hz apart are reported as too coarse."""
     frequency = np.arange(900, 1100, 4.0)
     omega, own = 2 * np.pi * frequency, 2 * np.pi * 1001
     response = np.abs(1j * omega / (own**2 - omega**2 + 2j * 0.005 * own * omega))
@@ -421,7 +421,7 @@ def test_resolution_guard_fires_below_five_bins() -> None:
 
 
 def test_free_free_ratios_are_recognised() -> None:
-    """Euler and Bernoulli's own, one of torsion among them, and a cantilever, which is none."""
+    """Those of Euler and Bernoulli with a torsion mode among them; a cantilever is not recognised."""
     bending = np.array([characteristic_root(k) for k in range(1, 7)]) ** 2
     assert characteristic_root(1) == pytest.approx(4.730040744862704, rel=1e-12)
     found = recognise([*bending[:3], 1.3 * bending[2], *bending[3:]])

@@ -1,6 +1,6 @@
-"""The joint fit against the twin's true beam: its accuracy, and that intervals cover what they say.
+"""The joint fit against the twin's true beam: accuracy, and coverage of the intervals.
 
-``MODALTOUCH_IDENTIFIED_SEEDS`` says how many seeds the intervals are judged by; ``make soak-identification`` takes 200.
+``MODALTOUCH_IDENTIFIED_SEEDS`` sets the number of seeds; ``make soak-identification`` uses 200.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ N_SEEDS = int(os.environ.get("MODALTOUCH_IDENTIFIED_SEEDS", "10"))
 
 
 def at(positions: np.ndarray) -> list[Place]:
-    """Return places on the mid-line."""
+    """Return positions on the mid-line."""
     return [Place(each) for each in positions.tolist()]
 
 
 def errors(found: Identification, beam: TrueBeam) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return relative errors of frequency and damping, and of the gains in parts of the larger gain of the mode."""
+    """Return relative errors of frequency and damping, and errors of gains relative to the mode's larger gain."""
     modes = [found.by_label[label] for label in beam.table.label]
     gain = np.array([[estimate.value for estimate in mode.gain] for mode in modes])
     true = beam.table.modal_gain
@@ -42,8 +42,8 @@ def errors(found: Identification, beam: TrueBeam) -> tuple[np.ndarray, np.ndarra
 
 
 @pytest.mark.parametrize("damping_ratio", [0.001, 0.02])
-def test_a_model_at_three_nodes_a_group_has_the_mean_over_its_bins(damping_ratio: float) -> None:
-    """Against the sum over every bin, of groups as wide as the fit takes them: to 1e-7."""
+def test_three_nodes_per_group_give_the_mean_over_its_bins(damping_ratio: float) -> None:
+    """Within 1e-7 of the sum over all bins, for the widest groups of the fit."""
     frequency = np.arange(60.0, 110e3, 3.8)
     natural, ratio = np.array([229.0, 2553.0, 29390.0, 87855.0]), np.full(4, damping_ratio)
     bins = Bins.near(frequency, natural, ratio)
@@ -58,8 +58,8 @@ def test_a_model_at_three_nodes_a_group_has_the_mean_over_its_bins(damping_ratio
     assert np.abs(found / exact - 1).max() < 1e-7
 
 
-def test_bars_of_the_joint_fit(found: Identification, beam: TrueBeam) -> None:
-    """At a coherence of 0.95: frequencies within 0.1 %, damping 5 %, gains 5 % with their sign, MAC above 0.99."""
+def test_accuracy_of_the_joint_fit(found: Identification, beam: TrueBeam) -> None:
+    """At a coherence of 0.95: frequencies within 0.1 %, damping and gains within 5 % with sign, MAC above 0.99."""
     frequency, damping, gain = errors(found, beam)
     assert np.abs(frequency).max() < 1e-3
     assert np.abs(damping).max() < 0.05
@@ -74,7 +74,7 @@ def test_bars_of_the_joint_fit(found: Identification, beam: TrueBeam) -> None:
 
 
 def test_unlisted_modes_are_found_or_harmless(found: Identification, beam: TrueBeam) -> None:
-    """Every strong even mode is found too; torsion gets no label of bending; the delay is the vibrometer's."""
+    """Strong even modes are found; torsion gets no bending label; the delay is that of the vibrometer."""
     labels = [mode.label for mode in found.modes if mode.label]
     assert {4, 6, 8, 10, 12, 14, 16, 18, 19} <= set(labels)
     assert len(labels) == len(set(labels))
@@ -86,15 +86,15 @@ def test_unlisted_modes_are_found_or_harmless(found: Identification, beam: TrueB
 
 
 def near_truth(beam: TrueBeam) -> Poles:
-    """Return where a search may begin that is about its intervals, not about finding peaks."""
+    """Return accurate initial values, for tests of intervals rather than of peak finding."""
     return Poles(beam.natural_frequency * 1.001, beam.damping_ratio * 1.05, 4.1e-6).sorted()
 
 
 @pytest.mark.parametrize("noise", [1.0, 2.0])
 def test_intervals_cover_the_truth_at_their_rate(make, beam: TrueBeam, noise: float) -> None:
-    """Of 36 numbers of each seed 95 % lie within their intervals: the rate is that but for four of its deviations.
+    """The coverage over 36 numbers per seed is 95 % within four standard deviations.
 
-    The deviation allows for a seed's numbers being dependent, as if there were a fourth of them.
+    The deviation allows for dependent numbers within a seed, as if there were a fourth of them.
     """
     n_seeds = N_SEEDS if noise == 1.0 else N_SEEDS // 5
     covered, worst = [], np.zeros(3)
@@ -112,7 +112,7 @@ def test_intervals_cover_the_truth_at_their_rate(make, beam: TrueBeam, noise: fl
 
 
 def test_twice_the_noise_widens_the_intervals_twice(make, beam: TrueBeam) -> None:
-    """What is worse is said to be worse: every interval of the nine modes by 1.6 to 2.4."""
+    """Every interval of the nine modes widens by a factor of 1.6 to 2.4."""
     plain, noisy = (identify(make(5, noise), LENGTH, start=near_truth(beam), most=0) for noise in (1.0, 2.0))
     for label in beam.table.label:
         one, other = plain.by_label[label], noisy.by_label[label]
@@ -126,16 +126,16 @@ def test_twice_the_noise_widens_the_intervals_twice(make, beam: TrueBeam) -> Non
 
 
 def small(responses: FrequencyResponses) -> FrequencyResponses:
-    """Return the responses of the lower modes alone, for tests that need no more."""
+    """Return the responses of the lower modes only."""
     return responses.between(60, 33e3)
 
 
 @pytest.mark.parametrize(("recorded", "said"), [*itertools.product(QUANTITIES, QUANTITIES)])
-def test_quantity_decides_the_phase(make, beam: TrueBeam, recorded: Quantity, said: Quantity) -> None:
-    """A velocity is real at resonance, the other two are in quadrature: taken for what it is not, a file is refused.
+def test_the_quantity_determines_the_phase(make, beam: TrueBeam, recorded: Quantity, said: Quantity) -> None:
+    """A velocity is real at resonance, the others are in quadrature; a wrong quantity is refused.
 
-    Displacement and acceleration differ by a sign and a slope alone, so one for the other gives gains of the wrong sign
-    and size: of these two only the file can say which it is.
+    Displacement and acceleration differ only by sign and slope, so one for the other gives wrong gains: only the file
+    can tell these two apart.
     """
     plain = small(make(3))
     turn = 2j * np.pi * plain.frequency
@@ -155,15 +155,15 @@ def test_quantity_decides_the_phase(make, beam: TrueBeam, recorded: Quantity, sa
 
 
 def test_conjugated_responses_are_refused(make) -> None:
-    """By the time law exp(-i w t) the phase rises through a resonance: said so, with the remedy."""
+    """With exp(-i w t) the phase rises through a resonance; the message has the remedy."""
     plain = small(make(3))
     with pytest.raises(ValueError, match="they are conjugated.* --conjugated"):
         identify(replace(plain, response=np.conj(plain.response)), LENGTH)
 
 
 @pytest.mark.parametrize("offset", [-1e-3, 0.3e-3, 1.3e-3, 5e-3])
-def test_time_offset_is_found_and_taken_off(make, beam: TrueBeam, offset: float) -> None:
-    """Motion behind its excitation: the delay is offset and vibrometer, and frequency and gain stay in their bars."""
+def test_a_time_offset_is_found_and_removed(make, beam: TrueBeam, offset: float) -> None:
+    """The delay is offset plus vibrometer, and frequencies and gains stay accurate."""
     plain = small(make(3))
     late = plain.response * np.exp(-2j * np.pi * plain.frequency * offset)
     found = identify(replace(plain, response=late), LENGTH, most=0)
@@ -177,8 +177,8 @@ def test_time_offset_is_found_and_taken_off(make, beam: TrueBeam, offset: float)
         assert mode.gain[strongest].value == pytest.approx(beam.table.modal_gain[k, strongest], rel=0.05)
 
 
-def test_error_that_all_points_share_is_no_resonance(make, beam: TrueBeam) -> None:
-    """The measured drive errs by 3 in 1,000, equally at all points: every further pole is one of the beam's own."""
+def test_an_error_common_to_all_points_is_not_a_resonance(make, beam: TrueBeam) -> None:
+    """The measured drive errs by 3 in 1,000 at all points; every further pole is one of the beam's own."""
     plain = small(make(0))
     rng = np.random.default_rng(1)
     n_bins = plain.frequency.size
@@ -189,8 +189,8 @@ def test_error_that_all_points_share_is_no_resonance(make, beam: TrueBeam) -> No
 
 
 @pytest.mark.parametrize("flipped", [False, True])
-def test_sign_of_the_gain_is_the_drive_s(make, beam: TrueBeam, flipped: bool) -> None:
-    """A patch glued the other way round: every gain of its set changes its sign, the shapes keep theirs."""
+def test_inverted_patches_invert_the_gains(make, beam: TrueBeam, flipped: bool) -> None:
+    """Every gain of the set changes its sign, and the shapes keep theirs."""
     plain = small(make(4))
     sign = np.array([1.0, -1.0 if flipped else 1.0])
     found = identify(replace(plain, response=plain.response * sign[:, None, None]), LENGTH, most=0)
@@ -201,8 +201,8 @@ def test_sign_of_the_gain_is_the_drive_s(make, beam: TrueBeam, flipped: bool) ->
         assert found.by_label[label].shape[-1] > 0
 
 
-def test_noise_alone_has_no_resonance(make) -> None:
-    """Nothing but noise: refused, with what to do."""
+def test_noise_alone_is_refused(make) -> None:
+    """With the remedy."""
     plain = small(make(0))
     rng = np.random.default_rng(1)
     noise = rng.standard_normal(plain.response.shape) + 1j * rng.standard_normal(plain.response.shape)
@@ -212,7 +212,7 @@ def test_noise_alone_has_no_resonance(make) -> None:
 
 
 def test_too_few_points_are_refused() -> None:
-    """Fifteen points show modes 14 and 16 alike; twenty tell all apart but draw no shape of label 17."""
+    """Fifteen points cannot distinguish modes 14 and 16; twenty cannot draw the shape of mode 17."""
     with pytest.raises(ValueError, match=r"15 points are too few to distinguish modes 14 and 16.*at least 26"):
         check_points(np.linspace(-0.05, 0.05, 15), [1, 17], LENGTH)
     with pytest.raises(ValueError, match="20 points are too few to draw the shape of mode 17: give at least 26"):
@@ -221,7 +221,7 @@ def test_too_few_points_are_refused() -> None:
 
 
 def test_labels_increase_with_frequency() -> None:
-    """A torsion that looks like the rigid rotation, among bending modes: it gets no label."""
+    """A torsion that resembles the rigid rotation, among bending modes, gets no label."""
     positions = np.linspace(-0.05, 0.05, 41)
     bending = mode_shapes([1, 3, 5, 6], positions, LENGTH)
     torsion = np.sin(np.pi * positions / LENGTH)[None]

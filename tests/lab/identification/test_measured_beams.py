@@ -1,7 +1,7 @@
-"""Real beams, measured by others: the natural frequencies that they state, and what their data cannot say.
+"""Real beams, measured by others: published natural frequencies, and limits of the data.
 
-The data stay where they are; `MODALTOUCH_MEASURED_DATA` names their folder, or it lies beside the checkout. Where it is
-neither, these tests say so and are passed over; a name that leads nowhere is a fault.
+`MODALTOUCH_MEASURED_DATA` gives the folder of the data, by default beside the checkout. Without it these tests are
+skipped; a path that does not exist is an error.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ pytestmark = pytest.mark.measured_data
 
 @pytest.fixture(scope="module")
 def data() -> Path:
-    """Return the folder of measured data; without it these tests cannot say anything, and say so."""
+    """Return the folder of measured data, or skip the test."""
     named = os.environ.get("MODALTOUCH_MEASURED_DATA")
     root = Path(__file__).resolve().parents[3]
     beside = [Path(named)] if named else [parent / "shared" / "data" for parent in root.parents]
@@ -35,10 +35,10 @@ def data() -> Path:
     pytest.skip("the measured data are no part of the project: set MODALTOUCH_MEASURED_DATA to their folder")
 
 
-def test_slender_beam_of_pyuff(data: Path) -> None:
-    """Six stated natural frequencies within 0.01 Hz or their interval, a hundredth of a bin; the ratios of free-free.
+def test_the_slender_beam_of_pyuff(data: Path) -> None:
+    """Six published natural frequencies within 0.011 Hz, a hundredth of a bin; the ratios of a free-free beam.
 
-    Of peaks a fraction of a bin wide half-power damping is worthless, and the guard says so for every one of them.
+    The peaks are a fraction of a bin wide, so half-power damping is meaningless, and is reported as such.
     """
     files = sorted((data / "pyuff").glob("meas_point_*.txt"))
     assert len(files) == 3
@@ -58,8 +58,8 @@ def test_slender_beam_of_pyuff(data: Path) -> None:
     assert beam.deviation < 0.002
 
 
-def test_hammered_beam_of_the_image_based_tutorial(data: Path) -> None:
-    """Four stated natural frequencies within 0.01 %, bending modes of a Timoshenko beam; a torsion told from them."""
+def test_the_hammered_beam_of_the_image_based_tutorial(data: Path) -> None:
+    """Four published natural frequencies within 0.01 %, as bending modes of a Timoshenko beam, apart from torsion."""
     responses = read_responses([data / "ladisk_imagebased" / "acceleration.lvm"]).between(300, 7300)
     found = identify_each(responses)
     frequency = np.array([mode.natural_frequency.value for mode in found.modes])
@@ -73,8 +73,8 @@ def test_hammered_beam_of_the_image_based_tutorial(data: Path) -> None:
     assert bending == pytest.approx([695.75, 1898.1, 3671.2, 5975.0], rel=1e-4)
 
 
-def test_modal_constants_of_sdypy_give_their_beam_back(data: Path) -> None:
-    """Responses rebuilt from the stated poles and modal constants: frequencies in 0.01 %, damping in 3 %."""
+def test_the_modal_constants_of_sdypy_are_recovered(data: Path) -> None:
+    """Responses rebuilt from published poles and constants: frequencies within 0.01 %, damping within 3 %."""
     reference = json.loads((data / "sdypy_ema" / "reference.json").read_text(encoding="utf-8"))
     stated, ratio = np.array(reference["nat_freq_Hz"]), np.array(reference["showcase_damping"])
     constants = np.array(reference["modal_constants_re"]) + 1j * np.array(reference["modal_constants_im"])

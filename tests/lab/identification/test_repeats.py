@@ -1,4 +1,4 @@
-"""Impacts and repeats: read from records over time, double ones left out, and intervals that hold their scatter."""
+"""Impacts and repeats: read from time records, double impacts excluded, intervals that include their scatter."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def moved(force: np.ndarray, rng: np.random.Generator, stretch: float = 1.0, noi
 
 
 def hit(at: Sequence[int], n: int = 8192) -> np.ndarray:
-    """Return a force of half sines of 0.7 ms, none of 200 N like another."""
+    """Return a force of half sines of 0.7 ms, each of another height."""
     force = np.zeros(n)
     for number, start in enumerate(at):
         force[start : start + 4] += (200 - 10 * number) * np.sin(np.pi * np.array([0.2, 0.45, 0.7, 0.9]))
@@ -42,7 +42,7 @@ def hit(at: Sequence[int], n: int = 8192) -> np.ndarray:
 
 
 def write_csv(path: Path, records: Sequence[tuple[np.ndarray, np.ndarray]], place: str = "") -> Path:
-    """Write records over time one after the other, as repeats."""
+    """Write time records one after the other, as repeats."""
     lines = ["time_s,set,position_mm,drive,motion"]
     for force, motion in records:
         lines += [
@@ -54,13 +54,13 @@ def write_csv(path: Path, records: Sequence[tuple[np.ndarray, np.ndarray]], plac
 
 
 def impacts_of_a_day(path: Path, seed: int) -> Path:
-    """Write three impacts, between which the natural frequencies wander by 5 in 10,000."""
+    """Write three impacts between which the natural frequencies change by 5 in 10,000."""
     rng = np.random.default_rng(seed)
     return write_csv(path, [(hit([40]), moved(hit([40]), rng, 1 + 5e-4 * rng.standard_normal())) for _ in range(3)])
 
 
 def test_two_days_of_one_beam_agree_within_their_intervals(tmp_path: Path) -> None:
-    """Three impacts each: the intervals over the repeats overlap and hold the truth, those of the fits alone do not."""
+    """Intervals over three repeats overlap and contain the truth; those of single fits do not."""
     alone, whole = [], []
     for seed in (1, 2):
         found = identify_each(
@@ -79,8 +79,8 @@ def test_two_days_of_one_beam_agree_within_their_intervals(tmp_path: Path) -> No
     assert repeatability(whole[0]) == "the intervals include the scatter of 3 measurements"
 
 
-def test_files_without_places_are_measurements_each(tmp_path: Path) -> None:
-    """An impact a file, perhaps of another point: each is fitted by itself; of a single one nothing is known."""
+def test_files_without_positions_are_fitted_separately(tmp_path: Path) -> None:
+    """One impact per file; with a single one the repeatability is unknown."""
     rng = np.random.default_rng(3)
     files = [write_csv(tmp_path / f"{k}.csv", [(hit([40]), moved(hit([40]), rng, 1 + k * 1e-4))]) for k in range(3)]
     found = over_repeats(identify_each(read_responses(files, ACCELERATION).between(60, 900)))
@@ -92,8 +92,8 @@ def test_files_without_places_are_measurements_each(tmp_path: Path) -> None:
     assert repeatability(single).startswith("repeatability is unknown: the intervals come from one measurement")
 
 
-def test_double_impacts_are_left_out_and_counted(tmp_path: Path) -> None:
-    """Five impacts 2 s apart, the third of two hits 30 ms apart: four repeats, and the mark that says so."""
+def test_double_impacts_are_excluded_and_counted(tmp_path: Path) -> None:
+    """Five impacts 2 s apart, the third doubled after 30 ms: four repeats, with a mark."""
     starts = [60, 8252, 16444, 16444 + 123, 24636, 32828]
     force = hit(starts, 41_000)
     responses = read_responses(
@@ -115,8 +115,8 @@ def test_double_impacts_are_left_out_and_counted(tmp_path: Path) -> None:
         read_responses([double], ACCELERATION)
 
 
-def test_parts_of_a_labview_measurement_are_repeats(tmp_path: Path) -> None:
-    """Three headings in one file, each with its own numbers."""
+def test_segments_of_a_labview_file_are_repeats(tmp_path: Path) -> None:
+    """Three headers in one file, each with its data."""
     rng = np.random.default_rng(5)
     text = "LabVIEW Measurement\nMulti_Headings\tYes\n***End_of_Header***\n\n"
     for stretch in (1.0, 1.0002, 0.9998):
@@ -134,7 +134,7 @@ def test_parts_of_a_labview_measurement_are_repeats(tmp_path: Path) -> None:
 
 
 def test_time_records_of_a_universal_file_give_its_modes(tmp_path: Path) -> None:
-    """Data set 58 of type 1, twice a force with an acceleration behind it: two repeats of one response."""
+    """Data set 58 of type 1, twice a force followed by an acceleration: two repeats of one response."""
     rng, file = np.random.default_rng(6), pyuff.UFF(str(tmp_path / "a.uff"))
     shared = {"type": 58, "func_type": 1, "rsp_dir": 3, "ref_node": 0, "ref_dir": 0, "binary": 0, "abscissa_spacing": 1}
     ids = {f"id{number}": "NONE" for number in range(1, 6)}
@@ -154,7 +154,7 @@ def test_time_records_of_a_universal_file_give_its_modes(tmp_path: Path) -> None
 
 
 def test_random_excitation_is_averaged_with_its_coherence(tmp_path: Path) -> None:
-    """A minute of noise as NPZ, 14 windows: H1 with a coherence near 1 at the first two resonances, and their modes."""
+    """A minute of noise in 14 windows: H1 with a coherence near 1 at the first two resonances."""
     rng = np.random.default_rng(7)
     force = rng.standard_normal(1 << 18)
     arrays = {"time": np.arange(force.size) / RATE, "drive": force[None, None], "motion": moved(force, rng)[None, None]}
@@ -168,8 +168,8 @@ def test_random_excitation_is_averaged_with_its_coherence(tmp_path: Path) -> Non
     assert [mode.damping_ratio.value for mode in found.modes] == pytest.approx([ratio for _, ratio in POLES], rel=0.05)
 
 
-def test_burst_that_comes_to_rest_is_divided_as_it_is(tmp_path: Path) -> None:
-    """Half a second of noise, 1.5 s of decay: no window widens its resonances, damping within 0.5 %."""
+def test_a_burst_that_comes_to_rest_needs_no_window(tmp_path: Path) -> None:
+    """Half a second of noise and 1.5 s of decay: damping within 0.5 %."""
     rng = np.random.default_rng(9)
     force = np.where(np.arange(8192) < 2048, rng.standard_normal(8192), 0.0)
     np.savez(
@@ -182,8 +182,8 @@ def test_burst_that_comes_to_rest_is_divided_as_it_is(tmp_path: Path) -> None:
     assert [mode.damping_ratio.value for mode in found.modes] == pytest.approx([ratio for _, ratio in POLES], rel=5e-3)
 
 
-def test_steps_of_eight_bits_are_no_saturation(tmp_path: Path) -> None:
-    """A sine of 100 steps, which is at its highest one in every cycle; cut at half of it, it is refused."""
+def test_eight_bit_steps_are_not_saturation(tmp_path: Path) -> None:
+    """A sine of 100 steps reaches its highest in every cycle; clipped at half, it is refused."""
     force = np.round(100 * np.sin(2 * np.pi * np.arange(8192) / 40.3))
     arrays = {"time": np.arange(8192) / RATE, "drive": force[None, None], "sets": ["shaker"], "quantity": "velocity"}
     np.savez(tmp_path / "a.npz", motion=force[None, None], **arrays)
@@ -193,8 +193,8 @@ def test_steps_of_eight_bits_are_no_saturation(tmp_path: Path) -> None:
         read_responses([tmp_path / "b.npz"], ResponseFormat(n_averages=4))
 
 
-def test_a_blow_cut_for_three_samples_is_saturated(tmp_path: Path) -> None:
-    """Equal samples, and far below right beside them: no round peak; its gains would be nearly twice too large."""
+def test_an_impact_clipped_for_three_samples_is_saturated(tmp_path: Path) -> None:
+    """Equal samples with steep flanks; the gains would be nearly twice too large."""
     rng = np.random.default_rng(1)
     force, motion = hit([40]), moved(hit([40]), rng)
     assert read_responses([write_csv(tmp_path / "a.csv", [(force, motion)])], ACCELERATION).n_points == 1
@@ -203,8 +203,8 @@ def test_a_blow_cut_for_three_samples_is_saturated(tmp_path: Path) -> None:
         read_responses([cut], ACCELERATION)
 
 
-def test_gains_hold_the_scatter_of_repeated_scans(make) -> None:
-    """Two scans of eight points, the second with a drive that reads 10 % low: the gains' intervals hold both."""
+def test_intervals_of_gains_include_the_scatter_of_repeats(make) -> None:
+    """Two scans of eight points, the second with a drive reading 10 % low: the intervals contain both."""
     scans = [make(seed, n_points=8, highest=12e3).between(1200, 9000) for seed in (0, 1)]
     scans[1] = FrequencyResponses(
         scans[1].frequency,
@@ -229,15 +229,15 @@ def test_gains_hold_the_scatter_of_repeated_scans(make) -> None:
         (np.ones(20), "it has 20 samples of the excitation and 20 of the motion; both need"),
     ],
 )
-def test_records_that_say_nothing_are_refused(tmp_path: Path, force: np.ndarray, words: str) -> None:
-    """No excitation, a saturated one, too few samples."""
+def test_unusable_records_are_refused(tmp_path: Path, force: np.ndarray, words: str) -> None:
+    """No excitation, a saturated one, and too few samples."""
     motion = np.random.default_rng(8).standard_normal(force.size)
     with pytest.raises(ValueError, match=words):
         read_responses([write_csv(tmp_path / "a.csv", [(force, motion)])], ACCELERATION)
 
 
-def test_a_blow_without_noise_leaves_the_truth_within_the_intervals(tmp_path: Path) -> None:
-    """The other modes are not quite a linear background: without that share a frequency is 2.5 half-widths off."""
+def test_intervals_of_a_noiseless_impact_contain_the_truth(tmp_path: Path) -> None:
+    """They include the curvature of the other modes' background, without which a frequency is 2.5 half-widths off."""
     file = write_csv(tmp_path / "quiet.csv", [(hit([40]), moved(hit([40]), np.random.default_rng(), noise=0.0))])
     found = identify_each(read_responses([file], ACCELERATION).between(60, 900))
     for (own, ratio), mode in zip(POLES, found.modes, strict=True):

@@ -1,4 +1,4 @@
-"""Rows of points over the width: torsion is told from bending, and shapes are maps, as the paper's Fig. 4."""
+"""Rows over the width: torsion is distinguished from bending, and shapes are maps, as in the paper's Fig. 4."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ POSITIONS = np.linspace(-LENGTH / 2, LENGTH / 2, 13)
 def row_of(
     beam: TrueBeam, across: float, scatter: float = 0.0, positions: np.ndarray = POSITIONS
 ) -> FrequencyResponses:
-    """Return the responses of a row from 6 to 14 kHz in closed form, with a noise of a thousandth of their median.
+    """Return the closed-form responses of a row from 6 to 14 kHz, with noise of a thousandth of their median.
 
-    Points scatter evenly by up to a distance along the beam, and by a tenth of it across [m].
+    Points may scatter uniformly by a distance along the beam, and by a tenth of it across [m].
     """
     rng = np.random.default_rng(round(across * 1e6) + 9999)
     x = np.clip(positions + rng.uniform(-scatter, scatter, positions.size), -LENGTH / 2, LENGTH / 2)
@@ -50,8 +50,8 @@ def found(beam: TrueBeam) -> Identification:
     return identify(FrequencyResponses.of_rows([row_of(beam, across) for across in ROWS]), LENGTH)
 
 
-def test_torsion_is_named_between_the_bending_modes(found: Identification, beam: TrueBeam) -> None:
-    """The twin's torsion at 8.7 kHz; all natural frequencies within 20 ppm, and all else keeps its label."""
+def test_torsion_is_labelled_between_the_bending_modes(found: Identification, beam: TrueBeam) -> None:
+    """The twin's torsion at 8.7 kHz; all natural frequencies within 20 ppm, and all other labels unchanged."""
     assert [mode.name for mode in found.modes] == ["5", "T1", "6", "7"]
     for mode in found.modes:
         own = beam.natural_frequency[np.abs(beam.natural_frequency - mode.natural_frequency.value).argmin()]
@@ -62,7 +62,7 @@ def test_torsion_is_named_between_the_bending_modes(found: Identification, beam:
 
 @pytest.mark.parametrize("scatter", [20e-6, 0.5e-3])
 def test_points_of_a_scanned_grid_may_scatter(beam: TrueBeam, scatter: float) -> None:
-    """By 20 um or 0.5 mm along, a tenth of it across: still 11 places along the beam, and the same modes."""
+    """By 20 um or 0.5 mm along the beam: still 11 positions along it, and the same modes."""
     positions = np.linspace(-LENGTH / 2, LENGTH / 2, 11)
     scattered = FrequencyResponses.of_rows([row_of(beam, across, scatter, positions) for across in ROWS])
     found = identify(scattered, LENGTH)
@@ -70,21 +70,21 @@ def test_points_of_a_scanned_grid_may_scatter(beam: TrueBeam, scatter: float) ->
     np.testing.assert_allclose([float(row["position_mm"]) for row in shape_rows(found)], positions * 1e3, atol=0.5)
 
 
-def test_close_points_of_one_row_are_places_of_their_own() -> None:
-    """However unevenly they lie, and where they scatter across."""
+def test_close_points_of_one_row_are_separate_positions() -> None:
+    """However unevenly they are spaced, and if they scatter across."""
     near = [Place(x, y) for x, y in zip([-50e-3, -49.9e-3, 0.0, 50e-3], [0.0, 4e-5, -2e-5, 0.0], strict=True)]
     assert along(near)[0] == pytest.approx([-50e-3, -49.9e-3, 0.0, 50e-3])
 
 
 def test_gains_are_those_of_the_mid_line(found: Identification, beam: TrueBeam) -> None:
-    """Rows beside it change no gain: within two thousandths of the twin's."""
+    """Further rows change no gain: within two thousandths of the twin's."""
     for label in (5, 7):
         k, gain = beam.table.label.index(label), [each.value for each in found.by_label[label].gain]
         np.testing.assert_allclose(gain, beam.table.modal_gain[k], rtol=2e-3)
 
 
 def test_shapes_over_the_width_are_those_of_the_twin(found: Identification, beam: TrueBeam) -> None:
-    """MAC of T1 with its shape above 0.99; of unit mean square, positive at the corner where x and y end."""
+    """MAC of T1 above 0.99; unit mean square, positive at the corner of largest x and y."""
     x, y = np.array(found.responses.places).T
     true = beam.shapes(x, y)[[-3]]
     twisted = np.array([shape for mode, shape in found.shaped if mode.torsion])
@@ -93,8 +93,8 @@ def test_shapes_over_the_width_are_those_of_the_twin(found: Identification, beam
     assert (twisted[:, -1] > 1).all()
 
 
-def test_tables_hold_the_map_and_the_mid_line(found: Identification) -> None:
-    """A line for each of 39 points with torsion, and one for each of 13 places, which the stimulus reads."""
+def test_tables_have_the_map_and_the_mid_line(found: Identification) -> None:
+    """A line for each of 39 points with torsion, and one for each of 13 positions for the stimulus."""
     rows, line = map_rows(found), shape_rows(found)
     assert (len(rows), rows[0]["across_mm"], rows[-1]["across_mm"]) == (39, "-2.5", "2.5")
     assert "mode_T1" in rows[0]
@@ -106,7 +106,7 @@ def test_tables_hold_the_map_and_the_mid_line(found: Identification) -> None:
 
 @pytest.mark.parametrize("name", ["beam.csv", "beam.uff"])
 def test_rows_are_read_back_from_an_export(tmp_path: Path, found: Identification, name: str) -> None:
-    """Points beside each other are no repeats of one point."""
+    """Adjacent points are not repeats of one point."""
     few = found.responses.between(8e3, 8.5e3)
     export(replace(found, modes=(), responses=few), tmp_path / name)
     read = read_responses([tmp_path / name], ResponseFormat("velocity" if name.endswith("csv") else None))
@@ -117,21 +117,21 @@ def test_rows_are_read_back_from_an_export(tmp_path: Path, found: Identification
 
 
 def test_one_row_alone_shows_no_torsion(beam: TrueBeam) -> None:
-    """A row that lies 0.2 mm off sees what moves at 8.7 kHz, but cannot tell it from bending."""
+    """A row 0.2 mm off sees the motion at 8.7 kHz but cannot distinguish it from bending."""
     places = [Place(place, 0.2e-3) for place in POSITIONS]
     assert label_torsion(beam.shapes(POSITIONS, 0.2e-3)[[-3]], [None], places, LENGTH)[0] == [None]
     assert torsion_shapes([1], [Place(0.05)], LENGTH) == pytest.approx(0.0)
 
 
 def test_an_even_number_of_rows_is_refused(apparatus: Apparatus) -> None:
-    """None of them would be the mid-line, on which gains rest."""
+    """No row would be the mid-line, on which gains are based."""
     assert rows_over(apparatus, 5) == pytest.approx((-2.5e-3, -1.25e-3, 0.0, 1.25e-3, 2.5e-3))
     with pytest.raises(ValueError, match="given --rows 2; allowed: odd numbers"):
         rows_over(apparatus, 2)
 
 
 def test_rows_of_one_set_are_not_those_of_another(tmp_path: Path) -> None:
-    """The folders of the sets `outer` and `outer_2`: each set has its own two rows beside the mid-line."""
+    """The folders of the sets `outer` and `outer_2` each have two rows beside the mid-line."""
     for name in ("scan_outer", "scan_outer_2"):
         for across in (-2.5e-3, 0.0, 2.5e-3):
             (tmp_path / row_name(name, across)).mkdir()

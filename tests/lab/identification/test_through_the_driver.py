@@ -1,7 +1,7 @@
-"""From chirp to Table I through generator, amplifier, beam, vibrometer and scope, judged by the twin's true beam.
+"""From chirp to Table I through generator, amplifier, beam, vibrometer and scope, against the twin's true beam.
 
-``MODALTOUCH_SCANNED_POINTS`` says how many points are scanned: with eight the lowest modes are told apart, with 41, as
-``make soak-identification`` takes, all nine, at a noise that leaves the weakest a coherence of about 0.95.
+``MODALTOUCH_SCANNED_POINTS`` sets the number of points: eight distinguish the lowest modes; 41, as in
+``make soak-identification``, all nine, at a noise that gives the weakest a coherence of about 0.95.
 """
 
 from __future__ import annotations
@@ -43,19 +43,19 @@ EXCITATIONS: tuple[Excitation, ...] = get_args(Excitation)
 
 
 class StoppedError(Exception):
-    """Somebody ends the scan."""
+    """The scan is interrupted."""
 
 
 def with_noise(apparatus: Apparatus, density: float) -> Apparatus:
-    """Return the apparatus with a vibrometer of a noise density [um/s per root Hz]."""
+    """Return the apparatus with a given noise density of the vibrometer [um/s per root Hz]."""
     vibrometer = apparatus.twin.vibrometer.model_copy(update={"noise_um_s_per_sqrt_Hz": density})
     return apparatus.model_copy(update={"twin": apparatus.twin.model_copy(update={"vibrometer": vibrometer})})
 
 
 def density_of_the_bar(apparatus: Apparatus, campaign: IdentificationPlan) -> float:
-    """Return the noise with which the coherence at the peak of the weakest mode is about 0.95 [um/s per root Hz].
+    """Return the noise density for a coherence of about 0.95 at the weakest mode's peak [um/s per root Hz].
 
-    That mode is the first: 0.9 mm/s per volt, everywhere alike.
+    That is the first mode: 0.9 mm/s per volt at every point.
     """
     burst = excite(apparatus, "centre", campaign.voltage, campaign.highest, campaign.excitation)
     power = campaign.voltage**2 * np.mean((burst.codes[0] / 8191.0 - 1) ** 2) / (campaign.highest - LOWEST)
@@ -65,12 +65,12 @@ def density_of_the_bar(apparatus: Apparatus, campaign: IdentificationPlan) -> fl
 
 @pytest.mark.timeout(1800)
 @pytest.mark.parametrize("excitation", EXCITATIONS if WHOLE else EXCITATIONS[:1])
-def test_twin_is_identified_through_all_its_instruments(
+def test_the_twin_is_identified_through_all_its_instruments(
     apparatus: Apparatus, tmp_path: Path, excitation: Excitation
 ) -> None:
-    """Frequencies within 0.1 %, damping within 5 %, gains within 5 % of the larger of their mode, MAC above 0.99.
+    """Frequencies within 0.1 %, damping and gains within 5 %, MAC above 0.99.
 
-    Eight bits, two clocks, a delay, a low-pass, torsion beside the mid-line and even modes notwithstanding.
+    Despite eight bits, two clocks, a delay, a low-pass, torsion beside the mid-line, and even modes.
     """
     labels = (1, 3, 5, 7, 9, 11, 13, 15, 17) if WHOLE else (1, 3, 5)
     campaign = IdentificationPlan(
@@ -109,13 +109,13 @@ def small(**changes: Any) -> IdentificationPlan:
 
 @pytest.fixture(scope="module")
 def laboratory(apparatus: Apparatus) -> Any:
-    """Return an open laboratory on the twin, for records that follow each other without a gap."""
+    """Return an open laboratory on the twin with continuous records."""
     with open_laboratory(apparatus, repetition="continuous") as opened:
         yield opened
 
 
-def test_stopped_scan_keeps_its_range(laboratory: Laboratory, tmp_path: Path) -> None:
-    """Gone on with, it measures with the range it was begun with, and only what is left."""
+def test_a_resumed_scan_keeps_its_range(laboratory: Laboratory, tmp_path: Path) -> None:
+    """It measures only the remaining points, with the range of the beginning."""
     source, passed = Source.load(APPARATUS), iter(range(1))
 
     def check() -> None:
@@ -134,24 +134,24 @@ def test_stopped_scan_keeps_its_range(laboratory: Laboratory, tmp_path: Path) ->
     assert scans["centre"].facts["settings"] == half.facts["settings"]
 
 
-def test_saturated_records_are_refused_with_their_place(laboratory: Laboratory) -> None:
-    """A range of 1 mm/s cuts what moves by eight: no response is made of it."""
+def test_saturated_records_are_refused_with_their_position(laboratory: Laboratory) -> None:
+    """A range of 1 mm/s clips a motion of 8 mm/s."""
     burst = excite(laboratory.apparatus, "centre", 20.0, 12e3)
     narrow = Acquisition(3.125e6, 819_200, 1, (1,), velocity_range=1e-3, drive_range=25.0)
     with pytest.raises(RecordInputError, match="velocity reached the end of the range at 49 mm.* another folder"):
         take_scan(laboratory, ScanPlan(burst, burst.velocity, (0.049,), narrow), reduction=Spectra(12e3))
 
 
-def test_a_first_look_that_was_cut_tells_no_range(laboratory: Laboratory) -> None:
-    """The height of what was cut is not known: what to change, before a position is measured."""
+def test_a_clipped_first_record_is_refused(laboratory: Laboratory) -> None:
+    """Its peak is unknown; the message has the remedy, before any position is measured."""
     burst = excite(laboratory.apparatus, "centre", 20.0, 12e3)
     narrow = Acquisition(3.125e6, 819_200, 1, (1,), velocity_range=1e-3, drive_range=25.0)
     with pytest.raises(RigError, match="velocity was overloaded at 49 mm, .* a wider range or a lower drive"):
         _with_range(laboratory, ScanPlan(burst, burst.velocity, (0.049,), narrow), "centre", 20.0)
 
 
-def test_scans_at_other_positions_do_not_go_together(laboratory: Laboratory) -> None:
-    """Each set at the same positions: no shape has two places at once."""
+def test_scans_at_different_positions_are_refused(laboratory: Laboratory) -> None:
+    """Each set needs the same positions."""
     source = Source.load(APPARATUS)
     one, other = (small(positions=(place,)).scan(laboratory, source, None)["centre"] for place in (0.0, 0.01))
     with pytest.raises(
@@ -160,8 +160,8 @@ def test_scans_at_other_positions_do_not_go_together(laboratory: Laboratory) -> 
         responses_of({"centre": one, "side": other})
 
 
-def test_scans_of_other_spectra_or_without_drive_give_no_responses(laboratory: Laboratory) -> None:
-    """One set of other lines or averages would be read on the axis of the first; without drive nothing is divided."""
+def test_scans_with_different_spectra_or_no_drive_are_refused(laboratory: Laboratory) -> None:
+    """Other lines or averages would be read on the first set's axis; without a drive nothing can be divided."""
     one = small(positions=(0.0,)).scan(laboratory, Source.load(APPARATUS), None)["centre"]
     (kept,) = one.arrays
     for change in ({"frequency": 1.01 * kept["frequency"]}, {"n_records": np.array(7)}):
@@ -172,8 +172,8 @@ def test_scans_of_other_spectra_or_without_drive_give_no_responses(laboratory: L
         responses_of({"centre": silent})
 
 
-def test_drive_that_does_not_arrive_is_told(laboratory: Laboratory, tmp_path: Path) -> None:
-    """An amplifier that has tripped: refused before any position is measured, and nothing is written."""
+def test_a_missing_drive_is_reported(laboratory: Laboratory, tmp_path: Path) -> None:
+    """A tripped amplifier: refused before any position is measured, and nothing is written."""
     assert laboratory.simulator is not None
     laboratory.simulator.twin.tripped = True
     try:
@@ -196,8 +196,8 @@ def test_velocity_beyond_the_safety_limit_is_refused(apparatus: Apparatus) -> No
         small(voltage=100.0).scan(laboratory, Source.load(APPARATUS), None)
 
 
-def test_headroom_ends_at_the_vibrometer_s_own_range(apparatus: Apparatus) -> None:
-    """What nearly fills the vibrometer's range is measured with all of it, and not refused for want of more."""
+def test_the_range_is_at_most_that_of_the_vibrometer(apparatus: Apparatus) -> None:
+    """A motion that nearly fills the range is measured with all of it."""
     knobs = apparatus.acquisition.model_copy(update={"range_mm_s": 7.5})
     tight = apparatus.model_copy(update={"acquisition": knobs})
     with open_laboratory(tight, repetition="continuous") as laboratory:
@@ -207,8 +207,8 @@ def test_headroom_ends_at_the_vibrometer_s_own_range(apparatus: Apparatus) -> No
 
 
 @pytest.mark.parametrize("kind", EXCITATIONS)
-def test_excitation_is_flat_and_periodic(apparatus: Apparatus, kind: Excitation) -> None:
-    """At least 0.26 s, peak as asked, nothing on the other output, and within 3 dB of its mean over all of its band."""
+def test_the_excitation_is_flat_and_periodic(apparatus: Apparatus, kind: Excitation) -> None:
+    """At least 0.26 s, the requested peak, nothing on the other output, within 3 dB over the band."""
     burst = excite(apparatus, "side", 20.0, 100e3, kind)
     assert burst.duration >= 0.26
     assert burst.repetition_rate == pytest.approx(1 / burst.duration)
@@ -231,6 +231,6 @@ def test_excitation_is_flat_and_periodic(apparatus: Apparatus, kind: Excitation)
     ],
 )
 def test_excitation_out_of_bounds_is_refused(apparatus: Apparatus, arguments: Any, words: str) -> None:
-    """Voltage, frequency."""
+    """Voltage and frequency."""
     with pytest.raises(ValueError, match=words):
         excite(apparatus, *arguments)

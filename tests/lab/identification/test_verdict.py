@@ -1,4 +1,4 @@
-"""What a spoilt measurement is told: the fault, where it is, and what to do; a mark where the result is kept."""
+"""Verdicts on faulty measurements: the fault, its place and the remedy, or a mark in the result."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from modaltouch.stimulus import mode_shapes
 
 
 def measured(beam: TrueBeam, **fault: float) -> FrequencyResponses:
-    """Return responses with the noise of a good measurement, about the lower modes."""
+    """Return responses of the lower modes with the noise of a good measurement."""
     return spoilt.measured(*spoilt.response_of(beam, **fault), seed=0).between(1200, 9400)
 
 
@@ -33,8 +33,8 @@ def clean(beam: TrueBeam) -> FrequencyResponses:
     return spoilt.measured(*spoilt.response_of(beam), seed=0)
 
 
-def test_clean_responses_bear_no_mark(clean: FrequencyResponses, apparatus: Apparatus) -> None:
-    """Nothing is left but noise, nothing is warned of, and the misfit's verdict says so."""
+def test_clean_responses_have_no_mark(clean: FrequencyResponses, apparatus: Apparatus) -> None:
+    """Only noise remains, without warnings, and the misfit's verdict says so."""
     found = identify(clean, 0.1)
     check_modes(found, spoilt.LABELS)
     check_gains(found, apparatus)
@@ -44,8 +44,8 @@ def test_clean_responses_bear_no_mark(clean: FrequencyResponses, apparatus: Appa
 
 
 @pytest.mark.parametrize(("factor", "said"), [(-1.0, "inverted"), (9.81, r"9\.\d+ times too large"), (0.0, "zero")])
-def test_odd_point_is_named_and_may_be_left_out(clean: FrequencyResponses, factor: float, said: str) -> None:
-    """The point at -35 mm by its factor, with the option that leaves it out; without it the others are fitted."""
+def test_an_odd_point_is_reported_and_may_be_excluded(clean: FrequencyResponses, factor: float, said: str) -> None:
+    """The point at -35 mm with its factor and the option; without it the others are fitted."""
     response = clean.response.copy()
     response[:, 3] *= factor
     odd = replace(clean, response=response)
@@ -59,8 +59,8 @@ def test_odd_point_is_named_and_may_be_left_out(clean: FrequencyResponses, facto
 
 
 @pytest.mark.parametrize("factor", [9.80665, 1e-3])
-def test_several_points_in_another_unit_are_named_together(clean: FrequencyResponses, factor: float) -> None:
-    """Not the worst of them alone, which would leave the others wrong."""
+def test_several_points_in_another_unit_are_reported_together(clean: FrequencyResponses, factor: float) -> None:
+    """Excluding only the worst would leave the others wrong."""
     response, some = clean.response.copy(), [2, 3, 9, 20]
     response[:, some] *= factor
     larger = some if factor > 1 else sorted({*range(21)} - {*some})
@@ -72,8 +72,8 @@ def test_several_points_in_another_unit_are_named_together(clean: FrequencyRespo
 
 
 @pytest.mark.parametrize("n_points", [1, 2, 3, 4])
-def test_few_points_are_not_said_to_have_two_units(n_points: int) -> None:
-    """Of three points one is alone: it may just as well be odd."""
+def test_few_points_are_not_reported_as_two_units(n_points: int) -> None:
+    """One of three points may just as well be odd."""
     places = [Place(x) for x in np.linspace(-0.05, 0.05, n_points)]
     shapes = np.ones((3, n_points))
     shapes[:, : n_points // 2] = 100.0
@@ -81,8 +81,10 @@ def test_few_points_are_not_said_to_have_two_units(n_points: int) -> None:
 
 
 @pytest.mark.parametrize("fault", ["elsewhere", "exchanged", "too small"])
-def test_gains_own_up_to_points_that_lie_elsewhere(beam: TrueBeam, clean: FrequencyResponses, fault: str) -> None:
-    """0.3 mm off, exchanged with a neighbour, or 0.85 times: off by up to 2 %, and within twice the half-width."""
+def test_gains_have_wide_intervals_if_points_are_misplaced(
+    beam: TrueBeam, clean: FrequencyResponses, fault: str
+) -> None:
+    """Misplaced by 0.3 mm, exchanged, or scaled by 0.85: errors of up to 2 % within twice the half-width."""
     responses, rng = clean, np.random.default_rng(1)
     if fault == "elsewhere":
         assert clean.positions is not None
@@ -95,16 +97,16 @@ def test_gains_own_up_to_points_that_lie_elsewhere(beam: TrueBeam, clean: Freque
     assert not spoilt.is_wrong(identify(responses, 0.1), beam)
 
 
-def test_one_set_that_is_inverted_at_a_point_is_named(clean: FrequencyResponses) -> None:
-    """Turned for the side set alone: the set stands beside the position."""
+def test_one_set_inverted_at_a_point_is_reported(clean: FrequencyResponses) -> None:
+    """With the set and the position."""
     response = clean.response.copy()
     response[1, 17] *= -1
     with pytest.raises(ValueError, match="the response to side at 35 mm is inverted"):
         identify(replace(clean, response=response), 0.1, most=0)
 
 
-def test_nonlinear_beam_is_marked_and_then_refused(beam: TrueBeam) -> None:
-    """Modes that fall by a third and by three half-widths at their peak: marked, refused; by their own shapes."""
+def test_a_nonlinear_beam_is_marked_or_refused(beam: TrueBeam) -> None:
+    """Modes that fall by 0.1 or three half-bandwidths at their peak."""
     found = identify(measured(beam, softening=0.1), 0.1)
     assert any("most probable cause is nonlinearity: drive at half the voltage" in said for said in warnings(found))
     found = identify(measured(beam, softening=3.0), 0.1)
@@ -112,16 +114,16 @@ def test_nonlinear_beam_is_marked_and_then_refused(beam: TrueBeam) -> None:
         check_modes(found, (3, 5))
 
 
-def test_beam_that_drifts_in_a_scan_is_marked(beam: TrueBeam) -> None:
-    """By half a thousandth from end to end, what is left grows along the beam; by two, modes are fitted by two each."""
+def test_a_beam_that_drifts_in_a_scan_is_marked(beam: TrueBeam) -> None:
+    """Half a thousandth leaves a residual that grows along the beam; two thousandths split modes."""
     found = identify(spoilt.measured(*spoilt.response_of(beam, drift=5e-4), seed=1), 0.1)
     assert any("drift: let the beam warm up" in said for said in warnings(found))
     found = identify(measured(beam, drift=2e-3), 0.1)
     assert any("like a single mode that moved: the most probable cause is drift" in said for said in warnings(found))
 
 
-def test_bending_beside_torsion_is_no_mode_that_moved(clean: FrequencyResponses) -> None:
-    """Mode 10 and the third torsion mode lie within one width; here a wrong digit leaves a residual elsewhere."""
+def test_bending_beside_torsion_is_not_called_drift(clean: FrequencyResponses) -> None:
+    """Mode 10 and the third torsion mode lie within one width; the residual of a wrong digit is elsewhere."""
     response = clean.response.copy()
     response[0, 4, int(np.abs(clean.frequency - 2554).argmin())] *= 10
     found = identify(replace(clean, response=response), 0.1)
@@ -132,8 +134,8 @@ def test_bending_beside_torsion_is_no_mode_that_moved(clean: FrequencyResponses)
     assert not any("within one width" in said for said in warnings(found))
 
 
-def test_gains_between_two_units_are_named(clean: FrequencyResponses, apparatus: Apparatus) -> None:
-    """In g for m/s^2, differentiated once too often, and one output behind a probe of 10 : 1."""
+def test_wrong_units_of_the_gains_are_reported(clean: FrequencyResponses, apparatus: Apparatus) -> None:
+    """Accelerations in g, one differentiation too many, and one output with a 10 : 1 probe."""
     turn = 2 * np.pi * clean.frequency
     small = identify(replace(clean, response=clean.response / 9.80665), 0.1, most=0)
     with pytest.raises(
@@ -150,8 +152,8 @@ def test_gains_between_two_units_are_named(clean: FrequencyResponses, apparatus:
         check_gains(probed, apparatus)
 
 
-def test_thousandfold_gains_are_named_by_a_rough_table(clean: FrequencyResponses, apparatus: Apparatus) -> None:
-    """Velocities in mm/s for m/s, where the listed gains are 30 % off either way."""
+def test_thousandfold_gains_are_reported_with_a_rough_table(clean: FrequencyResponses, apparatus: Apparatus) -> None:
+    """Velocities in mm/s taken for m/s, although the listed gains are 30 % off."""
     modes = []
     for k, mode in enumerate(apparatus.modes):
         gains = {name: value * 1.3 ** (-1) ** k for name, value in mode.gain_mm_s2_per_V.items()}
@@ -161,15 +163,15 @@ def test_thousandfold_gains_are_named_by_a_rough_table(clean: FrequencyResponses
         check_gains(found, apparatus.model_copy(update={"modes": tuple(modes)}))
 
 
-def test_angular_frequencies_are_named(clean: FrequencyResponses, apparatus: Apparatus) -> None:
-    """An axis in rad/s: all natural frequencies are 2 pi times the listed ones."""
+def test_angular_frequencies_are_reported(clean: FrequencyResponses, apparatus: Apparatus) -> None:
+    """With an axis in rad/s all natural frequencies are 2 pi times the listed ones."""
     found = identify(replace(clean, frequency=clean.frequency * 2 * np.pi, bandwidth=None), 0.1, most=0)
     with pytest.raises(ValueError, match=r"the natural frequencies are 6\.28 times those of .*: angular frequencies"):
         check_gains(found, apparatus)
 
 
-def test_points_exchanged_are_no_lack_of_drive(clean: FrequencyResponses) -> None:
-    """Two points far apart exchanged: resonances that stand out have no mode's shape, and more drive would not help."""
+def test_exchanged_points_are_not_called_a_weak_drive(clean: FrequencyResponses) -> None:
+    """Two distant points exchanged: clear resonances without a mode's shape, and more drive would not help."""
     order = [*range(21)]
     order[3], order[12] = 12, 3
     found = identify(replace(clean, response=clean.response[:, order]), 0.1)
@@ -180,20 +182,20 @@ def test_points_exchanged_are_no_lack_of_drive(clean: FrequencyResponses) -> Non
     assert "drive harder" not in str(refusal.value)
 
 
-def test_modes_split_by_drift_are_no_exchanged_points(apparatus: Apparatus) -> None:
-    """Case 322 of `make spoilt`: torsion of no mode's shape stands out, but each missing mode is two resonances."""
+def test_modes_split_by_drift_are_not_called_exchanged_points(apparatus: Apparatus) -> None:
+    """Case 322 of `make spoilt`: each missing mode is two resonances."""
     assert spoilt.outcome("drift", 322, apparatus)["right"]
 
 
-def test_low_coherence_over_the_band_is_said(beam: TrueBeam) -> None:
-    """Median of 0.2 where every peak is still seen."""
+def test_low_coherence_over_the_band_is_reported(beam: TrueBeam) -> None:
+    """A median of 0.2, although every peak is visible."""
     found = identify(spoilt.measured(*spoilt.response_of(beam), seed=0, noise=50.0), 0.1, most=0)
     assert any("the median coherence over the band is 0." in said and "below 0.5" in said for said in warnings(found))
 
 
 @pytest.mark.parametrize("seed", [2, 3])
-def test_random_excitation_of_few_averages_is_no_nonlinearity(tmp_path: Path, seed: int) -> None:
-    """Leakage makes a noise that peaks as the responses do: three modes out of four Hann windows of a random drive."""
+def test_few_averages_are_not_called_nonlinearity(tmp_path: Path, seed: int) -> None:
+    """The noise of leakage peaks with the responses: four Hann windows of a random drive."""
     rng, rate = np.random.default_rng(seed), 11e3
     time, places = np.arange(45_000) / rate, np.linspace(-0.0495, 0.0495, 9)
     own, ratio = 2 * np.pi * np.array([271.4, 753.3, 1439.3]), np.array([0.0227, 0.0139, 0.0097])
@@ -209,8 +211,8 @@ def test_random_excitation_of_few_averages_is_no_nonlinearity(tmp_path: Path, se
     assert [found.by_label[k].natural_frequency.value for k in (3, 4, 5)] == pytest.approx(own / 2 / np.pi, rel=1e-3)
 
 
-def test_resonances_beside_each_other_explain_only_a_mode_that_belongs_there(clean: FrequencyResponses) -> None:
-    """A resonance beside mode 5, which is found: no drift explains that mode 13, above the band, is missing."""
+def test_drift_explains_only_missing_modes_nearby(clean: FrequencyResponses) -> None:
+    """A split of mode 5 does not explain that mode 13, above the band, is missing."""
     found = identify(clean.between(1200, 15000), 0.1)
     sound = next(mode for mode in found.modes if mode.label == 5)
     at = found.modes.index(sound)
@@ -223,8 +225,8 @@ def test_resonances_beside_each_other_explain_only_a_mode_that_belongs_there(cle
         check_modes(found, (3, 5))
 
 
-def test_values_far_from_the_listed_ones_are_told(clean: FrequencyResponses, apparatus: Apparatus) -> None:
-    """Volts at the generator, a set turned, a wrong sampling rate: the table may be wrong, so they are marked."""
+def test_values_far_from_the_listed_ones_are_marked(clean: FrequencyResponses, apparatus: Apparatus) -> None:
+    """The table may be wrong, so they are not refused: generator volts, an inverted set, a wrong sampling rate."""
     found = identify(clean, 0.1)
     assert check_gains(found, apparatus, spoilt.LABELS) == []
     for factor, said in (
@@ -240,7 +242,7 @@ def test_values_far_from_the_listed_ones_are_told(clean: FrequencyResponses, app
 
 @pytest.mark.parametrize("factor", [0.5, 1.4, 2.0])
 def test_a_set_of_another_scale_is_marked(clean: FrequencyResponses, apparatus: Apparatus, factor: float) -> None:
-    """A probe or a gain set for one output: no beam changes the gains of all its modes alike."""
+    """A probe or gain set for one output: no beam changes the gains of all modes alike."""
     found = identify(replace(clean, response=clean.response * np.array([1.0, factor])[:, None, None]), 0.1, most=0)
     (mark,) = check_gains(found, apparatus, spoilt.LABELS)
     value = re.fullmatch(r"gains, times those listed: (\S+) for every mode by side; check units, .*", mark)
@@ -250,37 +252,37 @@ def test_a_set_of_another_scale_is_marked(clean: FrequencyResponses, apparatus: 
 
 @pytest.mark.parametrize(("n_bins", "said"), [(0, ""), (1, "too high"), (-2, "too low")])
 def test_an_axis_that_is_a_bin_off_is_marked(clean: FrequencyResponses, n_bins: int, said: str) -> None:
-    """Resonances may lie anywhere, but 0 Hz may not: what lies off resonance tells 3.8 Hz."""
+    """Found to 3.8 Hz from the values off resonance, since 0 Hz is fixed."""
     moved = replace(clean, frequency=clean.frequency + n_bins * clean.spacing)
     mark = axis_error(identify(moved, 0.1))
     assert mark == "" if not said else f"are at least one bin, 3.815 Hz, {said}, judging by the values off res" in mark
 
 
-def test_the_set_whose_axis_is_a_bin_off_is_named(clean: FrequencyResponses) -> None:
-    """One file exported from 0 Hz on, the other from the first bin on: no nonlinearity."""
+def test_a_set_whose_axis_is_a_bin_off_is_reported(clean: FrequencyResponses) -> None:
+    """One file exported from 0 Hz, the other from the first bin: not a nonlinearity."""
     both = replace(clean, response=np.stack([clean.response[0, :, 1:], clean.response[1, :, :-1]]), coherence=None)
     found = identify(replace(both, frequency=clean.frequency[1:]).between(50, 12e3), 0.1)
     mark = axis_error(found)
     assert re.search("at least one bin, 3.815 Hz, off for (centre|side), judging by the other sets: check where", mark)
 
 
-def test_exchanged_sets_are_no_error_of_units(clean: FrequencyResponses, apparatus: Apparatus) -> None:
-    """Both sets under each other's name: the gains of centre are a tenth, as those of a probe of 10 : 1 would be."""
+def test_exchanged_sets_are_not_called_wrong_units(clean: FrequencyResponses, apparatus: Apparatus) -> None:
+    """The gains of centre are then a tenth, as with a 10 : 1 probe."""
     found = identify(replace(clean, response=clean.response[::-1]), 0.1, most=0)
     with pytest.raises(ValueError, match="the sets are exchanged: the files hold the gains of side under the name cen"):
         check_gains(found, apparatus)
 
 
-def test_a_wrong_unit_is_no_exchange_of_sets(clean: FrequencyResponses, apparatus: Apparatus) -> None:
-    """Each set moves the other's modes by a tenth: times g, these are the other's gains, but its own are tenfold."""
+def test_a_wrong_unit_is_not_called_exchanged_sets(clean: FrequencyResponses, apparatus: Apparatus) -> None:
+    """Each set moves the other's modes by a tenth; times g, these resemble the other's gains."""
     found = identify(replace(clean, response=9.80665 * clean.response), 0.1, most=0)
     with pytest.raises(ValueError, match="times those of .*an acceleration in g was taken for m/s.2"):
         check_gains(found, apparatus)
 
 
 @pytest.mark.parametrize(("drift", "said"), [(1.004, "drift between the sets"), (1.008, "drift, also between sets")])
-def test_sets_that_drifted(clean: FrequencyResponses, beam: TrueBeam, drift: float, said: str) -> None:
-    """Two resonances of one shape, each fitted well: no noise is left, yet the gains are wrong."""
+def test_drift_between_sets_is_reported(clean: FrequencyResponses, beam: TrueBeam, drift: float, said: str) -> None:
+    """Two well-fitted resonances of one shape: only noise remains, but the gains are wrong."""
     later = replace(beam.table, natural_frequency=beam.table.natural_frequency * drift)
     response = clean.response.copy()
     response[1] = spoilt.measured(*spoilt.response_of(replace(beam, table=later)), seed=0).response[1]
@@ -288,21 +290,21 @@ def test_sets_that_drifted(clean: FrequencyResponses, beam: TrueBeam, drift: flo
     assert any(f"like a single mode that moved: the most probable cause is {said}" in each for each in told)
 
 
-def test_sets_with_other_times_are_named(clean: FrequencyResponses) -> None:
-    """A trigger that is late for one set is no nonlinearity."""
+def test_sets_with_different_delays_are_reported(clean: FrequencyResponses) -> None:
+    """A late trigger for one set is not a nonlinearity."""
     late = clean.response * np.exp(-2j * np.pi * clean.frequency * np.array([0, 5e-5])[:, None, None])
     with pytest.raises(ValueError, match=r"differs between the sets \(centre 0 ms, side 0.05\d* ms\): .* trigger"):
         identify(replace(clean, response=late), 0.1)
 
 
-def test_exchanged_parts_are_not_called_conjugated(clean: FrequencyResponses) -> None:
-    """`--conjugated` would not help: the responses would then be imaginary."""
+def test_exchanged_real_and_imaginary_parts_are_reported(clean: FrequencyResponses) -> None:
+    """`--conjugated` would not help."""
     with pytest.raises(ValueError, match="real and imaginary parts are exchanged; export them again"):
         identify(replace(clean, response=clean.response.imag + 1j * clean.response.real), 0.1)
 
 
-def test_hum_of_the_mains_is_named(clean: FrequencyResponses) -> None:
-    """Lines at multiples of 50 Hz that a fit leaves are no noise that averaging removes."""
+def test_mains_hum_is_reported(clean: FrequencyResponses) -> None:
+    """Residual lines at multiples of 50 Hz, which averaging does not remove."""
     rng, response = np.random.default_rng(0), clean.response.copy()
     at = [int(np.abs(clean.frequency - line).argmin()) for line in range(50, 4000, 50)]
     turned = np.exp(2j * np.pi * rng.random((2, 21, len(at))))
@@ -312,15 +314,17 @@ def test_hum_of_the_mains_is_named(clean: FrequencyResponses) -> None:
 
 
 @pytest.mark.parametrize(("factor", "said"), [(-1.0, "-1 times"), (9.81, "9.81 times")])
-def test_measurement_that_repeats_nothing_is_refused(clean: FrequencyResponses, factor: float, said: str) -> None:
-    """Turned, or in other units: its mean with the first would be that of no beam."""
+def test_a_measurement_that_does_not_repeat_the_first_is_refused(
+    clean: FrequencyResponses, factor: float, said: str
+) -> None:
+    """Inverted or in other units, their mean would be meaningless."""
     other = replace(clean, response=clean.response * factor)
     with pytest.raises(ValueError, match=rf"measurement 2 does not repeat the first: .* {said}; check positions"):
         FrequencyResponses.of_repeats([clean, other])
 
 
-def test_positions_of_another_scale_or_origin_are_told(clean: FrequencyResponses) -> None:
-    """Nodes show where the points lie: 5 % too close to mid-beam, or all 1 mm off; the gains would be 5 % off."""
+def test_positions_of_wrong_scale_or_origin_are_marked(clean: FrequencyResponses) -> None:
+    """Nodes show it: 5 % too close to mid-beam, or all shifted; the gains would be 5 % off."""
     assert clean.positions is not None
     inner = replace(clean, response=clean.response[:, 1:-1], positions=clean.positions[1:-1], coherence=None)
     inner = inner.between(100, 20e3)
@@ -332,24 +336,24 @@ def test_positions_of_another_scale_or_origin_are_told(clean: FrequencyResponses
         assert re.search(said, told)
 
 
-def test_points_in_other_units_are_named(clean: FrequencyResponses) -> None:
-    """A third of the points in mm/s: no noise, which averaging would remove."""
+def test_points_in_other_units_are_reported(clean: FrequencyResponses) -> None:
+    """A third of the points in mm/s: not noise to be averaged."""
     factor = np.where(np.arange(21) % 3 == 0, 1e3, 1.0)
     found = identify(replace(clean, response=clean.response * factor[:, None], coherence=None), 0.1)
     with pytest.raises(ValueError, match=r"at -50 mm, -35 mm, -20 mm.* are about .* times as large.* same units"):
         check_modes(found, spoilt.LABELS)
 
 
-def test_wrong_digit_is_named_by_its_value(clean: FrequencyResponses) -> None:
-    """Ten times at one bin of one point: neither noise nor a missing mode."""
+def test_a_wrong_digit_is_reported_with_its_value(clean: FrequencyResponses) -> None:
+    """Ten times too large in one bin of one point: neither noise nor a missing mode."""
     response = clean.response.copy()
     response[0, 4, int(np.abs(clean.frequency - 2554).argmin())] *= 10
     (told,) = warnings(identify(replace(clean, response=response), 0.1))
     assert re.search(r"in one value, the response to centre at -30 mm at 255\d\.\d+ Hz: look for a wrong digit", told)
 
 
-def test_points_read_too_high_in_all_modes_are_told(clean: FrequencyResponses) -> None:
-    """One half of the scan 5 % higher, after a change of range: no shape of a mode is like that in every mode."""
+def test_points_too_high_in_all_modes_are_marked(clean: FrequencyResponses) -> None:
+    """Half of the scan reads 5 % high after a change of range, which no mode shape explains."""
     factor = np.where(np.arange(21) < 10, 1.0, 1.05)
     found = identify(replace(clean, response=clean.response * factor[:, None]), 0.1)
     check_modes(found, spoilt.LABELS)
@@ -359,7 +363,7 @@ def test_points_read_too_high_in_all_modes_are_told(clean: FrequencyResponses) -
 
 @pytest.mark.parametrize("fault", ["conjugated", "late"])
 def test_a_point_without_the_modes_of_the_others_is_not_called_inverted(clean: FrequencyResponses, fault: str) -> None:
-    """Its phase rises, or it is 50 us late: no factor makes it fit, unlike a sensor that is turned or scaled."""
+    """A conjugated or late response is not the modes times a factor."""
     response = clean.response.copy()
     late = np.exp(-2j * np.pi * clean.frequency * 50e-6)
     response[:, 7] = response[:, 7].conj() if fault == "conjugated" else response[:, 7] * late
@@ -369,16 +373,16 @@ def test_a_point_without_the_modes_of_the_others_is_not_called_inverted(clean: F
         identify(replace(clean, response=response), 0.1)
 
 
-def test_responses_of_which_half_are_conjugated_are_refused(apparatus: Apparatus) -> None:
-    """No pole is left within the band for all of them; there was an error of an index instead of a message."""
+def test_half_conjugated_responses_are_refused(apparatus: Apparatus) -> None:
+    """With a message instead of an index error, since no common pole remains in the band."""
     frequency, response = spoilt.response_of(true_beam(apparatus, 1798679648))
     response[:, 10:] = response[:, 10:].conj()
     with pytest.raises(ValueError, match="with one sign of the phase|gain and sign of the phase"):
         check_modes(identify(spoilt.measured(frequency, response, 2), 0.1), spoilt.LABELS)
 
 
-def test_a_point_of_another_beam_is_no_drift(clean: FrequencyResponses, apparatus: Apparatus) -> None:
-    """One file of another specimen: two close resonances, but the residual is at one point."""
+def test_a_point_of_another_beam_is_not_called_drift(clean: FrequencyResponses, apparatus: Apparatus) -> None:
+    """Two close resonances, but the residual is at one point."""
     response = clean.response.copy()
     response[:, 1] = spoilt.response_of(true_beam(apparatus, 7))[1][:, 1]
     told = warnings(identify(replace(clean, response=response), 0.1))
@@ -386,8 +390,8 @@ def test_a_point_of_another_beam_is_no_drift(clean: FrequencyResponses, apparatu
     assert "drift" not in " ".join(told)
 
 
-def test_a_tone_at_a_resonance_is_no_noise(clean: FrequencyResponses, beam: TrueBeam) -> None:
-    """A fan at one frequency, as high as the resonance of mode 3: averaging does not remove it."""
+def test_a_tone_at_a_resonance_is_not_called_noise(clean: FrequencyResponses, beam: TrueBeam) -> None:
+    """As high as the resonance of mode 3; averaging does not remove it."""
     rng, response = np.random.default_rng(0), clean.response.copy()
     own = beam.table.natural_frequency[beam.table.label.index(3)]
     at = int(np.abs(clean.frequency - own).argmin())
@@ -397,8 +401,8 @@ def test_a_tone_at_a_resonance_is_no_noise(clean: FrequencyResponses, beam: True
 
 
 @pytest.mark.parametrize("points", [[5], [1, 3, 15], [2, 3, 9, 10, 12, 14, 15, 17]])
-def test_points_of_another_beam_are_no_drift(beam: TrueBeam, points: list[int]) -> None:
-    """Another specimen of 1 % higher natural frequencies: each point has one of two close resonances alone."""
+def test_points_of_another_beam_are_not_called_drift(beam: TrueBeam, points: list[int]) -> None:
+    """A specimen with 1 % higher frequencies: each point has only one of two close resonances."""
     higher = replace(beam, table=replace(beam.table, natural_frequency=beam.table.natural_frequency * 1.01))
     frequency, response = spoilt.response_of(beam)
     response[:, points] = spoilt.response_of(higher)[1][:, points]
@@ -418,10 +422,10 @@ def test_points_of_another_beam_are_no_drift(beam: TrueBeam, points: list[int]) 
         ("filter", "a filter that is not listed: give the bandwidth of the vibrometer"),
     ],
 )
-def test_a_pattern_over_points_and_modes_names_its_cause(
+def test_the_pattern_of_the_residual_gives_its_cause(
     clean: FrequencyResponses, beam: TrueBeam, fault: str, said: str
 ) -> None:
-    """The fault to first order: no drift of the beam, no nonlinearity, and nothing that averaging would remove."""
+    """Over points and modes, to first order in the fault: not drift, nonlinearity or noise."""
     frequency, response, every_other = clean.frequency, clean.response, np.arange(21)[:, None] % 2
     omega = 2 * np.pi * frequency
     if fault == "mass":
@@ -441,8 +445,8 @@ def test_a_pattern_over_points_and_modes_names_its_cause(
 
 
 @pytest.mark.parametrize("noise", [20, 60, 200])
-def test_a_point_out_of_focus_is_noisy_and_not_strange(clean: FrequencyResponses, noise: int) -> None:
-    """Its response is that of the same beam, under noise: it may stay, and the mark says what to do."""
+def test_a_point_out_of_focus_is_reported_as_noisy(clean: FrequencyResponses, noise: int) -> None:
+    """It may stay; the mark has the remedy."""
     rng, response = np.random.default_rng(5), clean.response.copy()
     scatter = rng.standard_normal((2, response.shape[-1])) + 1j * rng.standard_normal((2, response.shape[-1]))
     response[:, 6] += noise * 0.02 * np.median(np.abs(response)) * scatter

@@ -1,4 +1,4 @@
-"""Another scope writes files, in a thread of its own: what comes of them is what comes of a scope that is driven."""
+"""Records written as files by another scope, in a separate thread, give the results of a scope that is driven."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def write(path: Path, recording: Recording, volts: float) -> None:
 
 
 class LabScope(threading.Thread):
-    """Does what ``wanted.json`` says until it is stopped, faster and longer than asked; CSV where there are drives."""
+    """Follows ``wanted.json`` until it is stopped, faster and longer than requested; CSV if there are drives."""
 
     def __init__(self, folder: Path, simulator: Simulator) -> None:
         super().__init__(daemon=True)
@@ -85,8 +85,8 @@ def quickly(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("quickly")
-def test_a_calibration_of_files_is_true(tmp_path: Path) -> None:
-    """Through driver and files, one of them spoilt at first: 0.3 mm/s at every mode by the twin's true state."""
+def test_a_calibration_by_files_is_accurate(tmp_path: Path) -> None:
+    """Through driver and files, one of them faulty at first: 0.3 mm/s at every mode by the twin's true state."""
     preflight, said = examine(PROTOCOLS / "demo.yaml").require(), list[str]()
     apparatus = preflight.experiment.apparatus
     folder = tmp_path / "records"
@@ -126,7 +126,7 @@ def apparatus() -> Apparatus:
 
 
 def csv_of(*, rate: float = 1e5, first: float = 1e-3, n: int = 50, n_records: int = 2, late: float = 0.0) -> list[str]:
-    """Return the lines of a file that holds what is asked for, with as many digits as a scope prints."""
+    """Return the lines of a valid file with as many digits as a scope prints."""
     rows = [
         f"{first + late * record + sample / rate:.7f},{0.1 + 0.01 * (sample % 7) + 0.001 * record:.4f},{record:.2f}"
         for record in range(n_records)
@@ -136,7 +136,7 @@ def csv_of(*, rate: float = 1e5, first: float = 1e-3, n: int = 50, n_records: in
 
 
 def changed(line: int, text: str) -> list[str]:
-    """Return that file with another text in a line, counted from 1."""
+    """Return that file with one line replaced, counted from 1."""
     lines = csv_of()
     lines[line - 1] = text
     return lines
@@ -172,10 +172,10 @@ def changed(line: int, text: str) -> list[str]:
         ([csv_of()[0] + ",velocity_V", *(line + ",9" for line in csv_of()[1:])], r"csv:1: a column appears twice"),
     ],
 )
-def test_a_wrong_file_is_refused_with_its_place_and_written_again(
+def test_a_wrong_file_is_refused_and_may_be_written_again(
     apparatus: Apparatus, tmp_path: Path, lines: list[str], said: str
 ) -> None:
-    """The refusal stands on the screen and in ``wanted.json``; the same name, written again, is taken."""
+    """The refusal is on the screen and in ``wanted.json``; the same name is then accepted."""
     heard = list[str]()
 
     def hear(text: str) -> None:
@@ -197,7 +197,7 @@ def test_a_wrong_file_is_refused_with_its_place_and_written_again(
 
 @contextlib.contextmanager
 def answering(apparatus: Apparatus, folder: Path) -> Iterator[Callable[..., Recording]]:
-    """Open a folder for one command, and give what measures once, a file of these velocities being there [V]."""
+    """Open a folder for one command, and return a function that measures once with given velocities [V]."""
 
     def hear(text: str) -> None:
         name = json.loads((folder / "wanted.json").read_text(encoding="utf-8"))["file"]
@@ -216,14 +216,14 @@ def answering(apparatus: Apparatus, folder: Path) -> Iterator[Callable[..., Reco
 
 @pytest.fixture
 def answered(apparatus: Apparatus, tmp_path: Path) -> Iterator[Callable[..., Recording]]:
-    """Return what measures once, in a folder of its own."""
+    """Return a function that measures once in a separate folder."""
     with answering(apparatus, tmp_path) as measure:
         yield measure
 
 
 @pytest.mark.usefixtures("quickly")
-def test_a_record_that_was_cut_is_overloaded(answered: Callable[..., Recording]) -> None:
-    """A sine of 8 bits is whole; cut at 0.9 of its peak it is not, nor beyond the vibrometer's range."""
+def test_a_clipped_record_is_overloaded(answered: Callable[..., Recording]) -> None:
+    """A sine of 8 bits is not; clipped at 0.9 of its peak, or beyond the vibrometer's range, it is."""
     time = 1e-3 + np.arange(60) / 1e5
     volts = np.round(127 * np.sin(2 * np.pi * 3137 * time + [[0.0], [0.1]])) / 127 * 0.1
     assert answered(time, volts).overloaded == ()
@@ -232,10 +232,10 @@ def test_a_record_that_was_cut_is_overloaded(answered: Callable[..., Recording])
 
 
 @pytest.mark.usefixtures("quickly")
-def test_other_instants_than_before_are_refused(
+def test_different_sampling_instants_are_refused(
     answered: Callable[..., Recording], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Records at two points are compared sample by sample: 30 ns beside the first are refused."""
+    """Records at two points are compared sample by sample: a shift of 30 ns is refused."""
     time, volts = 1e-3 + np.arange(60) / 1e5, np.sin(np.arange(120)).reshape(2, 60) / 100
     answered(time, volts)
     answered(time + 10e-9, 2 * volts)
@@ -246,7 +246,7 @@ def test_other_instants_than_before_are_refused(
 
 @pytest.mark.usefixtures("quickly")
 def test_a_trace_saved_twice_is_refused(answered: Callable[..., Recording], monkeypatch: pytest.MonkeyPatch) -> None:
-    """A scope that was not armed anew writes the former trace under the next name: no point's field is another's."""
+    """A scope that was not armed again writes the previous trace under the next name."""
     time, volts = 1e-3 + np.arange(60) / 1e5, np.sin(np.arange(120)).reshape(2, 60) / 100
     answered(time, volts)
     monkeypatch.setattr(RecordedFiles, "slowest", 0.2)
@@ -260,7 +260,7 @@ def test_a_trace_saved_twice_is_refused(answered: Callable[..., Recording], monk
 def test_a_trace_saved_twice_is_refused_by_the_next_command(
     apparatus: Apparatus, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A scan is resumed; the scope still holds the last trace of the command before, or a file that is none."""
+    """A scan is resumed while the scope still has the last trace; unreadable files are ignored."""
     time, volts = 1e-3 + np.arange(60) / 1e5, np.sin(np.arange(120)).reshape(2, 60) / 100
     with answering(apparatus, tmp_path) as measure:
         measure(time, volts)
@@ -285,7 +285,7 @@ def test_a_trace_saved_twice_is_refused_by_the_next_command(
         ([".npz"], (60,), "its 2 records are identical"),
     ],
 )
-def test_a_name_has_one_file_of_records(
+def test_each_record_has_exactly_one_file(
     apparatus: Apparatus,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -293,7 +293,7 @@ def test_a_name_has_one_file_of_records(
     shape: tuple[int, ...],
     said: str,
 ) -> None:
-    """Its ending may be in capitals; of two files, and of one trace instead of two, none is taken."""
+    """The extension may be in capitals; two files, or one trace instead of two, are refused."""
     heard, time = list[str](), np.broadcast_to(1e-3 + np.arange(60) / 1e5, (2, 60))
 
     def hear(text: str) -> None:
@@ -315,7 +315,7 @@ def test_a_name_has_one_file_of_records(
 
 @pytest.mark.parametrize("order", ["calibrate", "validate"])
 def test_commands_wait_for_files(order: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """`--record` with nobody who writes: the wait ends with the name of the file, and nothing is written."""
+    """With `--record` and no files, the wait ends with the missing file's name, and nothing is written."""
     from modaltouch.lab import calibrate, validate
 
     monkeypatch.setattr(RecordedFiles, "slowest", 0.01)

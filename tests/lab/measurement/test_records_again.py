@@ -1,4 +1,4 @@
-"""A record that a stall of the computer spoilt is taken again; nothing else is."""
+"""A record spoilt by a stall of the computer is repeated; no other fault is."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ REFUSED = Firing((1.0, 1.0), (), 0.0, 0.001, reason="SOUR1:FUNC reads SIN")
 
 @dataclass
 class Bench:
-    """Generator and scope in one: plays what comes of each stimulus in turn, and notes what is done with it."""
+    """Generator and scope in one: plays the given outcomes in turn, and notes its calls."""
 
     ends: list[Firing]
     lost: int = 0
@@ -46,7 +46,7 @@ class Bench:
         return self.firing
 
     def heartbeat(self) -> None:
-        """Tell of bursts that ended by themselves, as often as asked."""
+        """Report bursts that ended by themselves, a given number of times."""
         if self.lost:
             self.lost -= 1
             raise StimulusLost("the bursts ended before the stimulus did")
@@ -69,15 +69,15 @@ TAKEN = ["fire 0.2", "measure", "stop"]
 
 
 @pytest.mark.parametrize("n_stalls", [0, 1, 2])
-def test_record_spoilt_by_a_stall_is_taken_again(n_stalls: int) -> None:
-    """Where the spot is, as often as it takes, three times at most; the sound record is what is returned."""
+def test_a_record_spoilt_by_a_stall_is_repeated(n_stalls: int) -> None:
+    """At the same position, at most three times; the valid record is returned."""
     bench = Bench([*[STALLED] * n_stalls, SOUND, SOUND])
     assert record(bench).position == 0.02
     assert bench.done == ["configure", "aim 0.02 0", *TAKEN * (n_stalls + 1)]
 
 
-def test_record_with_no_number_is_refused() -> None:
-    """A channel that delivers NaN, named before any fit of it fails."""
+def test_a_record_with_nan_is_refused() -> None:
+    """Before any fit."""
     bench = Bench([SOUND], noise=float("nan"))
     with pytest.raises(
         RigError, match="the record at 20 mm is not valid: its velocity or drive has a value that is no"
@@ -86,8 +86,8 @@ def test_record_with_no_number_is_refused() -> None:
     assert bench.done[-1] == "stop"
 
 
-def test_third_stall_is_an_error_that_names_it() -> None:
-    """The computer, not the instrument, is what to look after."""
+def test_a_third_stall_is_an_error() -> None:
+    """The message blames the computer, not the instrument."""
     assert ATTEMPTS == 3
     bench = Bench([STALLED] * 4)
     with pytest.raises(
@@ -98,15 +98,15 @@ def test_third_stall_is_an_error_that_names_it() -> None:
 
 
 @pytest.mark.parametrize(("before", "n_taken"), [([], 1), ([STALLED], 2)])
-def test_what_changes_the_instrument_is_not_tried_again(before: list[Firing], n_taken: int) -> None:
-    """Somebody has to find out what it is, at once, or after a stall."""
+def test_a_changed_setting_is_not_repeated(before: list[Firing], n_taken: int) -> None:
+    """Someone must find the cause, whether or not a stall came before."""
     bench = Bench([*before, TOUCHED, SOUND])
     with pytest.raises(RigError, match="at 20 mm the record is not valid: SOUR1:VOLT reads 3, 6VPP was set"):
         record(bench)
     assert bench.done[2:] == TAKEN * n_taken
 
 
-def test_stimulus_that_does_not_start_is_not_tried_again() -> None:
+def test_a_stimulus_that_does_not_start_is_not_repeated() -> None:
     """Nothing was played, so nothing is stopped or recorded."""
     bench = Bench([REFUSED, SOUND])
     with pytest.raises(RigError, match=r"did not confirm what it should play \(SOUR1:FUNC reads SIN\)"):
@@ -116,7 +116,7 @@ def test_stimulus_that_does_not_start_is_not_tried_again() -> None:
 
 @pytest.mark.parametrize(("end", "n_taken"), [(STALLED, 2), (SOUND, 1)])
 def test_bursts_that_ended_by_themselves_give_no_record(end: Firing, n_taken: int) -> None:
-    """Lost to a stall, it is taken again; lost otherwise, it is void, whatever the settings say."""
+    """After a stall the record is repeated; otherwise it is refused, whatever the settings."""
     bench = Bench([end, SOUND], lost=1)
     if end is STALLED:
         assert record(bench).position == 0.02

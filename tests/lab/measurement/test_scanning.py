@@ -1,4 +1,4 @@
-"""A scan through the real driver: every position on the disk at once, and no other settings in one folder."""
+"""A scan through the real driver: every position is saved immediately, and a folder has only one set of settings."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ PLACES = (-0.04, -0.01, 0.02, 0.05)
 
 
 class StoppedError(Exception):
-    """Somebody ends the scan."""
+    """The scan is interrupted."""
 
 
 @pytest.fixture(scope="module")
@@ -60,12 +60,12 @@ def plan(**changes: Any) -> ScanPlan:
 
 
 def heard(laboratory: Laboratory, **callbacks: Any) -> Laboratory:
-    """Return the laboratory with callbacks of its progress."""
+    """Return the laboratory with callbacks for its progress."""
     return replace(laboratory, progress=MeasurementProgress(**callbacks))
 
 
 def stop_after(n: int) -> Callable[[], None]:
-    """Return what lets n positions pass and ends the scan before the next."""
+    """Return a check that interrupts the scan after n positions."""
     passed = iter(range(n))
 
     def check() -> None:
@@ -75,8 +75,8 @@ def stop_after(n: int) -> Callable[[], None]:
     return check
 
 
-def test_scan_is_read_back_as_it_was_taken(laboratory: Laboratory, tmp_path: Path) -> None:
-    """Positions, records and mean drives in order, in single precision; the description says what was played."""
+def test_a_scan_is_read_back_unchanged(laboratory: Laboratory, tmp_path: Path) -> None:
+    """Positions, records and mean drives in order, in single precision, with a description of the drive."""
     shown: list[tuple[int, int]] = []
     source = Source.load(APPARATUS)
     watched = heard(laboratory, show=lambda _, *n: shown.append(n))
@@ -95,8 +95,8 @@ def test_scan_is_read_back_as_it_was_taken(laboratory: Laboratory, tmp_path: Pat
         np.testing.assert_array_equal(burst["codes"], smooth_burst().codes)
 
 
-def test_what_is_recorded_is_the_true_velocity(laboratory: Laboratory, apparatus: Apparatus) -> None:
-    """At 15 ms velocity is shapes times true modal velocities, but for delay, noise and 8 bits: within 4 % of peak."""
+def test_the_recorded_velocity_is_the_true_one(laboratory: Laboratory, apparatus: Apparatus) -> None:
+    """At 15 ms it is shapes times true modal velocities: within 4 % of the peak, despite delay, noise and 8 bits."""
     scan = take_scan(laboratory, plan(acquisition=Acquisition(250e3, 7500, 8, (1,), velocity_range=0.5)))
     assert laboratory.simulator is not None
     # The vibrometer is late by 4.6 us in all; the twin is asked for the instant that is seen.
@@ -108,8 +108,8 @@ def test_what_is_recorded_is_the_true_velocity(laboratory: Laboratory, apparatus
     np.testing.assert_allclose(seen, true, atol=0.04 * np.abs(scan.velocity).max())
 
 
-def test_stopped_scan_goes_on_where_it_was(laboratory: Laboratory, tmp_path: Path) -> None:
-    """Two positions recorded, then an end: they are kept, the outputs are off, and only the rest is recorded then."""
+def test_an_interrupted_scan_continues(laboratory: Laboratory, tmp_path: Path) -> None:
+    """The recorded positions are kept, the outputs are off, and only the rest is recorded."""
     folder = tmp_path / "scan"
     with pytest.raises(StoppedError):
         take_scan(heard(laboratory, check=stop_after(2)), plan(), folder)
@@ -128,7 +128,7 @@ def test_stopped_scan_goes_on_where_it_was(laboratory: Laboratory, tmp_path: Pat
 
 
 def test_a_row_beside_the_mid_line_is_measured_there(laboratory: Laboratory, tmp_path: Path) -> None:
-    """The spot is sent 2.5 mm across, the file says so; there the twin's torsion has the other sign."""
+    """The spot is 2.5 mm across, as the file says; the twin's torsion has opposite signs on both sides."""
     seen: list[tuple[float, float]] = []
     aimed = heard(laboratory, aim=lambda *place: seen.append(place))
     rows = [take_scan(aimed, plan(positions=(0.05,), across=y), tmp_path / f"{y}") for y in (-2.5e-3, 2.5e-3)]
@@ -151,10 +151,10 @@ def test_a_row_beside_the_mid_line_is_measured_there(laboratory: Laboratory, tmp
         ({"acquisition": Acquisition(250e3, 5000, 3, (1, 2))}, r"acquisition.n_records was 2, now 3"),
     ],
 )
-def test_scan_of_other_settings_is_not_gone_on_with(
+def test_a_scan_with_other_settings_is_not_continued(
     laboratory: Laboratory, tmp_path: Path, changes: dict[str, Any], named: str
 ) -> None:
-    """The difference is named, and the folder stays as it was."""
+    """The message has the difference, and the folder is unchanged."""
     with pytest.raises(StoppedError):
         take_scan(heard(laboratory, check=stop_after(1)), plan(), tmp_path / "scan")
     before = sorted((tmp_path / "scan").iterdir())
@@ -163,8 +163,8 @@ def test_scan_of_other_settings_is_not_gone_on_with(
     assert sorted((tmp_path / "scan").iterdir()) == before
 
 
-def test_folder_with_something_else_is_refused(laboratory: Laboratory, tmp_path: Path) -> None:
-    """A stranger's file is named, and nothing is written beside it."""
+def test_a_folder_with_other_files_is_refused(laboratory: Laboratory, tmp_path: Path) -> None:
+    """The message has the file, and nothing is written."""
     (tmp_path / "thesis.txt").write_text("years of work")
     with pytest.raises(
         RecordError, match="contains thesis.txt, which is not part of a scan; give an empty or new folder"
@@ -173,8 +173,8 @@ def test_folder_with_something_else_is_refused(laboratory: Laboratory, tmp_path:
     assert [each.name for each in tmp_path.iterdir()] == ["thesis.txt"]
 
 
-def test_damage_is_told(laboratory: Laboratory, tmp_path: Path) -> None:
-    """A cut position, a position of another place, a cut description, no scan at all: each with what to do."""
+def test_damage_is_reported(laboratory: Laboratory, tmp_path: Path) -> None:
+    """A truncated position, a position of another place, a truncated description, and no scan at all."""
     folder = tmp_path / "scan"
     take_scan(laboratory, plan(positions=(0.0, 0.01)), folder)
     first, second = position_file(folder, 0), position_file(folder, 1)
@@ -209,16 +209,16 @@ def test_damage_is_told(laboratory: Laboratory, tmp_path: Path) -> None:
         read_scan(tmp_path)
 
 
-def test_overload_is_told_with_its_place(laboratory: Laboratory, tmp_path: Path) -> None:
-    """A range of 1 mm/s is too narrow: said at the first point, which is not kept, before anybody aims at the next."""
+def test_overload_is_reported_with_its_position(laboratory: Laboratory, tmp_path: Path) -> None:
+    """At the first point, which is not kept, before the next is aimed at."""
     narrow = Acquisition(250e3, 5000, 1, (1,), velocity_range=1e-3)
     with pytest.raises(RecordInputError, match="velocity reached the end of the range at -40 mm"):
         take_scan(laboratory, plan(acquisition=narrow), tmp_path)
     assert not position_file(tmp_path, 0).exists()
 
 
-def test_a_scan_goes_on_at_the_same_instants(laboratory: Laboratory, tmp_path: Path) -> None:
-    """A trigger 0.3 us later on the second day: points are compared sample by sample, and this one is not kept."""
+def test_a_continued_scan_needs_the_same_instants(laboratory: Laboratory, tmp_path: Path) -> None:
+    """A trigger 0.3 us later is refused, since points are compared sample by sample."""
     take_scan(laboratory, plan(), tmp_path)
     for gone in (2, 3):
         position_file(tmp_path, gone).unlink()
@@ -235,7 +235,7 @@ def test_a_scan_goes_on_at_the_same_instants(laboratory: Laboratory, tmp_path: P
 
 
 def test_outputs_are_off_while_the_spot_is_moved(laboratory: Laboratory) -> None:
-    """Somebody reaches over the beam to aim: nothing plays then."""
+    """Someone reaches over the beam to aim."""
     assert laboratory.simulator is not None
     found: list[tuple[bool, ...]] = []
     outputs = laboratory.simulator
@@ -244,10 +244,10 @@ def test_outputs_are_off_while_the_spot_is_moved(laboratory: Laboratory) -> None
     assert found == [(False, False)] * 4
 
 
-def test_record_is_void_if_the_generator_was_touched_meanwhile(
+def test_a_record_is_invalid_if_the_generator_was_changed(
     laboratory: Laboratory, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """An amplitude changed at the front panel while the scope records: refused with the place, nothing is saved."""
+    """An amplitude changed at the front panel during a record: refused with the position, nothing is saved."""
     assert laboratory.simulator is not None
     panel, measure = laboratory.simulator.front_panel, laboratory.scope.measure
 
@@ -263,8 +263,8 @@ def test_record_is_void_if_the_generator_was_touched_meanwhile(
     assert len(read_scan(tmp_path / "scan").positions) == 2
 
 
-def test_slow_scope_does_not_let_the_watchdog_trip(laboratory: Laboratory, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A record that takes 1.6 s, where the watchdog waits 1 s for a sign of life: the outputs stay on meanwhile."""
+def test_a_slow_scope_does_not_trip_the_watchdog(laboratory: Laboratory, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A record takes 1.6 s, the watchdog waits 1 s for a heartbeat: the outputs stay on."""
     assert laboratory.simulator is not None
     simulator, measure = laboratory.simulator, laboratory.scope.measure
     found: list[tuple[bool, ...]] = []

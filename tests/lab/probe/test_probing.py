@@ -1,4 +1,4 @@
-"""Fingers of the twin, probed through the driver: what is found, written and refused."""
+"""The twin's fingers, probed through the driver: results, file and refusals."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -25,7 +25,7 @@ SPEED = 15e-3
 
 @pytest.fixture(scope="module")
 def protocol(tmp_path_factory):
-    """Under the finger, one hand, on a beam whose table has its even modes; the twin's fingers are known."""
+    """Under the finger with one hand, on a beam with even modes in its table; the twin's fingers are known."""
     folder, yaml = tmp_path_factory.mktemp("probe"), YAML()
     apparatus = yaml.load(Source.find("apparatus", "beam_100x6x2").path.read_text(encoding="utf-8"))
     unlisted = apparatus["twin"].pop("unlisted_modes")
@@ -44,14 +44,14 @@ def protocol(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def written(protocol):
-    """What the probe of A and C found, its file on the disk; the fingers lie where they are expected."""
+    """Result of the probe on A and C, with its file; the fingers are where they are expected."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("modaltouch.lab.fingers.PLACE_ERROR", 0.0)
         return probe_fingers(protocol, protocol.parent / "mine.yaml", pair="A-C", seed=5)
 
 
-def test_fingers_are_what_the_twin_has(written):
-    """Mass, damping, stiffness and place of both, within four standard deviations of the probe's covariance."""
+def test_the_twins_fingers_are_found(written):
+    """Mass, damping, stiffness and place within four standard deviations of the probe's covariance."""
     file = FingersFile.read(Path(written["file"]))
     deviation = np.sqrt(np.diag(file.probes[0].covariance)).reshape(2, 4)
     for name, spread in zip(("right index", "right middle"), deviation, strict=True):
@@ -60,8 +60,8 @@ def test_fingers_are_what_the_twin_has(written):
     assert deviation[:, 0].max() < 0.01
 
 
-def test_level_is_predicted_with_its_interval(written):
-    """Within 2 % of 20 mm/s by the design from the file, and the interval, about as wide, holds the prediction."""
+def test_the_level_is_predicted_with_its_interval(written):
+    """Within 2 % of 20 mm/s by the design from the file, inside an interval of about that width."""
     (placement,) = written["placements"]
     low, high = placement["interval_mm_s"]
     assert low < placement["level_mm_s"] < high
@@ -71,13 +71,13 @@ def test_level_is_predicted_with_its_interval(written):
     assert placement["attainable_mm_s"] > 20
 
 
-def test_uncertainty_of_the_sensitivity_is_stated_beside_the_levels(written):
-    """All levels share it; within one beam and vibrometer, intervals are of what differs."""
+def test_the_uncertainty_of_the_sensitivity_is_stated_separately(written):
+    """It is common to all levels, so the intervals exclude it."""
     assert written["sensitivity_uncertainty_percent"] == 1.0
 
 
-def test_twin_really_gets_the_level(written, protocol):
-    """The design for the fingers of the file, played on the twin: its true speed at C lies in the interval."""
+def test_the_twin_reaches_the_level(written, protocol):
+    """Its true speed at C under the design from the file is in the interval."""
     file, (inputs, _) = FingersFile.read(Path(written["file"])), examine(protocol).sound
     fingers = file.of("right index").at(-0.04), file.of("right middle").at(0.0)
     stimulus = design(replace(inputs, fingers=fingers))
@@ -93,8 +93,8 @@ def test_twin_really_gets_the_level(written, protocol):
     assert low < level < high
 
 
-def test_file_serves_a_check(written, protocol):
-    """Each finger where it lay: the level at the focus is asked there, and the zones are those of the protocol."""
+def test_the_file_works_with_check(written, protocol):
+    """Each finger at its place; the level at the focus is met."""
     figures = examine(protocol).as_dict(fingers=written["file"])["stimuli"][-1]["touched"]
     assert set(figures) == {"A-C", "B-D", "C-E"}
     own = protocol.with_name("own.yaml")
@@ -103,21 +103,21 @@ def test_file_serves_a_check(written, protocol):
     assert designed["A-C"]["zone_at_focus_mm_s"]["C"] == pytest.approx(20, rel=1e-4)
 
 
-def test_file_is_not_overwritten(written, protocol):
-    """Somebody may have used it."""
+def test_the_file_is_not_overwritten(written, protocol):
+    """It may be in use."""
     with pytest.raises(RecordError, match="exists already and is not overwritten; give another file with --out"):
         probe_fingers(protocol, Path(written["file"]))
 
 
-def test_shipped_table_is_refused(tmp_path):
+def test_the_shipped_table_is_refused(tmp_path):
     """It lacks even modes; nothing is opened."""
     with pytest.raises(ValueError, match=r"the table lacks modes 2, 4, .* run `modaltouch identify --modes all`"):
         probe_fingers(Path("under_the_finger"), tmp_path / "fingers.yaml", rig="no rig")
 
 
 @pytest.mark.parametrize("factor", [0.5, 0.8, 1.25, 2.0])
-def test_another_sensitivity_is_refused(protocol, tmp_path, monkeypatch, factor):
-    """A vibrometer set to half, four fifths, five quarters or twice what is listed: every level would be as wrong."""
+def test_a_wrong_sensitivity_is_refused(protocol, tmp_path, monkeypatch, factor):
+    """Set to 0.5, 0.8, 1.25 or 2 times the listed value, every level would be wrong by as much."""
     measure = SimulatedScope.measure
 
     def misread(*args):
@@ -130,14 +130,14 @@ def test_another_sensitivity_is_refused(protocol, tmp_path, monkeypatch, factor)
         probe_fingers(protocol, tmp_path / "mine.yaml", pair="A-C", seed=5)
 
 
-def test_unknown_pair_is_refused(protocol, tmp_path):
-    """Given, and what is allowed."""
+def test_an_unknown_pair_is_refused(protocol, tmp_path):
+    """With the allowed ones."""
     with pytest.raises(ValueError, match="--pair is 'A-E'; allowed: A-C, B-D, C-E, the zones of under_the_finger"):
         probe_fingers(protocol, tmp_path / "fingers.yaml", pair="A-E")
 
 
-def test_noise_is_that_of_the_records(protocol):
-    """Two records of the untouched beam differ by the deviation that is told of them, and move it as asked."""
+def test_the_stated_noise_is_that_of_the_records(protocol):
+    """Two records of the untouched beam differ by the stated deviation."""
     apparatus = Apparatus.read(protocol.with_name("beam.yaml"))
     fingers = (Finger(-0.04, 8e-5, 0.5, 500.0), Finger(0.0, 8e-5, 0.5, 500.0))
     excitation = Excitation.of(apparatus, apparatus.modal_model(), [fingers], 0.049, SPEED)
@@ -149,8 +149,8 @@ def test_noise_is_that_of_the_records(protocol):
     assert ratio.mean() == pytest.approx(1.0, abs=0.25)
 
 
-def test_a_burst_that_tells_nothing_is_refused_with_figures():
-    """Cut at the end of the range, or without the silence after it that tells the noise."""
+def test_unusable_bursts_are_refused_with_figures():
+    """Clipped, or without the silence from which the noise is estimated."""
     stimulus = examine("demo").sound[1]
     burst = BurstRecord(stimulus, 0.02, stimulus.model.natural_frequency)
     timing, rate = stimulus.timing, 1e6

@@ -25,15 +25,15 @@ def preflight() -> Preflight:
 
 @pytest.fixture(scope="session")
 def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a folder that will hold the scans."""
+    """Return a folder for the scans."""
     return tmp_path_factory.mktemp("validation") / "scans"
 
 
 @pytest.fixture(scope="session")
 def recorded(preflight: Preflight, kept: Path) -> tuple[list[Observation], TrueState]:
-    """Return what was recorded, and the true state under the last law 1.6 us after the focusing instant.
+    """Return the recordings, and the true state under the last law 1.6 us after the focusing instant.
 
-    By then what was sent before the focusing instant has passed the twin's amplifier: 1 us and a pole of 300 kHz.
+    By then the voltage sent before the focusing instant has passed the twin's amplifier (1 us, 300 kHz).
     """
     with open_laboratory(preflight.experiment.apparatus) as laboratory:
         observed = record_laws(
@@ -48,5 +48,5 @@ def recorded(preflight: Preflight, kept: Path) -> tuple[list[Observation], TrueS
 
 @pytest.fixture(scope="session")
 def evidences(recorded: tuple[list[Observation], TrueState]) -> list[Evidence]:
-    """Return what the recordings show."""
+    """Return the evaluated recordings."""
     return evaluate(recorded[0])

@@ -1,4 +1,4 @@
-"""What the recordings show, against what the twin really did."""
+"""Evaluated recordings against the twin's true motion."""
 
 import json
 import shutil
@@ -15,21 +15,21 @@ from modaltouch.lab.validation.plausibility import evaluate
 from modaltouch.record.chain import RecordInputError
 
 
-def test_the_measurement_lags_by_what_the_twin_says(evidences):
-    """Vibrometer 4 us and a pole of 250 kHz (0.64 us), amplifier 1 us and one of 300 kHz (0.53 us), 0.05 us trigger."""
+def test_the_lag_is_that_of_the_twin(evidences):
+    """Vibrometer 4 us and 250 kHz (0.64 us), amplifier 1 us and 300 kHz (0.53 us), trigger 0.05 us."""
     expected = 4 + 1e6 / (2 * np.pi * 250e3) + 1 + 1e6 / (2 * np.pi * 300e3) - 0.05
     assert evidences[0].lag * 1e6 == pytest.approx(expected, abs=0.3)
 
 
 def test_achieved_coefficients_are_those_of_the_true_beam(evidences, recorded):
-    """Within the measurement's own error, of four records of 8 bits, and what its low-pass takes: 0.6 mm/s."""
+    """Within 0.6 mm/s, the error of four records of 8 bits and the loss of the low-pass."""
     true = recorded[1]
     assert evidences[1].law == "paper"
     assert evidences[1].achieved_coefficient == pytest.approx(true.velocity, abs=0.6e-3)
 
 
 def test_the_paper_law_misses_mode_1_and_the_exact_law_does_not(evidences):
-    """Begun from rest, the free decays of the paper's eq. (6) leave mode 1 4 % short: 2.2 mm/s and more of 59."""
+    """Starting from rest, the free decays of the paper's eq. (6) leave mode 1 4 % short: over 2 mm/s of 59."""
     exact, paper = (key_figures(each, ()) for each in evidences)
     assert (exact["law"], paper["law"]) == ("exact", "paper")
     missed = [line["achieved_mm_s"] - line["target_mm_s"] for line in paper["coefficients"]]
@@ -37,8 +37,8 @@ def test_the_paper_law_misses_mode_1_and_the_exact_law_does_not(evidences):
     assert exact["worst_modal_error_mm_s"] < 1.0 < 2.0 < paper["worst_modal_error_mm_s"]
 
 
-def test_spot_and_duration_are_the_papers(evidences):
-    """Section IV-A: "roughly 1.5 cm", 200 mm/s, "roughly 20 us"; measured on the twin by the exact law."""
+def test_spot_and_duration_agree_with_the_paper(evidences):
+    """Section IV-A: "roughly 1.5 cm", 200 mm/s, "roughly 20 us", by the exact law."""
     figures = key_figures(evidences[0], [("A", "C"), ("B", "D"), ("C", "E")])
     assert figures["width_80_mm"]["measured"] == pytest.approx(15, abs=2)
     assert figures["velocity_at_focus_mm_s"] == pytest.approx(200, abs=4)
@@ -49,8 +49,8 @@ def test_spot_and_duration_are_the_papers(evidences):
     assert figures["peak_drive_V"]["1"]["measured"] == pytest.approx(184, abs=3)
 
 
-def test_intervals_know_how_many_records_there_were(evidences):
-    """Four records tell a standard error, one does not."""
+def test_standard_errors_need_several_records(evidences):
+    """Four records give one, a single record does not."""
     assert (evidences[0].coefficient_error > 0).all()
     one = evidences[0]
     single = type(one)(_first_record_only(one.observation), one.prediction, one.lag)
@@ -64,14 +64,14 @@ def _first_record_only(observation: Observation) -> Observation:
 
 
 def test_kept_scans_give_the_same_evidence_without_a_rig(preflight, kept, evidences):
-    """Expected: the same coefficients, as single precision keeps them."""
+    """The same coefficients, in single precision."""
     again = evaluate(read_laws(preflight.inputs, kept))
     for one, other in zip(again, evidences, strict=True):
         assert one.achieved_coefficient == pytest.approx(other.achieved_coefficient, abs=1e-7)
 
 
 def test_scans_of_another_stimulus_are_refused(edit, kept, evidences):
-    """Expected: what differs and what to do, not figures of something else."""
+    """With the difference and the remedy."""
     from modaltouch.preflight import examine
 
     other = examine(edit("differentiated_stimulation.yaml", ("base_mm: 56", "base_mm: 58"))).require()
@@ -80,7 +80,7 @@ def test_scans_of_another_stimulus_are_refused(edit, kept, evidences):
 
 
 def test_recordings_unlike_the_prediction_are_refused(evidences):
-    """Wires exchanged, a wrong trigger: no delay makes it fit, which is said instead of fitted."""
+    """Exchanged wires or a wrong trigger: no delay makes the recordings fit."""
     observation = evidences[0].observation
     late = replace(observation.field, arrays=tuple({**a, "time": a["time"] + 60e-6} for a in observation.field.arrays))
     with pytest.raises(RecordInputError, match="do not match the predictions at any delay from -5 to"):
@@ -88,7 +88,7 @@ def test_recordings_unlike_the_prediction_are_refused(evidences):
 
 
 def changed(observation: Observation, name: str, times: np.ndarray, scan: str = "field") -> Observation:
-    """Return an observation with an array of a scan multiplied by a factor per point, or per point and channel."""
+    """Return an observation with an array multiplied by a factor per point, or per point and channel."""
     arrays = [
         {**each, name: np.reshape(by, (1, -1, 1)[: each[name].ndim]) * each[name]}
         for each, by in zip(getattr(observation, scan).arrays, times, strict=True)
@@ -105,8 +105,8 @@ def changed(observation: Observation, name: str, times: np.ndarray, scan: str = 
         (slice(25, None), 0.7, r"^at 12\.5, .*, 50 mm the beam moves 0\.(69|70) times"),
     ],
 )
-def test_velocities_that_are_a_multiple_of_the_predicted_are_refused(points, factor, said, evidences):
-    """Units of g taken for m/s^2, one inverted point, a gain changed midway: the page would show figures of no beam."""
+def test_wrongly_scaled_velocities_are_refused(points, factor, said, evidences):
+    """Accelerations in g, one inverted point, a gain changed midway."""
     observation = evidences[0].observation
     times = np.ones(observation.field.positions.size)
     times[points] = factor
@@ -114,8 +114,8 @@ def test_velocities_that_are_a_multiple_of_the_predicted_are_refused(points, fac
         evaluate([changed(observation, "velocity", times)])
 
 
-def test_a_drive_that_was_not_recorded_is_refused(evidences):
-    """A probe that is off: the page would call the drive a zero beside the predicted 30 V."""
+def test_a_missing_drive_is_refused(evidences):
+    """A disconnected probe would show zero beside the predicted 30 V."""
     observation = evidences[0].observation
     for factors, said in (([1.0, 0.0], "2 measures 0 V, and 30 V"), ([0.16, 6.0], "1 measures 29 V, and 184 V")):
         times = np.tile(factors, (observation.field.positions.size, 1))
@@ -123,8 +123,8 @@ def test_a_drive_that_was_not_recorded_is_refused(evidences):
             evaluate([changed(observation, "drive", times)])
 
 
-def test_a_zone_that_was_read_wrong_is_refused(evidences):
-    """Half the speed or the other sign at one zone alone: contrasts would be wrong, and all else right."""
+def test_a_wrongly_scaled_zone_is_refused(evidences):
+    """Half the speed or the opposite sign at one zone would give wrong contrasts."""
     observation = evidences[0].observation
     for factor, moves in ((0.5, r"0\.(49|50)"), (-1.0, r"-(0\.99|1\.00)")):
         times = np.array([1.0, factor, 1.0, 1.0, 1.0])
@@ -234,7 +234,7 @@ def test_a_mirrored_field_is_refused(evidences):
 
 
 def test_too_few_points_in_a_kept_scan_are_refused(preflight, kept, tmp_path, evidences):
-    """Twenty of the points: the coefficients came out as 1e10 mm/s, without a word."""
+    """Twenty points once gave coefficients of 1e10 mm/s without a message."""
     for place in kept.iterdir():
         facts = json.loads((place / "scan.json").read_text())
         facts["settings"]["positions_mm"] = facts["settings"]["positions_mm"][: None if "course" in place.name else 20]
@@ -245,7 +245,7 @@ def test_too_few_points_in_a_kept_scan_are_refused(preflight, kept, tmp_path, ev
 
 
 def test_a_copied_record_in_a_kept_scan_is_refused(preflight, kept, tmp_path, evidences):
-    """The velocities of one point under the position of its neighbour: noise never repeats."""
+    """One point has the velocities of its neighbour; noise never repeats."""
     shutil.copytree(kept, tmp_path, dirs_exist_ok=True)
     one, other = (tmp_path / "exact_field" / f"position_{index:03}.npz" for index in (10, 11))
     with np.load(one) as file, np.load(other) as source:

@@ -1,4 +1,4 @@
-"""Widths, durations, contrast and spectrogram against closed forms."""
+"""Widths, durations, contrast and spectrogram, against closed forms."""
 
 import math
 
@@ -11,8 +11,8 @@ from modaltouch.lab.validation.key_figures import spectrogram
 
 @pytest.mark.parametrize("fraction", [0.2, 0.5, 0.8])
 @pytest.mark.parametrize("sign", [1, -1])
-def test_width_of_a_triangle_is_its_base_times_the_rest(fraction, sign):
-    """A triangle of base b is b (1 - fraction) wide, whatever its sign, also where its centre is no point."""
+def test_the_width_of_a_triangle(fraction, sign):
+    """A base b is b (1 - fraction) wide, for either sign, also if its centre is not a sampled point."""
     place = np.linspace(-0.05, 0.05, 78)
     field = sign * 0.2 * np.maximum(0, 1 - np.abs(place - 0.003) / 0.028)
     place, field = np.append(place, 0.003), np.append(field, sign * 0.2)
@@ -23,29 +23,29 @@ def test_width_of_a_triangle_is_its_base_times_the_rest(fraction, sign):
 
 
 def test_a_field_that_never_falls_is_as_wide_as_the_beam():
-    """Expected: from end to end."""
+    """From end to end."""
     assert spot_width(np.linspace(-0.05, 0.05, 11), np.ones(11), 0.0, 0.5) == pytest.approx(0.1)
 
 
 def test_a_field_without_a_focus_has_no_width():
-    """Expected: NaN, not a number that looks like one."""
+    """NaN instead of a number."""
     assert math.isnan(spot_width(np.linspace(-1, 1, 5), np.zeros(5), 0.0, 0.5))
 
 
-def test_a_cosine_stays_above_nine_tenths_for_twice_its_arc():
-    """cos(w t) > 0.9 for |t| < arccos(0.9) / w; a later crest does not count."""
+def test_the_duration_of_a_cosine_above_nine_tenths():
+    """cos(w t) > 0.9 for |t| < arccos(0.9) / w; later crests do not count."""
     time, omega = np.linspace(-1e-4, 1e-4, 20_001), 2 * np.pi * 29_390
     assert spot_width(time, np.cos(omega * time), 0.0, 0.9) == pytest.approx(2 * math.acos(0.9) / omega, rel=1e-5)
 
 
 def test_contrast_is_the_faster_over_the_slower():
-    """Expected: the same both ways round, and infinite beside a zone at rest."""
+    """In either order; infinite beside a zone at rest."""
     assert contrast(0.2, -0.1) == contrast(-0.1, 0.2) == 2.0
     assert contrast(0.2, 0.0) == math.inf
 
 
-def test_spectrogram_of_a_sine_reads_its_amplitude_and_frequency():
-    """A steady sine of 0.05 m/s shows as 0.05 m/s at its frequency, and as nothing an octave away."""
+def test_the_spectrogram_of_a_sine():
+    """A steady sine of 0.05 m/s has this amplitude at its frequency and none an octave away."""
     time = np.arange(50_000) / 1e6
     _, frequency, amplitude = spectrogram(time, 0.05 * np.sin(2 * np.pi * 7137 * time), 20e3)
     row = np.unravel_index(amplitude.argmax(), amplitude.shape)[0]
@@ -55,7 +55,7 @@ def test_spectrogram_of_a_sine_reads_its_amplitude_and_frequency():
     assert frequency[-1] <= 20e3
 
 
-def test_spectrogram_refuses_a_record_shorter_than_its_window():
-    """Expected: a clear error, not an empty picture."""
+def test_the_spectrogram_needs_a_record_longer_than_its_window():
+    """Otherwise a clear error instead of an empty picture."""
     with pytest.raises(ValueError, match=r"lasts 1 ms, but a window of the spectrogram needs 4 ms: record for longer"):
         spectrogram(np.arange(1000) / 1e6, np.zeros(1000), 20e3)

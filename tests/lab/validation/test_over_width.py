@@ -1,4 +1,4 @@
-"""Rows over the width: the torsion that was put in comes out, with what noise alone would show (the paper's Fig. 7)."""
+"""Rows over the width: added torsion is found, with the value for noise alone (the paper's Fig. 7)."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ TORSION = 0.004
 
 @pytest.fixture(scope="module")
 def twisted(evidences: list[Evidence]) -> Evidence:
-    """Return the evidence of a beam that turns as a cosine along it, by 4 mm/s on rows 2.5 mm off the mid-line."""
+    """Return the evidence of a beam with a torsion of a cosine along it, 4 mm/s on rows 2.5 mm off the mid-line."""
     evidence = evidences[0]
     observation, field = evidence.observation, evidence.observation.field
     course = TORSION * np.cos(np.pi * (field.positions / 0.1 + 0.5))
@@ -37,8 +37,8 @@ def twisted(evidences: list[Evidence]) -> Evidence:
     return replace(evidence, observation=replace(observation, rows=tuple(rows)))
 
 
-def test_torsion_is_what_grows_across_the_beam(twisted: Evidence) -> None:
-    """The same noise on every row leaves the cosine alone: its root mean square over 41 points from end to end."""
+def test_torsion_is_the_part_that_grows_across_the_beam(twisted: Evidence) -> None:
+    """With equal noise on every row only the cosine remains: its rms over 41 points from end to end."""
     place = twisted.observation.field.positions
     expected = TORSION * np.cos(np.pi * (place / 0.1 + 0.5))
     np.testing.assert_allclose(twisted.torsion.mean(axis=0), expected, atol=1e-6)
@@ -51,22 +51,22 @@ def test_torsion_is_what_grows_across_the_beam(twisted: Evidence) -> None:
 
 
 def test_the_map_shows_field_speed_and_torsion(twisted: Evidence) -> None:
-    """Three panels to a law; the mid-line's values are those of the field."""
+    """Three panels per law; the mid-line has the values of the field."""
     figure = draw_over_width([twisted])
     names = [axes.get_ylabel().split(":")[0] for axes in figure.axes]
     assert names[:3] == ["at the focus", "highest speed", "torsion at the focus"]
     np.testing.assert_allclose(twisted.field_over_width[1].mean(axis=0), twisted.measured_points)
 
 
-def test_the_mid_line_alone_says_nothing_of_torsion(evidences: list[Evidence]) -> None:
-    """No figure of it rather than a zero that nobody measured."""
+def test_the_mid_line_alone_gives_no_torsion(evidences: list[Evidence]) -> None:
+    """None instead of an unmeasured zero."""
     assert key_figures(evidences[0], ())["torsion_on_outer_rows_mm_s"] is None
 
 
-def test_rows_that_are_kept_are_read_unasked(
+def test_kept_rows_are_read_without_an_option(
     preflight: Preflight, kept: Path, evidences: list[Evidence], tmp_path: Path
 ) -> None:
-    """As `identify` reads those of its scans: --rows says what is measured. A row that was stopped is no result."""
+    """As `identify` does: --rows only says what is measured. An interrupted row is refused."""
     folder = shutil.copytree(kept, tmp_path / "scans")
     for each in evidences:
         for across in (-2.5, 2.5):

@@ -1,4 +1,4 @@
-"""The page: everything inside, made from the numbers, the same bytes from the same recordings."""
+"""The validation page: self-contained, made from the numbers, identical for identical recordings."""
 
 import json
 import re
@@ -32,28 +32,28 @@ PAIRS = [("A", "C"), ("B", "D"), ("C", "E")]
 
 @pytest.fixture(scope="module")
 def written(evidences, tmp_path_factory):
-    """Return the files, and the figures that they show."""
+    """Return the files and the figures in them."""
     folder = tmp_path_factory.mktemp("page") / "out"
     files = write_validation(evidences, PAIRS, OCCASION, folder)["files"]
     return {name: Path(path) for name, path in files.items()}, [key_figures(each, PAIRS) for each in evidences]
 
 
-def test_page_needs_no_network(written):
-    """Every picture is inside; nothing is fetched."""
+def test_the_page_needs_no_network(written):
+    """Every picture is embedded."""
     page = written[0]["validation.html"].read_text()
     assert len(re.findall(r'<img src="data:image/svg\+xml;base64,', page)) == page.count("<img") == 8
     assert not re.search(r'(src|href)="(https?:)?//', page)
     assert "default-src 'none'" in page
 
 
-def test_page_escapes_the_title_and_says_that_it_is_simulated(written):
+def test_the_page_escapes_the_title_and_marks_simulated_data(written):
     """A title is text, not HTML."""
     page = written[0]["validation.html"].read_text()
     assert "A &lt;title&gt;" in page
     assert "SIMULATED DATA" in page
 
 
-def test_tables_hold_what_the_json_says(written):
+def test_tables_agree_with_the_json(written):
     """Fig. 6 as CSV and as JSON."""
     files, _ = written
     values = json.loads(files["validation.json"].read_text())
@@ -65,16 +65,16 @@ def test_tables_hold_what_the_json_says(written):
     )
 
 
-def test_words_follow_the_numbers(written):
-    """With the errors exchanged the sentence names the other law."""
+def test_sentences_follow_the_numbers(written):
+    """With the errors exchanged, the sentence has the other law."""
     figures = written[1]
     assert "Law “exact” has the smaller worst modal error" in " ".join(findings(figures))
     swapped = [{**one, "law": other["law"]} for one, other in zip(figures, figures[::-1], strict=True)]
     assert "Law “paper” has the smaller worst modal error" in " ".join(findings(swapped))
 
 
-def test_a_drive_that_is_not_the_predicted_one_is_told(written):
-    """Probes that are exchanged, or whose attenuation is not the file's, leave the field as it is: a sentence each."""
+def test_a_drive_unlike_the_prediction_is_reported(written):
+    """Exchanged or wrongly attenuated probes leave the field unchanged: one sentence each."""
     figures = [dict(each) for each in written[1]]
     assert "probe" not in " ".join(findings(figures))
     peaks = figures[0]["peak_drive_V"]
@@ -87,8 +87,8 @@ def test_a_drive_that_is_not_the_predicted_one_is_told(written):
 
 
 @pytest.mark.parametrize("factor", [0.5, 1.25])
-def test_speeds_that_share_a_factor_are_told(written, factor):
-    """A vibrometer at another sensitivity than listed shows a field of the right form: only its size gives it away."""
+def test_a_common_factor_of_the_speeds_is_reported(written, factor):
+    """A wrong sensitivity shows a field of the right form and the wrong size."""
     assert "times as fast" not in " ".join(findings(written[1]))
     figures = [dict(each) for each in written[1]]
     zones = figures[0]["zone_peak_mm_s"].items()
@@ -105,8 +105,8 @@ def test_an_analysis_is_not_replaced(evidences, tmp_path):
         write_validation(evidences, PAIRS, OCCASION, tmp_path / "out")
 
 
-def test_command_reads_kept_scans_without_a_rig(written, kept, tmp_path):
-    """No rig is at that address; the same recordings give the same bytes, and one JSON object on standard output."""
+def test_the_command_reads_kept_scans_without_a_rig(written, kept, tmp_path):
+    """With an unreachable address: the same bytes, and one JSON object on standard output."""
     protocol = str(SHIPPED / "differentiated_stimulation.yaml")
     words = [
         "validate",
@@ -126,8 +126,8 @@ def test_command_reads_kept_scans_without_a_rig(written, kept, tmp_path):
         assert (tmp_path / "o" / name).read_bytes() == written[0][name].read_bytes(), name
 
 
-def test_command_refuses_too_few_points(tmp_path):
-    """Expected: exit status 2, the least that will do, and nothing written."""
+def test_the_command_refuses_too_few_points(tmp_path):
+    """With exit status 2 and the least allowed number; nothing is written."""
     words = [
         "validate",
         str(SHIPPED / "differentiated_stimulation.yaml"),
