@@ -276,8 +276,8 @@ IN_BOTH: dict[str, tuple[Lie, str]] = {
         insert("practice_round", round=1, n_judged=7, n_agreed=7, passed=True),
         "of 1 answers agreed, but the record says otherwise",
     ),
-    "the seed": (start_says(seed=2), "seed 2 draws a different order"),
-    "the codes": (start_says(stimulus__content_hash="0" * 64), "the recomputed drive has the hash"),
+    "the seed": (change_start(seed=2), "seed 2 draws a different order"),
+    "the codes": (change_start(stimulus__content_hash="0" * 64), "the recomputed drive has the hash"),
     "a speed at a zone": (
         lambda events: events[0]["stimulus"]["stimuli"][0]["zone_peak_mm_s"].update(A=1.0),
         "its speeds at the zones at 80 mm/s are not those recomputed",
