@@ -15,6 +15,7 @@ from typing import Any
 
 import pytest
 
+from modaltouch import examine
 from modaltouch.analysis.pipeline import read_responses
 from modaltouch.protocol import InputError, Sources
 from modaltouch.protocol.findings import Findings
@@ -26,6 +27,7 @@ from modaltouch.record.session import Session
 from modaltouch.record.view import write_view
 from modaltouch.session.resumption import wire_resume
 from modaltouch.session.wiring import simulate_session
+from modaltouch.stimulus import Stimulus
 
 Events = list[dict[str, Any]]
 Lie = Callable[[Events], object]
@@ -465,6 +467,30 @@ def test_a_cut_session_of_format_1_is_started_over_instead_of_resumed(copied: Ca
     with pytest.raises(RecordError, match="modaltouch resume --restart"):
         wire_resume(log)
     assert wire_resume(log, restart=True).place.session == 2
+
+
+def test_speeds_that_were_sought_at_the_samples_alone_are_verified(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Earlier versions recorded lower peaks of a burst with few samples; the record is not at fault."""
+    for name in ("apparatus", "texts"):
+        shutil.copytree(PROTOCOLS / name, tmp_path / name)
+    text = (PROTOCOLS / "demo.yaml").read_text(encoding="utf-8")
+    (tmp_path / "demo.yaml").write_text(text.replace("n_samples: 125000", "n_samples: 12000"), encoding="utf-8")
+    with monkeypatch.context() as earlier:
+        earlier.setattr(
+            Stimulus,
+            "peak_velocity",
+            lambda self, *given: abs(self.velocity_history(*given, whole_period=True)).max(axis=1),
+        )
+        simulate_session(tmp_path / "demo.yaml", "sim01", tmp_path)
+    (log,) = tmp_path.rglob("session.jsonl")
+    level = Session.find(log).start["stimulus"]["stimuli"][0]
+    found = examine(tmp_path / "demo.yaml").zone_peaks("", level["velocity_mm_s"])
+    assert found["A"] * 1e3 > level["zone_peak_mm_s"]["A"] + 0.1
+    assert audit_session(Session.find(log)).problems == ()
+    forge(log, lambda events: last(events)["planned"].update(speed_left_mm_s=1.0))
+    assert audit_session(Session.find(log)).problems != ()
 
 
 @pytest.fixture(scope="module")
