@@ -66,7 +66,7 @@ def check_results(preflight: Preflight, *, compare: bool = False, fingers: str |
     apparatus = preflight.sound[0].apparatus
     values |= {
         "warnings": _warnings(preflight, fingers, values["defaults"]),
-        "contrasts": list(_contrasts(preflight)),
+        "contrasts": _contrasts(preflight),
         "unknown_gains": [{"mode": label, "set": name} for label, name in apparatus.unknown_gains()],
         "assumed_gains": [{"mode": label, "set": name} for label, name in apparatus.assumed_gains()],
         "offered_gains": [
@@ -143,22 +143,13 @@ def _stimulus_warnings(preflight: Preflight) -> list[str]:
     return [*shared, *(f"stimulus {name}: {each}" for name, own in warnings for each in own if each not in shared)]
 
 
-def _contrasts(preflight: Preflight) -> Iterator[dict[str, Any]]:
-    """Yield the speeds at the zones of each pair, and the ratio of the faster to the slower, for each design."""
-    for named, each in preflight.named_designs():
-        speeds, placed = each.stimuli[-1]["zone_peak_mm_s"], named.get("placement", "").split(" ")[0]
-        for left, right in preflight.experiment.protocol.conditions.pairs:
-            if placed and {left, right} != set(placed.split("-")):
-                continue
-            slower, faster = sorted((speeds[left], speeds[right]))
-            yield {
-                **named,
-                "zone_left": left,
-                "zone_right": right,
-                "left_mm_s": speeds[left],
-                "right_mm_s": speeds[right],
-                "contrast": finite(faster / slower) if slower else None,
-            }
+def _contrasts(preflight: Preflight) -> list[dict[str, Any]]:
+    protocol = preflight.experiment.protocol
+    return [
+        {**named, **row}
+        for named, each in preflight.named_designs()
+        for row in contrasts(protocol, each.stimuli[-1]["zone_peak_mm_s"], named.get("placement", "").split(" ")[0])
+    ]
 
 
 def _calibration(findings: Findings) -> dict[str, Any] | None:
@@ -175,6 +166,21 @@ def _calibration(findings: Findings) -> dict[str, Any] | None:
         "worst_modal_error_mm_s": max(each.worst_error_mm_s for each in value.by_stimulus.values()),
         "mark": value.mark,
     }
+
+
+def contrasts(protocol: Protocol, zone_peak: dict[str, float], placement: str = "") -> Iterator[dict[str, Any]]:
+    """Yield the speeds at the zones of each pair, and the ratio of the faster to the slower."""
+    for left, right in protocol.conditions.pairs:
+        if placement and {left, right} != set(placement.split("-")):
+            continue
+        slower, faster = sorted((zone_peak[left], zone_peak[right]))
+        yield {
+            "zone_left": left,
+            "zone_right": right,
+            "left_mm_s": zone_peak[left],
+            "right_mm_s": zone_peak[right],
+            "contrast": finite(faster / slower) if slower else None,
+        }
 
 
 def design_figures_of(protocol: Protocol) -> dict[str, Any]:
