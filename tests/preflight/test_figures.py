@@ -1,4 +1,4 @@
-"""Figures that are told of a protocol before anybody sits down, by hand."""
+"""The figures that `check` prints of a protocol, against calculations by hand."""
 
 from __future__ import annotations
 
@@ -11,14 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from modaltouch.preflight.figures import (
-    by_name,
-    contrasts,
-    design_figures_of,
-    estimated_duration,
-    finger_places,
-    occasion_figures,
-)
+from modaltouch.preflight.figures import by_name, estimated_duration, finger_places
+from modaltouch.preflight.results import contrasts, design_figures_of, occasion_figures
 from modaltouch.protocol import Findings, Protocol
 
 PROTOCOLS = Path(__file__).parents[2] / "protocols"
@@ -71,8 +65,8 @@ def test_intervals_and_their_gaps_take_their_time() -> None:
     assert estimated_duration(protocol) == round(seconds / 60, 1)
 
 
-def test_an_occasion_is_told_by_its_levels_and_numbers() -> None:
-    """Of a faulty protocol nothing is known but its group and kind of session."""
+def test_an_occasion_has_its_levels_and_numbers() -> None:
+    """Of a faulty protocol only its group and kind of session are known."""
     findings = Findings.read(PROTOCOLS / "demo.yaml")
     told = occasion_figures(findings)
     assert told == {
@@ -84,7 +78,7 @@ def test_an_occasion_is_told_by_its_levels_and_numbers() -> None:
 
 
 def test_contrasts_are_those_of_the_pairs() -> None:
-    """The faster over the slower; none over a zone at rest; of a placement its own pair alone."""
+    """Faster over slower speed; none beside a zone at rest; a placement has its own pair alone."""
     protocol = protocol_of("demo")
     speeds = {"A": 50.0, "B": 0.0, "C": 200.0, "D": 10.0, "E": 400.0}
     rows = [*contrasts(protocol, speeds)]
@@ -95,7 +89,7 @@ def test_contrasts_are_those_of_the_pairs() -> None:
     assert [row["zone_left"] for row in contrasts(protocol, speeds, "E-C")] == ["C"]
 
 
-def test_fingers_stand_in_for_the_centres_of_their_zones() -> None:
+def test_fingers_replace_the_centres_of_their_zones() -> None:
     """Each finger in the zone whose centre is nearest; the other zones keep their centres."""
     zones = {name: SimpleNamespace(centre_mm=centre) for name, centre in (("A", -40.0), ("B", -20.0), ("C", 0.0))}
     fingers = (SimpleNamespace(position=-0.0385), SimpleNamespace(position=0.003))
@@ -103,8 +97,8 @@ def test_fingers_stand_in_for_the_centres_of_their_zones() -> None:
     np.testing.assert_allclose(finger_places(inputs), [-0.0385, -0.02, 0.003], rtol=1e-12)
 
 
-def test_numbers_that_json_does_not_know_are_none() -> None:
-    """Infinity and what is no number (RFC 8259)."""
+def test_numbers_that_json_lacks_are_none() -> None:
+    """Infinity and NaN (RFC 8259)."""
     assert by_name("abc", [1, math.inf, math.nan]) == {"a": 1.0, "b": None, "c": None}
 
 

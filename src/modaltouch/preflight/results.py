@@ -133,12 +133,8 @@ def _warnings(preflight: Preflight, fingers: str | None, defaults: list[dict[str
 def _stimulus_warnings(preflight: Preflight) -> list[str]:
     warnings: list[tuple[str, list[str]]] = []
     for name, part in preflight.parts.items():
-        inputs, stimulus = part.sound
-        own = [
-            *field_warnings(inputs, stimulus, part.stimuli),
-            *stimulus_warnings(inputs, stimulus, part.stimuli),
-        ]
-        warnings.append((name, own))
+        given = *part.sound, part.stimuli
+        warnings.append((name, [*field_warnings(*given), *stimulus_warnings(*given)]))
     shared = [each for each in warnings[0][1] if all(each in own for _, own in warnings)]
     return [*shared, *(f"stimulus {name}: {each}" for name, own in warnings for each in own if each not in shared)]
 
