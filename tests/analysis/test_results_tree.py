@@ -189,7 +189,7 @@ def test_a_second_session_of_some_participants_is_excluded(record, tmp_path) -> 
     record("p01"), record("p01", session=2), record("p02")
     responses = read_responses(tmp_path / "results")
     assert len(responses.frame) == 48
-    assert "session beyond the first 1" in reasons(responses)["sub-p01"]
+    assert "session after number 1" in reasons(responses)["sub-p01"]
 
 
 def test_two_sessions_of_everyone_are_repetitions(record, tmp_path) -> None:

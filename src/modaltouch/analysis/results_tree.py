@@ -437,7 +437,7 @@ def _as_many(taken: Sequence[SessionAnswers], left_out: list[ExcludedSource]) ->
 def _surplus(item: SessionAnswers, fewest: int, seen: Counter[object]) -> str:
     seen[item.participant, item.kind] += 1
     beyond = seen[item.participant, item.kind] > fewest
-    return f"session beyond the first {fewest}: not every participant has that many" if beyond else ""
+    return f"session after number {fewest}: not every participant has more" if beyond else ""
 
 
 def _choose_stimulus(place: Path, frame: pd.DataFrame, stimulus: str) -> pd.DataFrame:

@@ -253,7 +253,7 @@ def choose_sessions(table: Table) -> tuple[Table, list[ExcludedSource], list[str
     place = session.groupby([who, kind], sort=False).transform(lambda own: pd.factorize(own)[0])
     fewest = place.groupby([who, kind]).max().groupby(level=1).min() + 1
     beyond, most = place >= kind.map(fewest), int(fewest.max())
-    why = f"sessions beyond the first {most}: not every participant has that many"
+    why = f"sessions after number {most}: not every participant has more"
     left_out = [ExcludedSource(f"{table.file}: {beyond.sum()} rows", why)] * bool(beyond.any())
     notes = [f"{most} sessions of each participant taken together, as repetitions"] if most > 1 else []
     return replace(table, fields=table.fields[~beyond]), left_out, notes

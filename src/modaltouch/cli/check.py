@@ -182,11 +182,12 @@ def _stimulus_lines(checked: preflight.Preflight, stimuli: list[dict[str, Any]])
         firsts.setdefault(each.get("stimulus", ""), each)
     for name, each in firsts.items():
         rate, mask = protocol.stimulus_of(name).repetition_rate_Hz, "" if protocol.is_masked(name) else ", not masked"
+        n_bursts = protocol.n_bursts(name)
         yield (
             f"{f'{name}: focus' if name else 'Focus'} {each['focus']}, law {each['law']}, modes "
             f"{', '.join(map(str, each['selected_modes']))}, {each['n_samples']} samples at "
             f"{each['sampling_rate_Hz'] / 1e6:g} MHz, spot {each['fwhm_mm']:.1f} mm wide (FWHM)"
-            + (f"; {protocol.n_bursts(name)} bursts at {rate:g} Hz{mask}" if name else "")
+            + (f"; {n_bursts} burst{'s' * (n_bursts > 1)} at {rate:g} Hz{mask}" if name else "")
         )
 
 

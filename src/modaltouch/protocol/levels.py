@@ -109,7 +109,7 @@ def _check_bounds(reading: Reading[Any], when: str, reached: str) -> Iterator[Pr
     levels = [level for _, level in reading.items(*path)]
     given = reading.length(*path)
     if given is not None and given != 2:
-        words = f"{given} levels, but {when}"
+        words = f"{given} level{'s' * (given > 1)}, but {when}"
         yield reading.problem(path, words, f"two: the lowest and the highest that {reached}", "give these two")
     elif len(levels) == 2 and not levels[0] < levels[1]:
         words = f"[{levels[0]:g}, {levels[1]:g}], but {when}"
