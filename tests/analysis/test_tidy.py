@@ -433,6 +433,12 @@ def test_answers_are_mapped_as_requested(write_csv, paper_rows) -> None:
     assert all("--answers L=left,R=right" in problem and "--missing" in problem for problem in fails(path))
 
 
+def test_an_answer_that_names_a_zone_is_to_name_the_finger(write_csv, paper_rows) -> None:
+    """One zone is under the left finger in one pair and under the right one in another: no mapping is possible."""
+    told = fails(write_csv([row | {"response": row["zone_left"]} for row in paper_rows]))
+    assert all("write `left` or `right` for the finger on it" in problem for problem in told)
+
+
 class TestSessionsAndModes:
     def test_several_modes_are_never_mixed(self, write_csv, paper_rows) -> None:
         """Real and simulated rows of the same cells are refused, unless one mode is chosen."""

@@ -193,6 +193,8 @@ def _frame_of(
     )
     meant = {table_format.words.get(word, word) for word in fields["response"].cat.categories}
     remedy = "map it as in --answers L=left,R=right, or, if it stands for no answer, name it with --missing"
+    if meant - {"both", "none"} <= {*frame.filter(like="zone_").to_numpy().ravel()}:
+        remedy = "where it is a zone, write `left` or `right` for the finger on it"
     if answers is None:
         answers = AnswerList.of_words(("none",) if "none" in meant else ())
         remedy += "; or name the protocol that offers other answers with --protocol"
