@@ -187,7 +187,7 @@ def design_to_fit(inputs: DesignInputs, *, release: Release | None = None) -> St
     Parameters and errors are those of `design`.
     """
     stimulus = design(inputs, release=release)
-    # Even if the highest level does not fit either way, since lower ones may.
-    if max(stimulus.burst.full_scale_for(stimulus.target_field.velocity)) > inputs.highest_amplitude:
+    within = float(stimulus.peak_voltage.max()) <= inputs.apparatus.amplifier.limit_V
+    if within and max(stimulus.burst.full_scale_for(stimulus.target_field.velocity)) > inputs.highest_amplitude:
         return design(inputs, release=release, on_grid=False)
     return stimulus
