@@ -161,13 +161,12 @@ class Preflight:
             raise InputError(self.problems)
         return self.inputs, self.designed
 
-    def speeds(self, trial: Trial, *, sampled: bool = False) -> tuple[float, ...]:
-        """Return the predicted peak speed under each finger in a trial, from left to right [m/s]; see `zone_peaks`."""
+    def speeds(self, trial: Trial) -> tuple[float, ...]:
+        """Return the predicted peak speed under each finger in a trial, from left to right [m/s]."""
         condition = trial.condition
         if condition.is_catch:
             return (0.0,) * len(condition.zones)
-        level = self.played(condition, condition.velocity_mm_s)
-        peaks = self.zone_peaks(self.design_of(condition), level, sampled=sampled)
+        peaks = self.zone_peaks(self.design_of(condition), self.played(condition, condition.velocity_mm_s))
         return tuple(peaks[zone] for zone in condition.zones)
 
     def played(self, condition: Any, level: float) -> float:
@@ -175,24 +174,16 @@ class Preflight:
         part = self.designs[self.design_of(condition)]
         return min(level * part.sound[0].share, part.attainable)
 
-    def zone_peaks(self, name: str, level: float, *, sampled: bool = False) -> dict[str, float]:
-        """Return the predicted peak speed at each zone's centre, or at the finger on it [m/s]; the level is in mm/s.
-
-        With `sampled`, only at the starts of samples, as in records of versions that did not look between them.
-        """
-        if (name, level, sampled) not in self._peaks:
-            (inputs, stimulus), velocity = self.designs[name].sound, level * 1e-3
-            places = finger_places(inputs)
-            peaks = (
-                abs(stimulus.velocity_history(places, velocity, whole_period=True)).max(axis=1)
-                if sampled
-                else stimulus.peak_velocity(places, velocity)
-            )
-            self._peaks[name, level, sampled] = dict(zip(inputs.apparatus.ordered_zones, peaks.tolist(), strict=True))
-        return self._peaks[name, level, sampled]
+    def zone_peaks(self, name: str, level: float) -> dict[str, float]:
+        """Return the predicted peak speed at each zone's centre, or at the finger on it [m/s]; the level is in mm/s."""
+        if (name, level) not in self._peaks:
+            inputs, stimulus = self.designs[name].sound
+            peaks = stimulus.peak_velocity(finger_places(inputs), level * 1e-3)
+            self._peaks[name, level] = dict(zip(inputs.apparatus.ordered_zones, peaks.tolist(), strict=True))
+        return self._peaks[name, level]
 
     @cached_property
-    def _peaks(self) -> dict[tuple[str, float, bool], dict[str, float]]:
+    def _peaks(self) -> dict[tuple[str, float], dict[str, float]]:
         """Cache of `zone_peaks`, which is called for every trial."""
         return {}
 

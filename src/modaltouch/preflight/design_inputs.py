@@ -44,6 +44,8 @@ class DesignInputs:
         Fingertips on the beam; empty for the untouched beam.
     share : float
         Ratio of `levels` to the nominal levels, if placements are equalised in a band [1].
+    at_samples : bool
+        As in `Timing`.
     """
 
     section: StimulusSection
@@ -55,6 +57,7 @@ class DesignInputs:
     points: tuple[tuple[float, float], ...] = ()
     fingers: tuple[Finger, ...] = ()
     share: float = 1.0
+    at_samples: bool = False
 
     @property
     def reference(self) -> float:
@@ -122,6 +125,7 @@ def find_design_inputs(findings: Findings) -> DesignInputs | None:
         velocity_limit=float("inf") if limit is None else limit,
         correction=correction,
         points=points,
+        at_samples=findings.at_samples,
     )
 
 
@@ -165,6 +169,7 @@ def design(
         duration=section.duration_ms * 1e-3,
         focusing_instant=section.focusing_instant_ms * 1e-3,
         repetition_rate=section.repetition_rate_Hz,
+        at_samples=inputs.at_samples,
     )
     return design_stimulus(
         inputs.apparatus.modal_model().touched(inputs.fingers),

@@ -70,6 +70,8 @@ class Findings:
         The group of participants and the kind of session to which these findings apply.
     others : tuple of Findings
         Findings for the other occasions; `problems` includes theirs.
+    at_samples : bool
+        As in `Sources`.
     """
 
     protocol: Reading[Protocol] | None
@@ -82,6 +84,7 @@ class Findings:
     table: Source | None = None
     occasion: Occasion = Occasion()
     others: tuple[Findings, ...] = ()
+    at_samples: bool = False
 
     def experiment(self) -> Experiment:
         """Return the experiment.
@@ -95,7 +98,7 @@ class Findings:
             raise InputError(self.problems)
         protocol, apparatus, texts = self.protocol.require(), self.apparatus.require(), self.texts.require()
         files = getattr(self.calibration, "source", None), self.field, getattr(self.fingers, "source", None), self.table
-        sources = Sources(self.protocol.source, self.apparatus.source, self.texts.source, *files)
+        sources = Sources(self.protocol.source, self.apparatus.source, self.texts.source, *files, self.at_samples)
         return Experiment(protocol, apparatus, texts.fitted(protocol), sources)
 
     def problem(self, path: Iterable[str | int], given: str, allowed: str, remedy: str = "") -> Problem:
@@ -268,7 +271,8 @@ class Findings:
             from modaltouch.protocol.placements import read_fingers
 
             fingers, problems = read_fingers(sources.fingers, protocol)
-        return cls._checked(protocol, vars(sources), calibration, fingers, own, problems)
+        found = cls._checked(protocol, vars(sources), calibration, fingers, own, problems)
+        return replace(found, at_samples=sources.at_samples)
 
     @classmethod
     def _checked(
@@ -304,7 +308,7 @@ class Findings:
     def recorded(cls, start: dict[str, Any]) -> Findings:
         """Return the findings for the copies in a session's start record, on its occasion."""
         own = start.get("schedule", {})
-        return cls.restored(Sources.from_dict(start["sources"]), (own.get("group", ""), own.get("session_kind", "")))
+        return cls.restored(Sources.recorded(start), (own.get("group", ""), own.get("session_kind", "")))
 
     @classmethod
     def read(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Self
@@ -252,6 +252,8 @@ class Sources:
         The fingers for which the stimulus is designed, if any.
     table : Source or None
         The table of cells, if any.
+    at_samples : bool
+        Whether peak speeds are sought at the starts of samples only, as in records that do not say otherwise.
     """
 
     protocol: Source
@@ -261,15 +263,22 @@ class Sources:
     field: Source | None = None
     fingers: Source | None = None
     table: Source | None = None
+    at_samples: bool = False
 
     def as_dict(self) -> dict[str, Any]:
         """Return path, hash and text of each file for the record."""
-        return {name: source.as_dict() for name, source in vars(self).items() if source is not None}
+        return {name: source.as_dict() for name, source in vars(self).items() if isinstance(source, Source)}
 
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> Sources:
         """Restore sources from the output of `as_dict`."""
-        return cls(**{name: Source(Path(each["path"]), str(each["text"])) for name, each in values.items()})
+        files: dict[str, Any] = {name: Source(Path(each["path"]), str(each["text"])) for name, each in values.items()}
+        return cls(**files)
+
+    @classmethod
+    def recorded(cls, start: dict[str, Any]) -> Sources:
+        """Return the copies in a start record, whose peak speeds are found as they were then."""
+        return replace(cls.from_dict(start["sources"]), at_samples="peaks" not in start["stimulus"])
 
 
 def _unknown(path: Path, known: Iterable[str]) -> Problem:

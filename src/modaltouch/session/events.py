@@ -41,6 +41,7 @@ def describe_start(preflight: Preflight, schedule: Schedule, place: SessionFolde
             "amplitude_Vpp": list(burst.amplitude),
             "stimuli": preflight.stimuli,
             "fields": preflight.fields,
+            **({} if experiment.sources.at_samples else {"peaks": "between samples"}),
             **({"content_hashes": preflight.content_hashes} if len(preflight.designs) > 1 else {}),
         },
     }

@@ -115,7 +115,7 @@ def _survey_dataset(dataset: Path, logs: list[Path]) -> dict[str, Any]:
 
 def _protocol_of(session: Session, group: str, kind: str) -> Protocol:
     """Return the protocol in the record of a session, for a group and a kind of session."""
-    return Findings.restored(Sources.from_dict(session.start["sources"]), (group, kind)).experiment().protocol
+    return Findings.restored(Sources.recorded(session.start), (group, kind)).experiment().protocol
 
 
 def _named(group: str, kind: str = "") -> dict[str, str]:

@@ -161,6 +161,8 @@ class Timing:
         Time from the start of the burst to the instant at which the target field is reached [s].
     repetition_rate : float
         Bursts per second [Hz].
+    at_samples : bool
+        Whether peaks are sought at the starts of samples only, as in earlier versions, and not between long ones.
     """
 
     converter: Converter
@@ -168,6 +170,7 @@ class Timing:
     duration: float = 0.05
     focusing_instant: float = 0.025
     repetition_rate: float = 7.0
+    at_samples: bool = False
 
     def __post_init__(self) -> None:
         """Reject a burst that the generator cannot play."""

@@ -356,7 +356,7 @@ class BlockStates:
             # The outputs at the starts of the blocks are lower bounds of the peaks, which rule out most blocks.
             peak = np.maximum(np.abs((output @ self.begin).real).max(axis=1), floor)
         turn = float(np.abs(exponent.imag).max()) * hold
-        n_instants = 1 if turn <= _TURN else math.ceil(3 * turn / _TURN)
+        n_instants = 1 if turn <= _TURN or self.timing.at_samples else math.ceil(3 * turn / _TURN)
         for late in np.arange(n_instants) * hold / n_instants:
             direct = at_once + (output @ self.system.clock_gain(self.timing, late)).real if late else at_once
             kernel = BlockKernel(exponent, self.push, output * np.exp(exponent * late), direct, hold)
