@@ -16,6 +16,7 @@ from modaltouch.analysis.responses import (
     ExcludedSource,
     Responses,
     answers_per_cell,
+    are_crossed,
     describe_cell,
     kinds_of,
     missing_answer_notes,
@@ -244,3 +245,11 @@ def test_a_third_interval_is_not_guessed_evenly() -> None:
         assert answers.n_intervals == number
         assert answers.count().guesses_evenly is evenly
     assert Responses(frame, (), (), SOURCE).n_intervals == 1
+
+
+def test_a_group_lists_crossed_cells_with_few_keys() -> None:
+    """The section of a group has only the keys that it gives: neither stimuli nor finger conditions nor weights."""
+    cells = [{"pair": [*pair], "peak_velocities_mm_s": [80, 200]} for pair in ("AC", "BD")]
+    assert are_crossed({"cells": cells})
+    cells[0]["peak_velocities_mm_s"] = [80]
+    assert not are_crossed({"cells": cells})

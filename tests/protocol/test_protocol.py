@@ -339,13 +339,13 @@ def test_too_many_catch_trials_and_shared_keys_are_faults(
         (
             "none: [f12]",
             "answers.keys.none[0]",
-            "'f12', which already switches the outputs off unless `answers.emergency_keys` names another",
+            "'f12', which already switches the outputs off (`answers.emergency_keys`)",
         ),
         ("none: [n, f12]", "answers.keys.none[1]", "a key with no other meaning; choose another"),
         (
             "none: [n]\n  continue_keys: [f12]",
             "answers.continue_keys[0]",
-            "'f12', which switches the outputs off unless `answers.emergency_keys` names another",
+            "'f12', which switches the outputs off (`answers.emergency_keys`)",
         ),
         (
             "none: [f12]\n  emergency_keys: [f12]",

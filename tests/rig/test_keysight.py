@@ -400,6 +400,10 @@ def test_trigger_output_shows_each_burst(
     assert simulator.front_panel("OUTP:TRIG?") == "0"
     rig.stop()
     assert rig.firing is not None
+    rig.load(burst, repetition="single")
+    assert simulator.front_panel("OUTP:TRIG?") == "1"
+    rig.close()
+    assert simulator.front_panel("OUTP:TRIG?") == "0"
     assert rig.firing.confirmed, rig.firing.reason
 
 

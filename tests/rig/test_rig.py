@@ -14,6 +14,7 @@ from modaltouch.rig import Generator, Simulator
 from modaltouch.rig.afg3022b import AFG3022B
 from modaltouch.rig.pacing import LocalClient
 from modaltouch.rig.simulator.faults import Kind
+from modaltouch.rig.simulator.instrument import DirectTransport
 from modaltouch.stimulus.burst import Burst
 from modaltouch.system import VirtualClock
 
@@ -107,3 +108,30 @@ def test_driver_in_the_process_of_the_twin_meets_its_faults(
         assert reason in lost["reason"]
         assert len(heard.of("reconnected")) == 1
         assert "server" not in vars(simulator)
+
+
+def test_a_power_cycle_ends_the_connection_within_a_process(apparatus: Apparatus, burst: Burst, heard: Any) -> None:
+    """As over a network: no burst is triggered on the reset generator, and the stimulus is not confirmed."""
+    clock = VirtualClock(0.0)
+    with (
+        Simulator(apparatus, clock=clock) as simulator,
+        Generator(apparatus=apparatus, log=heard, **simulator.driver_options) as rig,
+    ):
+        rig.load(burst)
+        assert rig.fire(0.1).started
+        clock.sleep(0.5)
+        simulator.power_cycle()
+        clock.sleep(0.5)
+        rig.stop()
+        assert rig.firing is not None
+        assert not rig.firing.confirmed
+        assert "the instrument closed the connection" in rig.firing.reason
+
+
+def test_an_unread_reply_is_an_error_within_a_process(apparatus: Apparatus) -> None:
+    """The next message interrupts it, -410, as over a network (IEEE 488.2, 6.3.2.3)."""
+    with Simulator(apparatus, clock=VirtualClock(0.0)) as simulator:
+        transport = DirectTransport(simulator._instrument)
+        transport.exchange(b"*IDN?\n", timeout=1.0, reply=False)
+        assert transport.exchange(b"SYST:ERR?\n", timeout=1.0, reply=True).startswith(b"-410,")
+        assert transport.exchange(b"SYST:ERR?\n", timeout=1.0, reply=True).startswith(b"0,")

@@ -114,8 +114,17 @@ def take_facts(session: Session) -> SessionFacts:
         people=dict(_people(start)),
         form={name: each.get("value", each["answer"]) for name, each in session.form.items()},
         occasion=session.occasion,
-        design=share("design", (*session.occasion, json.dumps(start.get("design", {}), sort_keys=True))),
+        design=share("design", (*session.occasion, json.dumps(_common_design(start), sort_keys=True))),
     )
+
+
+def _common_design(start: dict[str, Any]) -> dict[str, Any]:
+    """Return the recorded design without what is each participant's own, the levels by threshold."""
+    design = start.get("design", {})
+    if not start.get("sensation_levels"):
+        return dict(design)
+    own = {name: value for name, value in design["conditions"].items() if name != "peak_velocities_mm_s"}
+    return {**design, "conditions": own}
 
 
 def _people(start: dict[str, Any]) -> Iterator[tuple[str, float | str]]:

@@ -387,9 +387,10 @@ def are_crossed(conditions: Mapping[str, Any]) -> bool:
     """
     met = Counter[tuple[Any, ...]]()
     for each in (listed := conditions.get("cells") or ()):
-        pair, stimuli = tuple(each["pair"]), each["stimuli"] or ("",)
-        fingers = each["finger_conditions"] or conditions.get("finger_conditions", ("",))
-        met.update([*product(fingers, [pair], each["peak_velocities_mm_s"], stimuli)] * each["weight"])
+        # The section of a group holds only the keys that it gives.
+        pair, stimuli = tuple(each["pair"]), each.get("stimuli") or ("",)
+        fingers = each.get("finger_conditions") or conditions.get("finger_conditions", ("",))
+        met.update([*product(fingers, [pair], each["peak_velocities_mm_s"], stimuli)] * each.get("weight", 1))
     n_crossed = math.prod(len(set(part)) for part in zip(*met, strict=True))
     is_whole = len(met) == n_crossed and len(set(met.values())) == 1
     return not conditions.get("exclude") and (is_whole or not listed)

@@ -83,7 +83,7 @@ class ScaleSection(Section):
         "Step from one position of the mark, or one point, to the next; null for 1. Always null for a typed number.",
         default=None,
     )
-    words: tuple[Shown, ...] = described(
+    words: tuple[Text, ...] = described(
         "Words at the two ends, such as [not at all, extremely], or at each point; each written out, or given by its "
         "name under `answers` in the texts.",
         default=(),
@@ -351,7 +351,7 @@ def _check_scale(reading: Reading[Any], path: tuple[str, ...]) -> Iterator[Probl
             )
 
 
-IN_EMERGENCY = "switches the outputs off unless `answers.emergency_keys` names another"
+IN_EMERGENCY = "switches the outputs off (`answers.emergency_keys`)"
 
 
 def check_keys(reading: Reading[Any], path: tuple[str, ...]) -> Iterator[Problem]:

@@ -145,7 +145,7 @@ def _error_queue(connection: Connection) -> Finding:
 def _trigger(connection: Connection, scope: Scope | None = None) -> Finding:
     controls = connection.controls
     _await_trigger(connection)
-    controls.apply_each(connection.instrument.commands.pulses)
+    controls.apply_each(connection.instrument.commands.pulses if scope is not None else ())
     command = controls.trigger_command()
     sent, began, taken = np.empty(N_TRIGGERS), np.full((N_TRIGGERS, 2), np.nan), np.empty(N_TRIGGERS)
 

@@ -218,8 +218,8 @@ class Player:
             self._controls.apply(self._stopped)
 
     def unlock(self) -> None:
-        """Unlock the memories for other users."""
-        headers = {lock.header for lock in self._table.locks}
+        """Unlock the memories for other users, and switch the trigger output off."""
+        headers = {setting.header for setting in (*self._table.locks, *self._table.pulses)}
         self._controls.apply_each([setting.off for setting in self._settings if setting.header in headers])
 
 

@@ -318,6 +318,8 @@ def complete(folder: Path, rows: Sequence[float] = ()) -> bool:
     try:
         beside = [row_name("", across) for across in rows]
         return all(read_scan(place).complete for law in LAWS for place in _folders(folder, law, beside))
+    except RecordInputError:
+        raise
     except RecordError:
         return False
 

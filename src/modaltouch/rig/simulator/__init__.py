@@ -243,7 +243,9 @@ class Simulator(AbstractContextManager["Simulator"]):
     def power_cycle(self) -> None:
         """Power-cycle the generator: connections and settings are lost, outputs off, USER memories kept."""
         self.afg.power_on()
-        self.server.drop_connections()
+        self._instrument.n_starts += 1
+        if "server" in vars(self):
+            self.server.drop_connections()
 
     def close(self) -> None:
         """Stop serving and switch the generator off."""

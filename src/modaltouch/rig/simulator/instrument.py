@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from modaltouch.rig.simulator.common import GeneratorState
-from modaltouch.rig.simulator.scpi import CommandTable
+from modaltouch.rig.simulator.scpi import CommandTable, ScpiError
 
 
 @dataclass(frozen=True)
@@ -28,6 +28,7 @@ class SimulatedInstrument:
         self.busy = threading.RLock()  # held while a message is executed
         # Executes a message that a fault affects; returns None for one that no fault affects.
         self.intercept: Callable[[bytes, int], Reply | None] = lambda message, link: None
+        self.n_starts = 0  # power-ons after the first, each of which ends all connections
         self._table = table
 
     def execute(self, message: bytes, link: int = 1) -> Reply:
@@ -47,15 +48,21 @@ class DirectTransport:
 
     def __init__(self, instrument: SimulatedInstrument) -> None:
         self._instrument = instrument
+        self._start, self._unread = instrument.n_starts, False
 
     def open(self) -> str:
-        """Do nothing, and return how other programs are locked out."""
+        """Begin a connection, and return how other programs are locked out."""
+        self._start, self._unread = self._instrument.n_starts, False
         return "no other program can reach it"
 
     def exchange(self, message: bytes, *, timeout: float, reply: bool) -> bytes:
         """Have a message executed and return the reply, if one is expected."""
-        received = self._instrument.execute(message)
-        if received.hang_up:
+        if self._start == self._instrument.n_starts:
+            if self._unread:
+                self._instrument.afg.fail(ScpiError(-410))
+            received = self._instrument.execute(message)
+            self._unread = bool(received.data) and not reply
+        if self._start != self._instrument.n_starts or received.hang_up:
             raise ConnectionResetError("the instrument closed the connection")
         if reply and (not received.data or received.delay > timeout):
             raise TimeoutError(f"no reply within {timeout:g} s")
