@@ -195,7 +195,6 @@ def test_no_answer_of_a_further_question_is_called_like_a_time_out(edit: Edit, s
     [
         "instructions: ''",
         "form: {tired: {question: ' ', scale: {kind: vas}}}",
-        "form: {tired: {question: Tired?, scale: {kind: vas, words: ['', very]}}}",
         "people: {sex: {kind: choice, question: Sex?, choices: ['', female]}}",
         "people: {age: {kind: number, question: ''}}",
     ],

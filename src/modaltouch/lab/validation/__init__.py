@@ -13,14 +13,14 @@ from modaltouch.lab.common import rounded, title_of
 from modaltouch.lab.identification.shapes import check_points
 from modaltouch.lab.laboratory import SILENT_PROGRESS, SIMULATED, Laboratory, MeasurementProgress, open_laboratory
 from modaltouch.lab.recorded_files import RecordedFiles
-from modaltouch.lab.scan import Scan, ScanPlan, kept_rows, read_scan, row_name, rows_over, take_scan
+from modaltouch.lab.scan import DESCRIPTION, Scan, ScanPlan, kept_rows, read_scan, row_name, rows_over, take_scan
 from modaltouch.lab.validation.evidence import Evidence, Observation
 from modaltouch.lab.validation.figures import PAPER_WORST, draw_all
 from modaltouch.lab.validation.key_figures import AROUND, figure_tables, findings, key_figures, validation_table
 from modaltouch.lab.validation.plausibility import evaluate
 from modaltouch.preflight import DesignInputs, Preflight, design, examine
 from modaltouch.protocol import Source
-from modaltouch.record import RecordError, RecordInputError
+from modaltouch.record import RecordInputError
 from modaltouch.report import ReportFigure, page_files, refuse_other, write_files
 from modaltouch.rig import Acquisition
 from modaltouch.stimulus import Law, Stimulus
@@ -315,13 +315,9 @@ def _folders(folder: Path, law: Law, rows: Sequence[str]) -> list[Path]:
 
 def complete(folder: Path, rows: Sequence[float] = ()) -> bool:
     """Return whether a folder holds all scans in full, so that no rig is needed."""
-    try:
-        beside = [row_name("", across) for across in rows]
-        return all(read_scan(place).complete for law in LAWS for place in _folders(folder, law, beside))
-    except RecordInputError:
-        raise
-    except RecordError:
-        return False
+    beside = [row_name("", across) for across in rows]
+    places = [place for law in LAWS for place in _folders(folder, law, beside)]
+    return all((place / DESCRIPTION).exists() for place in places) and all(read_scan(each).complete for each in places)
 
 
 def _observation(inputs: DesignInputs, stimulus: Stimulus, velocity: float, scans: Sequence[Scan]) -> Observation:
