@@ -33,7 +33,7 @@ Sides = dict[tuple[tuple[int, ...], int], tuple[tuple[int, ...], FloatArray]]
 _CHUNK = 32_768
 """Samples per chunk: bounds the memory and keeps a chunk of voltages in the second-level cache."""
 
-_OUTPUTS = 256
+_OUTPUTS = 32
 """Number of outputs per batch in the search for peaks, which bounds the memory."""
 
 _DENSE = 0.25
