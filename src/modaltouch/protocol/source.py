@@ -278,7 +278,7 @@ class Sources:
     @classmethod
     def recorded(cls, start: dict[str, Any]) -> Sources:
         """Return the copies in a start record, whose peak speeds are found as they were then."""
-        return replace(cls.from_dict(start["sources"]), at_samples="peaks" not in start["stimulus"])
+        return replace(cls.from_dict(start["sources"]), at_samples="peaks" not in start.get("stimulus", {}))
 
 
 def _unknown(path: Path, known: Iterable[str]) -> Problem:

@@ -45,7 +45,7 @@ class Acquisition:
     n_samples : int
         Samples per record, including those before the trigger.
     n_records : int
-        Number of consecutive records, each started by the generator's trigger; not averaged, for their coherence.
+        Number of consecutive records, each started by the generator's trigger; their coherence needs every one.
     drives : tuple of int
         Generator outputs whose voltage at the beam is measured together with the velocity.
     start : float

@@ -57,12 +57,12 @@ class DirectTransport:
 
     def exchange(self, message: bytes, *, timeout: float, reply: bool) -> bytes:
         """Have a message executed and return the reply, if one is expected."""
-        if self._start == self._instrument.n_starts:
-            if self._unread:
-                self._instrument.afg.fail(ScpiError(-410))
-            received = self._instrument.execute(message)
-            self._unread = bool(received.data) and not reply
-        if self._start != self._instrument.n_starts or received.hang_up:
+        if self._unread:
+            self._instrument.afg.fail(ScpiError(-410))
+        is_open = self._start == self._instrument.n_starts
+        received = self._instrument.execute(message) if is_open else Reply(hang_up=True)
+        self._unread = bool(received.data) and not reply
+        if received.hang_up:
             raise ConnectionResetError("the instrument closed the connection")
         if reply and (not received.data or received.delay > timeout):
             raise TimeoutError(f"no reply within {timeout:g} s")
