@@ -15,8 +15,8 @@ from threadpoolctl import threadpool_limits
 from modaltouch.preflight import examine
 from modaltouch.protocol import Apparatus, Source
 from modaltouch.stimulus import DiagonalSystem, Finger, ModalModel, Stimulus, Timing
-from modaltouch.stimulus.quantised import QuantisedStimulus
 from modaltouch.stimulus.reachability import Taper
+from modaltouch.stimulus.touched import TouchedStimulus
 from modaltouch.stimulus.vibration import BlockKernel
 
 ZONES = (-0.04, -0.02, 0.0, 0.02, 0.04)
@@ -72,7 +72,7 @@ def judge(voltage: np.ndarray, timing: Timing, stimulus: Stimulus, beams: list[M
     at_limit, unit = voltage * (LIMIT / np.abs(voltage).max()), np.ones(len(voltage))
     found = []
     for beam in beams:
-        played = QuantisedStimulus(beam, stimulus.amplifier, timing, at_limit)
+        played = TouchedStimulus(beam, stimulus.amplifier, timing, at_limit)
         peak = played.peak_velocity([0.0], unit)[0]
         found.append((played.velocity_at_focus([0.0], unit)[0], peak, played.peak_below(SLOW, 0.0, unit)))
     values = np.array(found)

@@ -17,6 +17,7 @@ from modaltouch.stimulus.fingers import CoupledModes, Finger
 from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.shapes import gauss_legendre
 from modaltouch.stimulus.tolerances import derivative
+from modaltouch.stimulus.touched import TouchedStimulus
 
 LONG = np.longdouble
 MASS = 3.3e-3
@@ -446,6 +447,29 @@ def test_fingers_taken_away_at_the_worst_instant(design, beam, stays):
     np.testing.assert_allclose(peak, expected, rtol=5e-3)
     assert not stays or peak.max() > 1.02 * anyhow.max()
     assert loaded.peak_when_lifted(lighter, zones, unit, 2.5 * peak.max()) == pytest.approx(2.5 * peak.max(), abs=0)
+
+
+@pytest.mark.parametrize("timing", [FINE, COARSE], ids=["fine", "coarse"])
+def test_speeds_are_stationary_at_the_instants_of_their_peaks(design, beam, timing):
+    """No later or earlier instant is faster, nor is any that is tried in the search for the peak."""
+    fingers = pair("AC", 0.1, 0.5, 0.8)
+    stimulus = design(beam.touched(fingers), timing=timing)
+    played, unit, places = stimulus.touched(fingers), stimulus.volts_per_code(LEVEL), [ZONE["A"], ZONE["C"]]
+    instants = played.peak_instants(places, unit)
+    speed, sooner, later = (np.abs(played.velocity_at(places, instants + by, unit)) for by in (0.0, -5e-8, 5e-8))
+    assert (speed >= played.peak_velocity(places, unit)).all()
+    assert (speed >= np.maximum(sooner, later)).all()
+
+
+def test_modal_peaks_are_upper_bounds_between_samples():
+    """A step of voltage moves a mode at up to G V/w exp(-xi/sqrt(1 - xi^2) arccos xi), here in mid-sample."""
+    ratio, timing = 0.1, Timing(AFG3022B.converter, n_samples=5000)
+    turn = np.arccos(ratio) / np.sqrt(1 - ratio**2) / 5.5
+    free = ModalModel((1,), [turn / timing.hold / (2 * np.pi)], [ratio], [[1.0]], 0.1)
+    played = TouchedStimulus(free, PLAIN, timing, np.ones((1, 5000)))
+    peak = np.exp(-ratio / np.sqrt(1 - ratio**2) * np.arccos(ratio)) / free.angular_frequency[0]
+    assert played.peak_velocity([0.0], np.ones(1))[0] < 0.993 * peak
+    assert peak <= played.modal_peaks(np.ones(1))[0] < 1.03 * peak
 
 
 @pytest.mark.parametrize("amplifier", [PLAIN, SLOW], ids=["plain", "slow"])

@@ -117,19 +117,19 @@ def errors_of_gains(inputs: DesignInputs, stimulus: Stimulus, level: float) -> N
 
     Every gain is off by the farther end of its interval, all in the worst combination, on the beam without fingers.
     """
-    bare, sets = stimulus.touched(()), inputs.apparatus.actuator_sets
-    modes, error = {mode.label: mode for mode in inputs.apparatus.modes}, np.zeros_like(bare.model.modal_gain)
-    for row, mode in enumerate(modes[label] for label in bare.model.label):
+    model, sets = stimulus.model, inputs.apparatus.actuator_sets
+    modes, error = {mode.label: mode for mode in inputs.apparatus.modes}, np.zeros_like(model.modal_gain)
+    for row, mode in enumerate(modes[label] for label in model.label):
         for name, ends in (mode.intervals_95.gain_mm_s2_per_V if mode.intervals_95 else {}).items():
             gain = mode.gain_mm_s2_per_V.get(name, 0.0)
             error[row, sets[name].channel - 1] = max(abs(end - gain) for end in ends) * 1e-3
     points = zone_points(inputs).ravel()
     if not error.any():
         return np.zeros(points.size)
-    unit = stimulus.volts_per_code(level * 1e-3)
+    unit, bare = stimulus.volts_per_code(level * 1e-3), stimulus.touched(())
     alone = [replace(bare.model, modal_gain=error * (np.arange(unit.size) == output)) for output in range(unit.size)]
-    peaks = sum(replace(bare, model=model).modal_peaks(unit) for model in alone)
-    return np.asarray(peaks @ np.abs(bare.model.shapes(points)))
+    peaks = sum(replace(bare, model=each).modal_peaks(unit) for each in alone)
+    return np.asarray(peaks @ np.abs(model.shapes(points)))
 
 
 def estimated_duration(protocol: Protocol) -> float:

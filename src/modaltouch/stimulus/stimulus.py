@@ -33,6 +33,7 @@ from modaltouch.stimulus.vibration import history
 
 if TYPE_CHECKING:
     from modaltouch.stimulus.fingers import Finger
+    from modaltouch.stimulus.touched import TouchedStimulus
 
 _SHARED = ("projection", "system")
 """Cached properties that do not depend on the drive law."""
@@ -215,9 +216,11 @@ class Stimulus:
         """Return the peak voltage of each channel played at a level [m/s], (n_channels,) array [V]."""
         return self._played.highest * self.volts_per_code(velocity)
 
-    def touched(self, fingers: tuple[Finger, ...]) -> QuantisedStimulus:
+    def touched(self, fingers: tuple[Finger, ...]) -> TouchedStimulus:
         """Return the codes played on the beam with fingers; `volts_per_code` gives the voltage of a code."""
-        return replace(self._played, model=self.model.touched(fingers))
+        from modaltouch.stimulus.touched import TouchedStimulus
+
+        return TouchedStimulus(self.model.touched(fingers), self.amplifier, self.timing, self._played.codes)
 
     def under_law(self, law: Law) -> Stimulus:
         """Return the same stimulus under another drive law, sharing cached results that do not depend on the law."""

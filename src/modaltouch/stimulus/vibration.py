@@ -39,8 +39,8 @@ _OUTPUTS = 32
 _DENSE = 0.25
 """Fraction of candidate blocks above which computing all of them is cheaper than copying these [1]."""
 
-_TURN = 0.3
-"""Largest turn of the fastest mode in a sample at whose start alone a peak is sought [rad]. Of a motion of this mode
+TURN = 0.3
+"""Largest turn or decay of the fastest mode in a sample at whose start alone a peak is sought [rad]. Of a motion of this mode
 alone the starts miss at most 1.1 %, of the shipped stimuli 3e-4. In longer samples it is sought three times as often as
 this; in all, that would triple the time of the search."""
 
@@ -127,6 +127,24 @@ class BlockKernel:
         """Return the kernel of a system without `direct`, by default for evenly held voltages."""
         push = system.held_gain(hold) if push is None else push
         return cls(system.exponent, push, output, np.zeros((len(output), push.shape[1])), hold)
+
+    @classmethod
+    def within(
+        cls,
+        system: DiagonalSystem,
+        output: ComplexArray,
+        timing: Timing,
+        late: float,
+        at_once: FloatArray | float = 0.0,
+    ) -> BlockKernel:
+        """Return the kernel of the outputs at a time `late` [s] after the start of each sample on the clock.
+
+        `at_once` is a further contribution of each input to the outputs while it lasts, (n_outputs, n_inputs) array.
+        """
+        push, exponent = system.clock_gain(timing, timing.hold), system.exponent
+        direct = np.broadcast_to(at_once, (len(output), push.shape[1]))
+        direct = direct + (output @ system.clock_gain(timing, late)).real if late else direct
+        return cls(exponent, push, output * np.exp(exponent * late), direct, timing.hold)
 
     @staticmethod
     def blocks(inputs: FloatArray, length: int = SHORT) -> FloatArray:
@@ -350,17 +368,12 @@ class BlockStates:
 
     def _different_peaks(self, output: ComplexArray, at_once: FloatArray, floor: float) -> FloatArray:
         """Return the peaks of different outputs, at the starts of the samples and at instants between them."""
-        exponent, hold = self.system.exponent, self.timing.hold
         peak = np.full(len(output), floor)
         if not at_once.any():
             # The outputs at the starts of the blocks are lower bounds of the peaks, which rule out most blocks.
             peak = np.maximum(np.abs((output @ self.begin).real).max(axis=1), floor)
-        turn = float(np.abs(exponent.imag).max()) * hold
-        n_instants = 1 if turn <= _TURN or self.timing.at_samples else math.ceil(3 * turn / _TURN)
-        for late in np.arange(n_instants) * hold / n_instants:
-            direct = at_once + (output @ self.system.clock_gain(self.timing, late)).real if late else at_once
-            kernel = BlockKernel(exponent, self.push, output * np.exp(exponent * late), direct, hold)
-            peak = self._peak_of_instants(kernel, peak)
+        for late in search_instants(self.system, self.timing, jumps=bool(at_once.any())).tolist():
+            peak = self._peak_of_instants(BlockKernel.within(self.system, output, self.timing, late, at_once), peak)
         return peak
 
     def _peak_of_instants(self, kernel: BlockKernel, peak: FloatArray) -> FloatArray:
@@ -398,8 +411,21 @@ class BlockStates:
         return peak
 
 
-def history(system: DiagonalSystem, output: ComplexArray, voltage: FloatArray, timing: Timing) -> FloatArray:
-    """Return the outputs ``Re(output @ state)`` at the starts of the samples of a burst from rest.
+def search_instants(system: DiagonalSystem, timing: Timing, *, jumps: bool = False) -> FloatArray:
+    """Return the times from the start of each sample at which peaks are sought, (n_instants,) array [s].
+
+    Outputs that jump with the voltage are sought often in every sample, and at its end.
+    """
+    # A strongly damped oscillation passes its peak in the time of its decay.
+    turn = float(np.abs(system.exponent[system.exponent.imag > 0].view(float)).max(initial=0.0)) * timing.hold
+    n_instants = 1 if turn <= TURN * (not jumps) or timing.at_samples else math.ceil(3 * turn / TURN)
+    return np.asarray(np.arange(n_instants + jumps) * timing.hold / n_instants)
+
+
+def history(
+    system: DiagonalSystem, output: ComplexArray, voltage: FloatArray, timing: Timing, late: float = 0.0
+) -> FloatArray:
+    """Return the outputs ``Re(output @ state)`` at the same time of each sample of a burst from rest.
 
     Parameters
     ----------
@@ -407,9 +433,10 @@ def history(system: DiagonalSystem, output: ComplexArray, voltage: FloatArray, t
         As in `BlockKernel.of`; the clock of the samples.
     voltage : (n_channels, n_samples) array
         Held samples at the beam [V].
+    late : float
+        Time from the start of each sample [s].
     """
-    push = system.clock_gain(timing, timing.hold)
-    n_inputs, course = push.shape[1], np.empty((output.shape[0], voltage.shape[1]))
-    kernel = BlockKernel.of(system, output, timing.hold, push)
+    kernel, course = BlockKernel.within(system, output, timing, late), np.empty((output.shape[0], voltage.shape[1]))
+    n_inputs = kernel.push.shape[1]
     kernel.write(lambda start, stop: clock_inputs(voltage, timing, start, stop, n_inputs), course)
     return course
