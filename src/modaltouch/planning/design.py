@@ -11,11 +11,9 @@ from numpy.typing import NDArray
 
 from modaltouch.analysis import STATISTICS, AnswerCounts, Pair
 from modaltouch.planning.felt import FeltSpeeds
-from modaltouch.planning.observer import FrontEnd, Observer
+from modaltouch.planning.observer import FloatArray, FrontEnd, Observer
 from modaltouch.preflight import Preflight
 from modaltouch.protocol import AnswerList, InputError, Protocol, Turn
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from modaltouch.analysis import ALPHA, STATISTICS, AnswerCounts
 from modaltouch.planning.design import Design
-from modaltouch.planning.observer import DrawnParticipants, Observer
+from modaltouch.planning.observer import DrawnParticipants, FloatArray, Observer
 from modaltouch.planning.participant import REFERENCE, Participant
 
 _LEAST_NOISE = 1e-12
@@ -20,7 +20,6 @@ _LEAST_NOISE = 1e-12
 N_NODES = 12
 """Quadrature nodes for the internal noise of each finger."""
 
-FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 BATCH = 250

@@ -13,12 +13,10 @@ from collections.abc import Mapping
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from modaltouch.planning.observer import FrontEnd
+from modaltouch.planning.observer import FloatArray, FrontEnd
 from modaltouch.stimulus import Stimulus
-
-FloatArray = NDArray[np.float64]
 
 CUT_OFF = 1000.0
 """Cut-off frequency of the skin [Hz]."""

@@ -38,11 +38,9 @@ from numpy.typing import ArrayLike, NDArray
 from modaltouch.analysis import AnswerCounts, Responses, TableFormat, read_responses
 from modaltouch.planning.design import felt_speeds, of_analysed_kind, refuse_unlike
 from modaltouch.planning.experiments import answer_shares
-from modaltouch.planning.observer import Observer
+from modaltouch.planning.observer import FloatArray, Observer
 from modaltouch.preflight import Preflight
 from modaltouch.protocol import InputError
-
-FloatArray = NDArray[np.float64]
 
 N_NODES = 512
 """Number of points for the average over the population."""

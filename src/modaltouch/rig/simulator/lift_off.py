@@ -14,10 +14,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.rig.simulator.true_beam import TrueBeam
+from modaltouch.rig.simulator.true_beam import FloatArray, TrueBeam
 from modaltouch.stimulus import Amplifier, Finger
 
-FloatArray = NDArray[np.float64]
 Touching = tuple[bool, ...]
 
 NODES = 5
