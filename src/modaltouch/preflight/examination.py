@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from modaltouch.preflight.checked import Preflight
-from modaltouch.preflight.design_inputs import DesignInputs, design_to_fit, find_design_inputs
+from modaltouch.preflight.design_inputs import DesignInputs, design, design_to_fit, find_design_inputs
 from modaltouch.preflight.figures import errors_of_gains, speeds_when_lifted, zone_points
 from modaltouch.protocol import Findings, Problem, Schedule
 from modaltouch.rig import instrument_of
@@ -238,7 +238,11 @@ def _examine_one(findings: Findings, inputs: DesignInputs | None) -> Preflight:
         try:
             with np.errstate(all="ignore"):
                 stimulus = None if unplayable else design_to_fit(inputs)
-                problems += [] if stimulus is None else check_levels(inputs, stimulus, findings)
+                found = [] if stimulus is None else [*check_levels(inputs, stimulus, findings)]
+                if found and stimulus and stimulus.peak_voltage.max() > inputs.apparatus.amplifier.limit_V:
+                    # Lower levels may fit without the full scale reserved for the amplitude grid.
+                    found = [*check_levels(inputs, design(inputs, on_grid=False), findings)]
+                problems += found
         except (ValueError, ArithmeticError) as error:
             problems.append(_locate(error, findings))
     if not findings.problems:
