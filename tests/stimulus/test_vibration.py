@@ -194,6 +194,12 @@ def test_no_points_have_no_peaks(shipped):
     assert peak_velocity(shipped.model, shipped.voltage_played(0.2), shipped.timing, []).shape == (0,)
 
 
+def test_a_point_that_does_not_move_has_a_peak_of_zero():
+    """At mid-beam under a rotation; printed as 0, not -0."""
+    model, timing = ModalModel((2,), [300.0], [0.02], [[1.0]], 0.1), Timing(AFG3022B.converter, n_samples=1000)
+    assert str(peak_velocity(model, np.ones((1, 1000)), timing, [0.0])[0]) == "0.0"
+
+
 def test_peak_reaches_into_the_silence_after_the_burst():
     """A burst that ends with a kick peaks after its last sample."""
     model = ModalModel((1,), [100.0], [0.001], [[1.0]], 0.1)

@@ -160,8 +160,8 @@ def show(
     if (highest := max(stimuli, key=lambda each: each["velocity_mm_s"]))["release"] == "free":
         say(
             f"Released freely, at {highest['velocity_mm_s']:g} mm/s the first burst misses a mode by "
-            f"{highest['worst_modal_error_mm_s']:.1e} mm/s, the later ones, which begin before it has died out, by "
-            f"{highest['worst_modal_error_steady_mm_s']:.1e} mm/s"
+            f"{highest['worst_modal_error_mm_s']:.2g} mm/s, the later ones, which begin before it has died out, by "
+            f"{highest['worst_modal_error_steady_mm_s']:.2g} mm/s"
         )
     for stimulus in values.get("comparison", []):
         say(

@@ -282,7 +282,8 @@ class Projection:
         position = np.linspace(-self.model.length / 2, self.model.length / 2, 501)
         residual = self.residual(position)
         worst = int(np.abs(residual).argmax())
-        lack = f", because of the missing modes {', '.join(map(str, self.missing))}" if self.missing else ""
+        modes = f"mode{'s' * (len(self.missing) > 1)} {', '.join(map(str, self.missing))}"
+        lack = f", because of the missing {modes}" if self.missing else ""
         return (
             f"the field misses the target by {self.reconstruction_error:.0%} of its root mean square and by up "
             f"to {abs(residual[worst]) * 1e3:.0f} mm/s at {position[worst] * 1e3:.0f} mm{lack}"

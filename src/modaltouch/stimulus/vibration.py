@@ -40,9 +40,9 @@ _DENSE = 0.25
 """Fraction of candidate blocks above which computing all of them is cheaper than copying these [1]."""
 
 TURN = 0.3
-"""Largest turn or decay of the fastest mode in a sample at whose start alone a peak is sought [rad]. Of a motion of this mode
-alone the starts miss at most 1.1 %, of the shipped stimuli 3e-4. In longer samples it is sought three times as often as
-this; in all, that would triple the time of the search."""
+"""Largest turn or decay of the fastest mode in a sample at whose start alone a peak is sought [rad]. Of a motion of
+this mode alone the starts miss at most 1.1 %, of the shipped stimuli 3e-4. In longer samples it is sought three times
+as often as this; in all, that would triple the time of the search."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -374,7 +374,7 @@ class BlockStates:
             peak = np.maximum(np.abs((output @ self.begin).real).max(axis=1), floor)
         for late in search_instants(self.system, self.timing, jumps=bool(at_once.any())).tolist():
             peak = self._peak_of_instants(BlockKernel.within(self.system, output, self.timing, late, at_once), peak)
-        return peak
+        return peak + 0.0  # not -0, the peak of a point that does not move
 
     def _peak_of_instants(self, kernel: BlockKernel, peak: FloatArray) -> FloatArray:
         """Return the peaks, raised where the outputs of a kernel exceed them."""
