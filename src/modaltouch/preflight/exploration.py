@@ -190,7 +190,10 @@ def continuous_figures(inputs: DesignInputs, stimulus: Stimulus) -> dict[str, An
     played = replace(timing, n_samples=timing.converter.max_points, duration=1 / timing.repetition_rate)
     # Only samples up to the focusing instant affect the error.
     codes = instrument_of(inputs.apparatus).continuous_codes(burst)[:, : int(timing.focusing_instant / played.hold) + 2]
-    error = 1e3 * stimulus.worst_modal_error_of(codes, played, velocity)
+    states = stimulus.system.states_by_channel(played.converter.signed(codes), played, timing.focusing_instant)
+    reached = np.concatenate(stimulus.system.read(stimulus.volts_per_code(velocity) @ states))
+    target = np.concatenate(stimulus.corrected_target) * (velocity / stimulus.target_field.velocity)
+    error = 1e3 * float(np.abs(reached - target).max())
     step = 1e6 * (played.hold / 2 + 1 / timing.clock_rate)
     return {
         "velocity_mm_s": velocity * 1e3,

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
-from modaltouch.preflight.design_inputs import DesignInputs
+from modaltouch.preflight.design_inputs import DesignInputs, design
 from modaltouch.preflight.exploration import continuous_figures, touched_figures
 from modaltouch.preflight.figures import estimated_duration, finite, stimulus_figures
 from modaltouch.protocol import Apparatus, Findings, Protocol
@@ -86,7 +86,7 @@ def comparison(preflight: Preflight) -> list[dict[str, Any]]:
         return []  # the other law applies to the untouched beam
     inputs, stimulus = preflight.sound
     other: Law = "paper" if stimulus.law == "exact" else "exact"
-    compared = stimulus.under_law(other)
+    compared = design(inputs, law=other)
     return [stimulus_figures(inputs, compared, level) for level in inputs.levels.values()]
 
 

@@ -106,8 +106,7 @@ class DiagonalSystem:
         amplifier : Amplifier, optional
             Its pole and delay are used, but not its gain, since voltages are those at the beam. None: no pole or delay.
         """
-        given = model.angular_frequency, model.damping_ratio, model.modal_gain
-        return cls.of_modes(*given, model.loads, amplifier)
+        return cls.of_modes(model.angular_frequency, model.damping_ratio, model.modal_gain, model.loads, amplifier)
 
     @classmethod
     def of_modes(

@@ -3,8 +3,8 @@ r"""The highest speed if fingers are lifted off the beam during a burst, at the 
 From that instant on, the beam moves without those fingers, from its current state. Its motion is the response as if the
 fingers had never been there, plus the free decay of the difference between the two states,
 :math:`y(t) = y_{left}(t) + \mathrm{Re} \sum_j c_j \delta_j(\tau) e^{s_j (t - \tau)}`. The moduli of its terms bound
-the decay, which rules out most pairs of blocks of instants. The Maxwell terms of the remaining fingers are assumed to
-be in the state that they have without the lifted fingers.
+the decay, which rules out most pairs of blocks of instants. Maxwell terms and second masses of the remaining fingers
+are assumed to be in the state that they have without the lifted fingers.
 """
 
 from __future__ import annotations

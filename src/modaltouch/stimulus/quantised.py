@@ -31,9 +31,6 @@ _VISITS = (300, 600, 1000, 2000)
 _SETTLED = 3e-7
 """Error, relative to the largest target, at which no more samples are visited [1]."""
 
-_FEW = 1024
-"""Largest number of points for which mode shapes are cached."""
-
 _TOGETHER = 64
 """Number of moves per batch of mutual effects."""
 
@@ -49,8 +46,6 @@ class QuantisedStimulus:
     amplifier: Amplifier  # its pole and delay are used
     timing: Timing
     codes: FloatArray  # (n_channels, n_samples): codes relative to mid-scale [1]
-    # Mode shapes already computed, by position.
-    _shapes: dict[bytes, FloatArray] = field(default_factory=dict, init=False)
     # States already computed, and peaks by position, for each ratio of the channels.
     _responses: dict[tuple[float, ...], tuple[BlockStates, dict[float, float]]] = field(
         default_factory=dict, init=False
@@ -107,31 +102,21 @@ class QuantisedStimulus:
 
         `positions` are from mid-beam [m]; `unit` is the voltage of one code at the beam, (n_channels,) array [V].
         """
-        velocity, _ = self.system.read(self.states_at_focus(unit))
-        if np.size(positions) > _FEW:
-            return self.model.field(velocity, positions)
-        return np.asarray(velocity @ self._shapes_at(positions))
-
-    def _shapes_at(self, positions: ArrayLike) -> FloatArray:
-        """Return the mode shapes at points, cached, (n_modes, n_positions) array."""
-        place = np.atleast_1d(np.asarray(positions, dtype=float))
-        if place.tobytes() not in self._shapes:
-            self._shapes[place.tobytes()] = self.model.shapes(place)
-        return self._shapes[place.tobytes()]
+        return self.model.field(self.system.read(self.states_at_focus(unit))[0], positions)
 
     def passes(self, positions: ArrayLike, unit: FloatArray, limit: float) -> bool:
         """Test whether the speed at any of the points exceeds a limit [m/s]; most blocks need not be computed."""
         response, _, scale = self._response(unit)
         floor = limit / scale
         # Compared unscaled: with rounding, `floor` times `scale` might exceed the limit.
-        return bool((response.peak(self._shapes_at(positions).T @ self.system.velocity, floor) > floor).any())
+        return bool((response.peak(self.model.shapes(positions).T @ self.system.velocity, floor) > floor).any())
 
     def peak_velocity(self, positions: ArrayLike, unit: FloatArray) -> FloatArray:
         """Return the highest speed at points of the beam until the next burst, (n_positions,) array [m/s]."""
         place = np.atleast_1d(np.asarray(positions, dtype=float)).tolist()
         response, known, scale = self._response(unit)
         if not all(point in known for point in place):
-            output = self._shapes_at(place).T @ self.system.velocity
+            output = self.model.shapes(place).T @ self.system.velocity
             known.update(zip(place, response.peak(output).tolist(), strict=True))
         return np.array([known[point] for point in place]) * scale
 

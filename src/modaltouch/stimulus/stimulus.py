@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from modaltouch.stimulus.burst import Burst, Correction, Timing
 from modaltouch.stimulus.drive import (
@@ -34,9 +34,6 @@ from modaltouch.stimulus.vibration import history
 if TYPE_CHECKING:
     from modaltouch.stimulus.fingers import Finger
     from modaltouch.stimulus.touched import TouchedStimulus
-
-_SHARED = ("projection", "system")
-"""Cached properties that do not depend on the drive law."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,12 +219,6 @@ class Stimulus:
 
         return TouchedStimulus(self.model.touched(fingers), self.amplifier, self.timing, self._played.codes)
 
-    def under_law(self, law: Law) -> Stimulus:
-        """Return the same stimulus under another drive law, sharing cached results that do not depend on the law."""
-        other = replace(self, law=law, design=self.design if law == "exact" else "least_energy", priority="field")
-        vars(other).update({name: getattr(self, name) for name in _SHARED})
-        return other
-
     def volts_per_code(self, velocity: float) -> FloatArray:
         """Return the voltage of one code at the beam at a level [m/s], amplitudes rounded, (n_channels,) array [V]."""
         require_positive("the velocity level", velocity, "m/s", MEANT)
@@ -268,26 +259,8 @@ class Stimulus:
         velocity, steady
             As in `achieved`.
         """
-        return self._worst_error(self.achieved(velocity, steady=steady), velocity)
-
-    def worst_modal_error_of(self, codes: NDArray[np.uint16], timing: Timing, velocity: float) -> float:
-        """Return the largest modal error when other codes are played on another clock [m/s].
-
-        Parameters
-        ----------
-        codes : (n_channels, n_samples) array of uint16
-            Codes from the start of the burst, at least until the focusing instant.
-        timing : Timing
-            Their clock.
-        velocity : float
-            Level [m/s].
-        """
-        states = self.system.states_by_channel(timing.converter.signed(codes), timing, self.timing.focusing_instant)
-        return self._worst_error(self.system.read(self.volts_per_code(velocity) @ states), velocity)
-
-    def _worst_error(self, achieved: tuple[FloatArray, FloatArray], velocity: float) -> float:
         corrected_target = np.concatenate(self.corrected_target) * (velocity / self.target_field.velocity)
-        return float(np.abs(np.concatenate(achieved) - corrected_target).max())
+        return float(np.abs(np.concatenate(self.achieved(velocity, steady=steady)) - corrected_target).max())
 
     def velocity_at_focus(self, positions: ArrayLike, velocity: float) -> FloatArray:
         """Return the velocity at points [m] at the focusing instant for a level [m/s], (n_positions,) array [m/s]."""

@@ -8,10 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from modaltouch.stimulus.dynamics import DiagonalSystem
-from modaltouch.stimulus.fingers import Finger
-from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.quantised import QuantisedStimulus
-from modaltouch.stimulus.quantities import ComplexArray, FloatArray
+from modaltouch.stimulus.quantities import FloatArray
 from modaltouch.stimulus.vibration import TURN, history, search_instants
 
 
@@ -86,17 +84,12 @@ class TouchedStimulus(QuantisedStimulus):
         if not self.model.fingers:
             return np.zeros(0)
         response, _, scale = self._response(unit)
-        rows = [_force(self.model, finger, response.system) for finger in self.model.fingers]
+        fingers, system = self.model.fingers, response.system
+        means = np.stack([finger.mean_shape(self.model.shapes, self.model.length) for finger in fingers])
+        velocity = means @ system.velocity
+        # Each state decays with its exponent s, and the impedance at s converts its velocity to force.
+        force = velocity * np.stack([finger.impedance(system.exponent) for finger in fingers])
         # The inertial force follows the acceleration, on which a voltage acts immediately, however late its step.
-        at_once = np.zeros((len(rows), response.push.shape[1]))
-        at_once[:, : unit.size] = [direct for _, direct in rows]
-        return np.asarray(response.peak(np.stack([row for row, _ in rows]), at_once=at_once) * scale)
-
-
-def _force(model: ModalModel, finger: Finger, system: DiagonalSystem) -> tuple[ComplexArray, FloatArray]:
-    """Return the output row of a finger's force, (n_states,), and the direct force per volt, (n_channels,) arrays."""
-    mean = finger.mean_shape(model.shapes, model.length)
-    velocity = mean @ system.velocity
-    # Each state decays with its exponent s, and the impedance at s converts its velocity to force.
-    row = velocity * finger.impedance(system.exponent)
-    return row, finger.mass * (velocity @ system.input_gain).real
+        at_once = np.zeros((len(fingers), response.push.shape[1]))
+        at_once[:, : unit.size] = (velocity @ system.input_gain).real * [[finger.mass] for finger in fingers]
+        return np.asarray(response.peak(force, at_once=at_once) * scale)

@@ -121,11 +121,9 @@ class BlockKernel:
     hold: float
 
     @classmethod
-    def of(
-        cls, system: DiagonalSystem, output: ComplexArray, hold: float, push: ComplexArray | None = None
-    ) -> BlockKernel:
-        """Return the kernel of a system without `direct`, by default for evenly held voltages."""
-        push = system.held_gain(hold) if push is None else push
+    def of(cls, system: DiagonalSystem, output: ComplexArray, hold: float) -> BlockKernel:
+        """Return the kernel of a system without `direct`, for evenly held voltages."""
+        push = system.held_gain(hold)
         return cls(system.exponent, push, output, np.zeros((len(output), push.shape[1])), hold)
 
     @classmethod
@@ -320,7 +318,7 @@ class BlockStates:
         push = system.clock_gain(timing, timing.hold)
         inputs = clock_inputs(voltage, timing, 0, voltage.shape[1], push.shape[1])
         blocks = BlockKernel.blocks(inputs, BLOCK)
-        kernel = BlockKernel.of(system, np.empty((0, len(push)), dtype=complex), timing.hold, push)
+        kernel = BlockKernel.within(system, np.empty((0, len(push)), dtype=complex), timing, 0.0)
         pushed = kernel.pushed(blocks.reshape(len(inputs), -1, SHORT)).reshape(-1, blocks.shape[1], SHORT)
         rest = np.zeros(system.exponent.size, dtype=complex)
         begin, left = kernel.scan.follow(kernel.scan.total(pushed), rest, 1)
