@@ -51,6 +51,7 @@ def test_a_simulated_session_loads_neither_lab_nor_analysis_nor_screen(tmp_path)
     assert not rooms(loaded) & {"lab", "analysis", "report"}
     assert not loaded & {
         "planning.power",
+        "preflight.design_errors",
         "preflight.designs",
         "preflight.results",
         "protocol.calibration",
@@ -65,11 +66,13 @@ def test_a_simulated_session_loads_neither_lab_nor_analysis_nor_screen(tmp_path)
         "rig.watchdog_client",
         "session.console.__main__",
         "session.resumption",
+        "stimulus.other_drives",
         "stimulus.other_shapes",
+        "stimulus.touched",
         "window.masking",
         "window.screen",
     }
-    assert lines <= 20_350
+    assert lines <= 20_200
 
 
 def test_an_analysis_of_sessions_loads_only_reading_and_auditing(results, tmp_path):
