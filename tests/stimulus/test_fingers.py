@@ -498,6 +498,18 @@ def test_the_pull_is_the_force_on_each_finger(design, beam, maxwell, amplifier):
     np.testing.assert_allclose(found, pulls, rtol=5e-3)
 
 
+def test_the_pull_is_found_between_samples(beam, rng):
+    """At the turn of mode 17 in 0.4 us, 0.23 rad; against samples of an eighth of it."""
+    loaded, converter = beam.touched(pair("AC", 0.3, 0.1, 0.0)), replace(AFG3022B.converter, max_points=10**6)
+    codes = rng.normal(size=(2, 125_000)) * np.hanning(125_000)
+    finer = Timing(replace(converter, clock_rate=1e9), n_samples=1_000_000)
+    pulls = [
+        TouchedStimulus(loaded, PLAIN, *played).pull(np.ones(2))
+        for played in ((FINE, codes), (finer, np.repeat(codes, 8, axis=1)))
+    ]
+    np.testing.assert_allclose(*pulls, rtol=3e-3)
+
+
 def test_an_untouched_beam_has_no_contact_forces(shipped):
     """The array of forces is empty."""
     assert shipped.touched(()).pull(shipped.volts_per_code(LEVEL)).size == 0

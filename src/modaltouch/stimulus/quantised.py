@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -46,10 +47,8 @@ class QuantisedStimulus:
     amplifier: Amplifier  # its pole and delay are used
     timing: Timing
     codes: FloatArray  # (n_channels, n_samples): codes relative to mid-scale [1]
-    # States already computed, and peaks by position, for each ratio of the channels.
-    _responses: dict[tuple[float, ...], tuple[BlockStates, dict[float, float]]] = field(
-        default_factory=dict, init=False
-    )
+    # States already computed, and peaks by position or finger, for each ratio of the channels.
+    _responses: dict[tuple[float, ...], tuple[BlockStates, dict[Any, float]]] = field(default_factory=dict, init=False)
 
     @cached_property
     def system(self) -> DiagonalSystem:
@@ -84,8 +83,8 @@ class QuantisedStimulus:
         carried = np.exp(exponent * (period - end + timing.focusing_instant)) / -np.expm1(exponent * period)
         return np.asarray(self.states_at_focus(unit) + left * carried)
 
-    def _response(self, unit: FloatArray) -> tuple[BlockStates, dict[float, float], float]:
-        """Return the states, the known peaks by position, and the factor [V per code] that applies to both.
+    def _response(self, unit: FloatArray) -> tuple[BlockStates, dict[Any, float], float]:
+        """Return the states, the known peaks, and the factor [V per code] that applies to both.
 
         Levels with the same ratio of the channels share one response.
         """

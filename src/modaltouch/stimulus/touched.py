@@ -81,15 +81,15 @@ class TouchedStimulus(QuantisedStimulus):
         The impedance assumes a bonded contact. Skin cannot pull: if this tension exceeds the contact force of the
         finger, skin and beam separate, and the linear model does not hold.
         """
-        if not self.model.fingers:
-            return np.zeros(0)
-        response, _, scale = self._response(unit)
+        response, known, scale = self._response(unit)
         fingers, system = self.model.fingers, response.system
-        means = np.stack([finger.mean_shape(self.model.shapes, self.model.length) for finger in fingers])
-        velocity = means @ system.velocity
-        # Each state decays with its exponent s, and the impedance at s converts its velocity to force.
-        force = velocity * np.stack([finger.impedance(system.exponent) for finger in fingers])
-        # The inertial force follows the acceleration, on which a voltage acts immediately, however late its step.
-        at_once = np.zeros((len(fingers), response.push.shape[1]))
-        at_once[:, : unit.size] = (velocity @ system.input_gain).real * [[finger.mass] for finger in fingers]
-        return np.asarray(response.peak(force, at_once=at_once) * scale)
+        if not all(finger in known for finger in fingers):
+            means = np.stack([finger.mean_shape(self.model.shapes, self.model.length) for finger in fingers])
+            velocity = means @ system.velocity
+            # Each state decays with its exponent s, and the impedance at s converts its velocity to force.
+            force = velocity * np.stack([finger.impedance(system.exponent) for finger in fingers])
+            # The inertial force follows the acceleration, on which a voltage acts immediately, however late its step.
+            at_once = np.zeros((len(fingers), response.push.shape[1]))
+            at_once[:, : unit.size] = (velocity @ system.input_gain).real * [[finger.mass] for finger in fingers]
+            known.update(zip(fingers, response.peak(force, at_once=at_once).tolist(), strict=True))
+        return np.array([known[finger] for finger in fingers]) * scale

@@ -366,13 +366,13 @@ class BlockStates:
 
     def _different_peaks(self, output: ComplexArray, at_once: FloatArray, floor: float) -> FloatArray:
         """Return the peaks of different outputs, at the starts of the samples and at instants between them."""
-        peak = np.full(len(output), floor)
-        if not at_once.any():
-            # The outputs at the starts of the blocks are lower bounds of the peaks, which rule out most blocks.
-            peak = np.maximum(np.abs((output @ self.begin).real).max(axis=1), floor)
+        # The outputs at the starts of the blocks are lower bounds of the peaks, which rule out most blocks.
+        starts = (output @ self.begin).real
+        starts[:, :-1] += at_once @ self.blocks[:, :, 0]
+        peak = np.maximum(np.abs(starts).max(axis=1), floor)
         for late in search_instants(self.system, self.timing, jumps=bool(at_once.any())).tolist():
             peak = self._peak_of_instants(BlockKernel.within(self.system, output, self.timing, late, at_once), peak)
-        return peak + 0.0  # not -0, the peak of a point that does not move
+        return np.asarray(peak + 0.0)  # not -0, the peak of a point that does not move
 
     def _peak_of_instants(self, kernel: BlockKernel, peak: FloatArray) -> FloatArray:
         """Return the peaks, raised where the outputs of a kernel exceed them."""
@@ -412,11 +412,11 @@ class BlockStates:
 def search_instants(system: DiagonalSystem, timing: Timing, *, jumps: bool = False) -> FloatArray:
     """Return the times from the start of each sample at which peaks are sought, (n_instants,) array [s].
 
-    Outputs that jump with the voltage are sought often in every sample, and at its end.
+    Peaks of outputs that jump with the voltage are sought twice as often as TURN in every sample, and at its end.
     """
     # A strongly damped oscillation passes its peak in the time of its decay.
     turn = float(np.abs(system.exponent[system.exponent.imag > 0].view(float)).max(initial=0.0)) * timing.hold
-    n_instants = 1 if turn <= TURN * (not jumps) or timing.at_samples else math.ceil(3 * turn / TURN)
+    n_instants = 1 if turn <= TURN * (not jumps) or timing.at_samples else math.ceil((3 - jumps) * turn / TURN)
     return np.asarray(np.arange(n_instants + jumps) * timing.hold / n_instants)
 
 
