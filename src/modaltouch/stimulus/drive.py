@@ -297,8 +297,27 @@ def exact_drive(steering: Steering) -> Drive:
         reach.write(kept, before)
     if steering.system.coupled and best > _POLISHED * float(np.abs(goal).max()):
         # Exponentials that nearly cancel would swamp the small residual, so it is corrected separately.
-        from modaltouch.stimulus.other_drives import polished
-
         return polished(steering, before, _POLISHED)
     steering.end(voltage, kept_state)
     return Drive(voltage, solver.condition_number, best, reach.taper.n_samples)
+
+
+def polished(steering: Steering, voltage: FloatArray, enough: float = 0.0) -> Drive:
+    """Return the drive after a least-energy correction of the residual of voltages up to the focusing instant.
+
+    A residual up to `enough`, relative to the largest target, is not corrected.
+    """
+    change, residual = np.empty_like(voltage), np.inf
+    for _ in range(3):
+        short, state = steering.short(voltage)
+        now = float(np.abs(short).max())
+        if now >= residual or now <= enough * float(np.abs(steering.goal).max()):
+            break
+        residual = now
+        steering.reach.write(steering.solver.solve(short), change)
+        voltage = voltage + change
+    short, state = steering.short(voltage)
+    whole = np.zeros((len(voltage), steering.timing.n_samples))
+    whole[:, : voltage.shape[1]] = voltage
+    steering.end(whole, state)
+    return Drive(whole, steering.solver.condition_number, float(np.abs(short).max()), voltage.shape[1])

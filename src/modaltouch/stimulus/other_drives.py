@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from modaltouch.stimulus.burst import Timing
-from modaltouch.stimulus.drive import Drive, Steering, check_drivable, exact_drive
+from modaltouch.stimulus.drive import Drive, Steering, check_drivable, exact_drive, polished
 from modaltouch.stimulus.dynamics import Amplifier, DiagonalSystem
 from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.quantities import FloatArray
@@ -341,24 +341,3 @@ def least_bound(offset: FloatArray, rows: FloatArray, slack: FloatArray) -> tupl
         if n_sides / sharpness < _GAP * point[n]:
             return point[:n], float(point[n] - n_sides / sharpness)
         sharpness *= 20
-
-
-def polished(steering: Steering, voltage: FloatArray, enough: float = 0.0) -> Drive:
-    """Return the drive after a least-energy correction of the residual of voltages up to the focusing instant.
-
-    A residual up to `enough`, relative to the largest target, is not corrected.
-    """
-    change, residual = np.empty_like(voltage), np.inf
-    for _ in range(3):
-        short, state = steering.short(voltage)
-        now = float(np.abs(short).max())
-        if now >= residual or now <= enough * float(np.abs(steering.goal).max()):
-            break
-        residual = now
-        steering.reach.write(steering.solver.solve(short), change)
-        voltage = voltage + change
-    short, state = steering.short(voltage)
-    whole = np.zeros((len(voltage), steering.timing.n_samples))
-    whole[:, : voltage.shape[1]] = voltage
-    steering.end(whole, state)
-    return Drive(whole, steering.solver.condition_number, float(np.abs(short).max()), voltage.shape[1])
