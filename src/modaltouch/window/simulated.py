@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 import time
 import zlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, cast
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -19,14 +19,32 @@ Rated = tuple[str, float | None, float]
 """An answer, its number on a scale, and its reaction time [s]."""
 
 
+class SimulatedPerson(Protocol):
+    """Model of a person, such as `modaltouch.planning.Participant`; each method returns a reaction time [s], too."""
+
+    def answer(
+        self, left: float, right: float, finger_condition: str, rng: np.random.Generator, answers: AnswerList,
+        /, *between: float,
+    ) -> tuple[str, float]:  # fmt: skip
+        """Answer a question about the felt speeds of fingers [m/s]."""
+
+    def rate(self, speeds: Sequence[float], rng: np.random.Generator, /) -> tuple[float, float]:
+        """Rate felt speeds [m/s] as a share of the scale."""
+
+    def compare(
+        self, speeds: Sequence[tuple[float, ...]], rng: np.random.Generator, answers: AnswerList, /
+    ) -> tuple[str, float]:
+        """Compare the felt speeds of several intervals [m/s]."""
+
+
 @dataclass(frozen=True)
 class Answerer:
     """A simulated observer that answers according to the felt speeds.
 
     Attributes
     ----------
-    participant : Participant of modaltouch.planning
-        Decides on answers, ratings and comparisons; planning is above this package.
+    participant : SimulatedPerson
+        Decides on answers, ratings and comparisons.
     felt : callable
         Peak speeds under the fingers in a trial, from left to right [m/s].
     generator : numpy.random.Generator
@@ -34,7 +52,7 @@ class Answerer:
         repeated trials get the same answers as an uninterrupted session.
     """
 
-    participant: Any
+    participant: SimulatedPerson
     felt: Callable[[Trial], tuple[float, ...]]
     generator: np.random.Generator
     answers: AnswerList = field(default_factory=lambda: AnswerList.of({}))
@@ -51,10 +69,10 @@ class Answerer:
         speeds, stream = self._feel(trial), self._stream(int(trial.practice), trial.index)
         if self._intervals and any(answer.interval for answer in self.answers):
             intervals = [*self._intervals, speeds]
-            return cast("tuple[str, float]", self.participant.compare(intervals, stream, self.answers))
+            return self.participant.compare(intervals, stream, self.answers)
         # A single finger counts as two that feel the same, and can only detect a stimulus.
         of = speeds[0], speeds[-1], trial.condition.finger_condition
-        return cast("tuple[str, float]", self.participant.answer(*of, stream, self.answers, *speeds[1:-1]))
+        return self.participant.answer(*of, stream, self.answers, *speeds[1:-1])
 
     def first(self, trial: Trial) -> Rated:
         """Return the answer to the first question of a trial, in the form of `rate`."""
@@ -154,7 +172,7 @@ class SimulatedParticipant(AnswerWindow):
         """Return the backend for the start record."""
         return {"backend": "simulated", "answered_by": "simulated"}
 
-    def _look(self, *shown: Any, **named: Any) -> None:
+    def _look(self, *shown: object, **named: object) -> None:
         self._tick()
 
     welcome = place_fingers = show_stall = announce = goodbye = _look
