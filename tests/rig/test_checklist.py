@@ -136,7 +136,7 @@ def test_an_instrument_of_another_model_is_not_switched_off(apparatus: Apparatus
     facts["generator"]["model"] = "AFG3022C"
     with Simulator(apparatus) as simulator:
         simulator.front_panel("OUTP1 ON;:OUTP2 ON")
-        with pytest.raises(RigError, match="says it is .*; no output was switched on"):
+        with pytest.raises(RigError, match="says it is .*; no output was switched on; .* name another .*`--apparatus`"):
             check_rig(simulator.address, Apparatus.model_validate(facts), patience=PATIENCE)
         for thread in threading.enumerate():
             if thread.name == "watchdog-reaper":

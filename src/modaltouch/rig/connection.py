@@ -110,8 +110,9 @@ class Connection:
                 known = ", ".join(name for each in instruments() for name in each.models)
                 raise RigError(
                     f"the instrument at {self.address} says it is '{self.identity}', but the apparatus file names "
-                    f"{self._expected_model}; no output was switched on; correct the address, or generator.model in "
-                    f"the apparatus file (known models: {known})"
+                    f"{self._expected_model}; no output was switched on; correct the address, name another apparatus "
+                    "file (with `--apparatus`, or `apparatus` in the protocol), or correct generator.model in it "
+                    f"(known models: {known})"
                 )
             if model not in self.instrument.models:
                 self._log("unknown_model", model=model, taken_for=self.instrument.models[0])
