@@ -126,7 +126,7 @@ def _limits(connection: Connection) -> Finding:
     errors = controls.pending_errors()
     controls.apply_each(limits.quiet_settings(1))
     if reply > 2.001:
-        return "found", f"4 Vpp is accepted above a limit of 1 V (reads {reply:g})", "DO NOT rely on VOLTage:LIMit"
+        return "found", f"4 Vpp is accepted above a limit of 1 V (reads {reply:g})", "DO NOT rely on the voltage limits"
     how = f"refused with {', '.join(errors)}" if errors else "cut without an error"
     return "found", f"4 Vpp above a limit of 1 V is {how}; the level reads {reply:g} Vpp", "the limit holds"
 
@@ -166,8 +166,9 @@ def _trigger(connection: Connection, scope: Scope | None = None) -> Finding:
         return (
             "person",
             f"{answer}; the bus does not show when the first sample leaves",
-            "wire the generator's trigger output to the EXT input of a PicoScope and check again with --scope, which "
-            "measures generator.trigger_latency_ms; without it, no instant is claimed to better than a millisecond",
+            "wire the generator's trigger output (Keysight: Ext Trig) to the EXT input of a PicoScope and check again "
+            "with --scope, which measures generator.trigger_latency_ms; without it, no instant is claimed to better "
+            "than a millisecond",
         )
     # The lower bound is measured from sending the trigger, the upper bound from its acceptance by the instrument.
     low, high = (began[:, 0] - sent).min() * 1e3, (began[:, 1] - taken).max() * 1e3
@@ -231,7 +232,7 @@ QUESTIONS: tuple[tuple[int, str, Callable[[Connection], Finding]], ...] = (
     (2, "How exactly does the trigger timer set 1/7 s?", _timer),
     (3, "How long does storing a record take?", _copy_time),
     (6, "Does a change of amplitude click or glitch?", _ranges),
-    (7, "Is a level above VOLTage:LIMit refused or cut?", _limits),
+    (7, "Is a level above the voltage limits refused or cut?", _limits),
     (8, "What does the error queue say, and how much does it hold?", _error_queue),
     (10, "How far apart do the channels start?", lambda connection: SKEW),
     (12, "What do the outputs do when the link is lost?", _after_link_loss),
