@@ -300,18 +300,17 @@ def test_separate_timers_of_the_channels_are_refused(open_generator: Callable[..
 
 
 def test_outputs_go_off_when_the_session_is_killed(apparatus: Apparatus) -> None:
-    """The watchdog process receives this instrument's off command and sends it when the session is gone."""
+    """The watchdog process receives this instrument's off commands and sends them: outputs, then trigger output."""
     with Simulator(apparatus) as simulator:
-        assert instrument_of(apparatus).off == ":OUTP1 OFF;:OUTP2 OFF;:OUTP1?;:OUTP2?"
         dog = WatchdogClient(simulator.address, instrument_of(apparatus).off)
         dog.open()
         dog.arm(free_running=False)
-        simulator.front_panel("OUTP1 ON;:OUTP2 ON")
+        simulator.front_panel("OUTP1 ON;:OUTP2 ON;:OUTP:TRIG ON")
         dog.release(clean=False)
         end = time.monotonic() + 10
-        while any(simulator.outputs) and time.monotonic() < end:
+        while (on := simulator.front_panel("OUTP1?;:OUTP2?;:OUTP:TRIG?")) != "0;0;0" and time.monotonic() < end:
             time.sleep(0.01)
-        assert simulator.outputs == (False, False)
+        assert on == "0;0;0"
 
 
 def test_outputs_go_off_after_an_exception(apparatus: Apparatus, burst: Burst) -> None:

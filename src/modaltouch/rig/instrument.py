@@ -175,9 +175,11 @@ class Instrument:
 
     @property
     def off(self) -> str:
-        """Message that switches all outputs off and queries their state."""
+        """Message that switches all outputs off and queries their state; on a second line, the trigger output off."""
         outputs = self.on_all(self.commands.output)
-        return ";".join(f":{part}" for part in [*(each.off.command for each in outputs), *(o.query for o in outputs)])
+        commands = [*(each.off.command for each in outputs), *(each.query for each in outputs)]
+        lines = commands, [each.off.command for each in self.commands.pulses]
+        return "\n".join(";".join(f":{part}" for part in line) for line in lines if line)
 
     def on_all(self, entry: Setting, **quantities: float) -> tuple[Setting, ...]:
         """Fill in an entry for every channel, or once if it applies to all channels."""

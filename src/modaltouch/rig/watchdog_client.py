@@ -62,7 +62,7 @@ class WatchdogClient:
     address : str
         VISA address.
     off : str
-        Message that switches the outputs off and queries their states.
+        That of `WatchdogProcess`.
     """
 
     def __init__(self, address: str, off: str) -> None:

@@ -1,7 +1,7 @@
 """The watchdog: holds the only session with the instrument, triggers bursts, switches the outputs off in an emergency.
 
-``python -m modaltouch.rig.watchdog_process ADDRESS OFF`` runs it as a separate process; OFF is the message that
-switches the outputs off. The driver (the client) makes every exchange via this process, over a pipe, so that the
+``python -m modaltouch.rig.watchdog_process ADDRESS OFF`` runs it as a separate process; OFF is `Instrument.off`. The
+driver (the client) makes every exchange via this process, over a pipe, so that the
 process can switch the outputs off at any time, even over an interface limited to a single session (USB). While armed it
 expects a heartbeat at least every `LIMIT` seconds; every request counts as one. If none arrives, no further burst is
 triggered and the outputs are switched off. The same happens when the pipe ends without `CLEAN` (the client was killed,
@@ -73,7 +73,8 @@ class WatchdogProcess:
     transport : Transport
         Transport to the instrument.
     off : str
-        Message that switches the outputs off and queries the state of each.
+        Message that switches the outputs off and queries the state of each; on a second line, one that is sent after it
+        when no client is left.
     limit : float
         Longest silence of an armed client [s].
     persistence : float
@@ -96,7 +97,7 @@ class WatchdogProcess:
         clock: Clock = SYSTEM_CLOCK,
     ) -> None:
         self._transport = transport
-        self._off = off.encode("ascii") + b"\n"
+        self._off, *self._last = f"{off}\n".encode("ascii").splitlines(keepends=True)
         self._limit = limit
         self._persistence = persistence
         self._say = say
@@ -134,8 +135,10 @@ class WatchdogProcess:
         # End bursts ordered in the last moment, too.
         self._end_bursts()
         with self._busy:
-            if self._reached:
-                self.switch_off()
+            if self._reached and self.switch_off():
+                with contextlib.suppress(Exception):
+                    for message in self._last:
+                        self._transport.exchange(message, timeout=REPLY_TIMEOUT, reply=False)
 
     def _listen(
         self,
