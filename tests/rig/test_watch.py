@@ -441,14 +441,21 @@ def test_a_report_waits_for_the_last_burst_if_requested() -> None:
         assert clock.now() == pytest.approx(now)
 
 
-def test_a_report_after_a_failure_does_not_wait() -> None:
-    """A trigger accepted 150 ms late in 200 ms: the end of its burst is unknown."""
+@pytest.mark.parametrize(("command", "end"), [("*TRG", 50.2), ("refused", 50.15)])
+def test_a_report_after_a_failure_waits_for_an_accepted_burst(command: str, end: float) -> None:
+    """Accepted 150 ms late in 200 ms, it may play for its 50 ms; a trigger that was refused plays nothing."""
     clock = VirtualClock(50.0)
     watch = WatchdogProcess(Instrument(), ASKED_OFF, clock=clock)
-    watch._pacer = Pacer(Order("*TRG", 1, 50.0, 0.2, 0.05, 0.1), lambda: clock.sleep(0.15), lambda: 0.0, clock)
+
+    def trigger() -> None:
+        clock.sleep(0.15)
+        if command == "refused":
+            raise TimeoutError
+
+    watch._pacer = Pacer(Order(command, 1, 50.0, 0.2, 0.05, 0.1), trigger, lambda: 0.0, clock)
     watch._pacer.step()
     assert json.loads(watch._report(True))["ended"] == "failed"
-    assert clock.now() == pytest.approx(50.15)
+    assert clock.now() == pytest.approx(end)
 
 
 def test_a_report_without_an_order_is_empty(master: Master) -> None:

@@ -227,7 +227,7 @@ class WatchdogProcess:
         self._pacer.end()
         if self._pacing.is_alive():
             self._pacing.join()
-        if wait and self._pacer.report.ended != "failed":
+        if wait:
             self._clock.sleep(self._pacer.silent_from - self._clock.now())
         return self._encoded_report()
 
