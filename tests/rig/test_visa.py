@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import socket
+import threading
 import time
 import warnings
 from collections.abc import Callable
@@ -82,6 +84,30 @@ def test_a_trigger_into_a_dead_raw_socket_is_an_error(simulator: Simulator) -> N
                 session.exchange(b"TRIG:SEQ:IMM\n", timeout=0.3, reply=False)
         finally:
             session.release()
+
+
+@pytest.mark.parametrize("address", ["TCPIP::127.0.0.1,{}::inst0::INSTR", "TCPIP::127.0.0.1::{}::SOCKET"])
+def test_the_end_of_a_connection_is_an_error_at_once(address: str) -> None:
+    """PyVISA-py itself reads the end again and again until its time limit, which takes a whole processor."""
+
+    def hang_up() -> None:
+        for _ in range(2):  # the port is tried first
+            connection, _ = listener.accept()
+            connection.recv(100)
+            connection.close()
+
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        (thread := threading.Thread(target=hang_up)).start()
+        session = VisaSession(address.format(listener.getsockname()[1]))
+
+        def identify() -> None:
+            session.open()
+            session.exchange(b"*IDN?\n", timeout=1.0, reply=True)
+
+        with pytest.raises(ConnectionResetError, match="the instrument closed the connection"):
+            identify()
+        thread.join(10)
+        session.release()
 
 
 def test_reconnecting_waits_for_an_instrument_to_notice_a_reset(

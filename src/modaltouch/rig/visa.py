@@ -14,6 +14,7 @@ import traceback
 import typing
 import warnings
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 from modaltouch.rig.interface import InUse, RigError, block_bounds
@@ -30,14 +31,37 @@ def check_port(address: str) -> None:
         socket.create_connection((host, int(port)), timeout=CONNECT_TIMEOUT).close()
 
 
+class EndingSocket(socket.socket):
+    """A connection that raises when the other end closes it, at which pyvisa-py would read without a pause for seconds.
+
+    At the watchdog's priority this would halt the computer.
+    """
+
+    def recv(self, *arguments: Any) -> bytes:
+        """Receive at least one byte."""
+        data = super().recv(*arguments)
+        if not data:
+            raise ConnectionResetError("the instrument closed the connection")
+        return data
+
+
+def heed_ends() -> None:
+    """Let pyvisa-py connect by `EndingSocket`."""
+    from pyvisa_py import tcpip
+    from pyvisa_py.protocols import rpc
+
+    for module in (tcpip, rpc):
+        module.socket = SimpleNamespace(**vars(socket) | {"socket": EndingSocket})
+
+
 def abandon(resource: Any) -> None:
     """Reset the TCP connection of a session, so that closing the session fails immediately.
 
-    An ordinary close sends a request and waits in a busy loop for five seconds for the reply of a peer that has closed
-    its end. Moreover, data sent while a cable is unplugged, perhaps a trigger, would arrive when it is plugged in
-    again; a reset discards them. Sessions of other backends and interfaces raise an error here and close as usual.
+    Data sent while a cable is unplugged, perhaps a trigger, would arrive when it is plugged in again; a reset discards
+    them. Sessions of other backends and interfaces raise an error here and close as usual.
     """
-    connection = resource.visalib.sessions[resource.session].interface.sock
+    interface = resource.visalib.sessions[resource.session].interface
+    connection = getattr(interface, "sock", interface)
     connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
     connection.close()
 
@@ -106,6 +130,7 @@ class VisaSession:
         """
         import pyvisa
 
+        heed_ends()
         self.close(broken=False)
         self._reserve(lock_name(self._address))
         check_port(self._address)
