@@ -12,7 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.rig.instrument import Instrument, Setting
-from modaltouch.rig.interface import InUse, LinkError, Transport, Unconfirmed, block_bounds, describe_error
+from modaltouch.rig.interface import (
+    InUse,
+    LinkError,
+    Transport,
+    TransportError,
+    Unconfirmed,
+    block_bounds,
+    describe_error,
+)
 
 NO_ERROR, UNDEFINED_HEADER = 0, -113
 QUERIES_PER_MESSAGE = 12
@@ -80,10 +88,10 @@ class Controls:
         """Send a message that contains a query and return the reply."""
 
         def read(reply: bytes, facts: dict[str, str]) -> str:
-            text = reply.decode("ascii").strip()
+            text = reply.decode("latin1").strip()
+            if not (text.isascii() and text.isprintable()):
+                raise TransportError(f"reply {text[:100]!r} is not text")
             facts["reply"] = text
-            if not text.isprintable():
-                raise ValueError(f"reply {text!r} is not text")
             return text
 
         return self._exchange(query, query.encode("ascii"), timeout, read)
