@@ -365,9 +365,7 @@ class Generator(contextlib.AbstractContextManager["Generator"]):
             lost = self._connection.guard.beat() if self._on else ""
         except LinkError as error:
             self._switch_off("going on without a watchdog")
-            raise RigError(
-                f"{error}; the outputs were switched off over a new connection; continue with `modaltouch resume`"
-            ) from error
+            raise RigError(f"{error}; the outputs were switched off over a new connection") from error
         if lost:
             raise StimulusLost(f"the bursts ended before the stimulus did ({lost})")
 
@@ -412,10 +410,7 @@ class Generator(contextlib.AbstractContextManager["Generator"]):
             yield
         except (LinkError, Unconfirmed) as error:
             self._switch_off(doing)
-            raise RigError(
-                f"{doing} failed: {error}; the outputs are off; run `modaltouch rig check`, then continue with "
-                "`modaltouch resume`"
-            ) from error
+            raise RigError(f"{doing} failed: {error}; the outputs are off; run `modaltouch rig check`") from error
         except BaseException:
             if self._on:
                 self._switch_off(doing)

@@ -214,7 +214,7 @@ def run(sitting: SessionRun, trial: Trial, previous: Trial | None) -> Response:
     raise RigError(
         f"trial {trial.index}: {n} presentations could not be confirmed ({firing.reason}); the outputs are off"
         + ("; the answers are kept as unconfirmed" if answers else "")
-        + f"; {remedy}, then `modaltouch resume`"
+        + f"; {remedy}"
     )
 
 
