@@ -345,6 +345,16 @@ def test_a_lost_instrument_is_an_error_with_a_remedy(
     assert guard.told[-1] == "left watching"
 
 
+def test_outputs_confirmed_off_are_not_a_reason_to_switch_the_amplifier_off(
+    simulator: Simulator, open_generator: Callable[..., Generator], burst: Burst
+) -> None:
+    """The instrument accepts no record over any connection, but confirms over each that its outputs are off."""
+    rig = open_generator(patience=Patience(reply=0.1, copy=0.1, tries=2, pause=0.01))
+    simulator.faults.inject("lost_reply", when=r"DATA:POIN\? EMEM", times=99)
+    with pytest.raises(RigError, match=r"2 new connections .*; the outputs are off; check that .* connected$"):
+        rig.load(burst)
+
+
 def test_an_instrument_that_returns_is_reconnected(
     simulator: Simulator, open_generator: Callable[..., Generator], burst: Burst, clock: VirtualClock
 ) -> None:

@@ -109,10 +109,10 @@ class Connection:
             if model != self._expected_model:
                 known = ", ".join(name for each in instruments() for name in each.models)
                 raise RigError(
-                    f"the instrument at {self.address} says it is '{self.identity}', but the apparatus file names "
-                    f"{self._expected_model}; no output was switched on; correct the address, name another apparatus "
-                    "file (with `--apparatus`, or `apparatus` in the protocol), or correct generator.model in it "
-                    f"(known models: {known})"
+                    f"the instrument at {self.address} says it is '{self.identity[:100]}', but the apparatus file "
+                    f"names {self._expected_model}; no output was switched on; correct the address, name another "
+                    "apparatus file (with `--apparatus`, or `apparatus` in the protocol), or correct generator.model "
+                    f"in it (known models: {known})"
                 )
             if model not in self.instrument.models:
                 self._log("unknown_model", model=model, taken_for=self.instrument.models[0])
@@ -182,8 +182,7 @@ class Connection:
                 return found
         raise RigError(
             f"{doing} failed, and so did {self.patience.tries} new connections to {self.address}: {last}; "
-            f"{self._last_resort()}; check that the generator is on and connected, then continue with `modaltouch "
-            "resume`"
+            f"{self._last_resort()}; check that the generator is on and connected"
         ) from last
 
     def _reported(self) -> str:
@@ -197,8 +196,7 @@ class Connection:
     def _last_resort(self) -> str:
         """Try once more to switch the outputs off, and return a phrase with their known state."""
         with contextlib.suppress(LinkError, Unconfirmed):
-            self.controls.outputs_off()
-            self.guard.disarm()
+            self._revive()
             return "the outputs are off"
         return "the outputs could not be confirmed off: SWITCH THE AMPLIFIER OFF (a watchdog process keeps trying)"
 
