@@ -122,6 +122,15 @@ def test_a_cut_log_is_continued_in_a_folder_of_any_name(tmp_path, name):
     assert [event["event"] for event in read_chain(path).events] == ["start", "resume"]
 
 
+@pytest.mark.parametrize("rules", ["unix"], indirect=True)
+def test_a_deleted_log_is_noticed_at_the_next_event(tmp_path: Path) -> None:
+    """An open file outlives its name, except on Windows: everything answered would be gone when the session ends."""
+    with SessionLog.create(tmp_path / "session.jsonl", "start") as log:
+        log.path.unlink()
+        with pytest.raises(RecordError, match=r"session.jsonl: was deleted while the session ran; restore it"):
+            log.append("trial")
+
+
 def test_a_log_without_its_declared_remains_is_not_continued(tmp_path):
     """Removing the remains of a cut line is damage."""
     path = tmp_path / "session.jsonl"

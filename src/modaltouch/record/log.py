@@ -176,7 +176,11 @@ class SessionLog(AbstractContextManager["SessionLog"]):
         }
         data, check = encode_line(line, self._check)
         data = b"\n" * self._needs_newline + data
-        self._unsettled = line, check, os.fstat(self._descriptor).st_size, len(data)
+        before = os.fstat(self._descriptor)
+        if not before.st_nlink:
+            self._failure = f"{self.path}: was deleted while the session ran; restore it from a backup, or start anew"
+            raise RecordError(self._failure)
+        self._unsettled = line, check, before.st_size, len(data)
         self._write(data)
         self._settle()
         self.listener(line)

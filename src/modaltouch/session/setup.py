@@ -208,7 +208,8 @@ def sit(setup: Setup, open_log: Callable[[SessionFolder, dict[str, Any]], Sessio
             conduct(replace(run, experimenter=experimenter, masking=masking))
         except BaseException as error:
             ending = describe_ending(error)
-            error.add_note(f"everything answered is kept; {how_to_continue(ending['reason'], setup.place.folder)}")
+            if setup.place.log.exists():
+                error.add_note(f"everything answered is kept; {how_to_continue(ending['reason'], setup.place.folder)}")
             raise
         finally:
             # Switch the outputs off first, then finish the record.
