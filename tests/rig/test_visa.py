@@ -148,6 +148,18 @@ def test_an_instrument_in_use_is_recognised_by_any_form_of_its_address(
         session.release()
 
 
+def test_an_unknown_host_is_an_error_before_the_backend_makes_it_another(monkeypatch: pytest.MonkeyPatch) -> None:
+    """PyVISA-py reports a bad file descriptor."""
+
+    def resolve(host: str, port: None) -> None:
+        raise socket.gaierror(socket.EAI_NONAME, f"no host is called {host}")
+
+    monkeypatch.setattr(socket, "getaddrinfo", resolve)
+    with pytest.raises(socket.gaierror, match=r"no host is called afg\.lab$"):
+        VisaSession("TCPIP::afg.lab::INSTR").open()
+    visa.check_port("USB0::0x0699::0x0347::C012345::INSTR")
+
+
 def test_usb_addresses_match_in_hexadecimal_and_decimal() -> None:
     """PyVISA-py lists 1689 for what the manual calls 0x0699."""
     assert visa.lock_name("USB::0x0699::0x0349::C012345::INSTR") == visa.lock_name("USB0::1689::841::C012345::0::INSTR")

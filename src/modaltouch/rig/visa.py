@@ -25,10 +25,15 @@ CONNECT_TIMEOUT = 2.0
 
 
 def check_port(address: str) -> None:
-    """Check that the port in a VISA address accepts connections, since otherwise the backend would leak a socket."""
+    """Check that the host in a VISA address is known and its port accepts connections.
+
+    The backend would call the one a bad file descriptor, and leak a socket in the other case.
+    """
     host, _, port = (address.split("::") + [""])[1].partition(",")
-    if address.upper().startswith("TCPIP") and port.isdigit():
-        socket.create_connection((host, int(port)), timeout=CONNECT_TIMEOUT).close()
+    if address.upper().startswith("TCPIP"):
+        socket.getaddrinfo(host, None)
+        if port.isdigit():
+            socket.create_connection((host, int(port)), timeout=CONNECT_TIMEOUT).close()
 
 
 class EndingSocket(socket.socket):
