@@ -21,9 +21,9 @@ from modaltouch.rig.afg3022b import AFG3022B
 from modaltouch.rig.connection import Patience
 from modaltouch.rig.generator import Generator
 from modaltouch.rig.interface import LinkError, RigError
+from modaltouch.rig.pacing import PATIENCE
 from modaltouch.rig.simulator import Simulator
 from modaltouch.rig.watchdog_client import WatchdogClient
-from modaltouch.rig.watchdog_process import LIMIT
 from modaltouch.stimulus.burst import Burst
 
 
@@ -64,7 +64,7 @@ def test_a_slow_instrument_is_not_a_stalled_session(apparatus: Apparatus, single
         single_link.faults.inject("delayed_reply", value=0.3, times=99)
         started = time.monotonic()
         assert rig.fire(0.1).started
-        assert time.monotonic() - started > LIMIT
+        assert time.monotonic() - started > PATIENCE
         assert single_link.outputs == (True, True)
         single_link.faults.clear()
         rig.stop()
@@ -75,7 +75,7 @@ def test_a_slow_instrument_is_not_a_stalled_session(apparatus: Apparatus, single
 def test_an_exchange_longer_than_the_limit_is_not_a_stall(rig: Generator, single_link: Simulator) -> None:
     """While one message takes long, the session is waiting for the instrument."""
     rig.fire(0.1)
-    single_link.faults.inject("slow_command", when="IDN", value=LIMIT + 0.4)
+    single_link.faults.inject("slow_command", when="IDN", value=PATIENCE + 0.4)
     rig._connection.controls.ask("*IDN?", timeout=3)
     assert single_link.outputs == (True, True)
 
@@ -196,7 +196,7 @@ def test_lost_bursts_are_reported_only_while_outputs_may_be_on(single_link: Simu
         dog.release(clean=True)
 
 
-@pytest.mark.parametrize(("is_armed", "silence", "n_sent"), [(True, 0.0, 3), (True, LIMIT, 0), (False, 0.0, 0)])
+@pytest.mark.parametrize(("is_armed", "silence", "n_sent"), [(True, 0.0, 3), (True, PATIENCE, 0), (False, 0.0, 0)])
 def test_heartbeats_are_sent_only_for_a_running_session(is_armed: bool, silence: float, n_sent: int) -> None:
     """A stalled session sends none, so that the watchdog switches off; with the outputs off none is needed."""
     dog: Any = object.__new__(WatchdogClient)
@@ -204,7 +204,7 @@ def test_heartbeats_are_sent_only_for_a_running_session(is_armed: bool, silence:
     dog._released = SimpleNamespace(wait=lambda period: rounds.pop())
     dog._armed = SimpleNamespace(wait=lambda period: is_armed, is_set=lambda: is_armed)
     dog._lost, dog._broken, dog._came_round = "", None, time.monotonic() - silence
-    dog._request = lambda letter, content, limit: sent.append(letter) or b""
+    dog._request = lambda letter, content, limit: sent.append(letter) or b"{}"
     dog._keep_beating()
     assert len(sent) == n_sent
     assert (rounds, dog.beat(), dog._broken) == ([], "", None)

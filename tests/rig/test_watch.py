@@ -34,7 +34,6 @@ from modaltouch.rig.watchdog_process import (
     FLAG,
     LATE,
     LONG_PERSISTENCE,
-    LOOK,
     OPEN,
     PERSISTENCE,
     PLAY,
@@ -216,7 +215,7 @@ def test_silence_switches_off_only_while_armed(letters: tuple[bytes, ...], press
 def test_the_limit_on_silence_matches_the_readme() -> None:
     """The README of the rig; `test_watchdog.py` checks it with processes."""
     text = " ".join((Path(watchdog.__file__).parent / "README.md").read_text(encoding="utf-8").split())
-    assert f"or falls silent for {watchdog.LIMIT:g} s while outputs may be on" in text
+    assert f"or falls silent for {watchdog.PATIENCE:g} s while outputs may be on" in text
 
 
 def test_heartbeats_keep_the_outputs_on() -> None:
@@ -413,7 +412,7 @@ def test_a_request_ends_the_bursts_between_two_of_them(master: Master, how: byte
     """The first is triggered and reported immediately; to end, report or play another order waits for no burst."""
     first = master.ask(PLAY, order(5))
     assert (first["due"], first["played"], first["ended"]) == (1, 1, "")
-    assert master.ask(LOOK) == first
+    assert master.ask(BEAT) == first
     pacing = master.watch._pacing
     if how == END:
         master.pipe.write(frame(END, 2))
@@ -460,7 +459,7 @@ def test_a_report_after_a_failure_waits_for_an_accepted_burst(command: str, end:
 
 def test_a_report_without_an_order_is_empty(master: Master) -> None:
     """Neither a report nor a look has any content."""
-    assert master.ask(REPORT, FLAG.pack(True)) == master.ask(LOOK) == {}
+    assert master.ask(REPORT, FLAG.pack(True)) == master.ask(BEAT) == {}
 
 
 def test_the_end_of_the_pipe_ends_the_bursts() -> None:
@@ -516,22 +515,16 @@ def test_a_clean_end_closes_an_intact_session_in_order() -> None:
 
 
 def test_a_failed_trigger_is_reported_with_the_next_heartbeat() -> None:
-    """A heartbeat is answered with the reason for the end of the bursts, or with nothing if there is none."""
+    """A heartbeat is answered with the report of the bursts, which is empty before a stimulus begins."""
     master = Master(Instrument(OSError("gone"), b"0;0\n"))
     failed = master.ask(PLAY, order(5))
     assert (failed["played"], failed["ended"], failed["reason"]) == (0, "failed", "trigger 1 failed (OSError: gone)")
-    master.pipe.write(frame(BEAT, 3))
-    ((done, _, lost),) = read_frames(io.BytesIO(master.answers.get(timeout=60)))
-    assert (done, lost) == (DONE, b"failed: trigger 1 failed (OSError: gone)")
+    assert master.ask(BEAT) == failed
     master.pipe.write(request(ARM), frame(LATE, 4))
     ((_, number, _),) = read_frames(io.BytesIO(master.answers.get(timeout=60)))
     assert number == 4, "the next stimulus is being prepared"
-    master.pipe.write(frame(BEAT, 3))
-    ((done, _, lost),) = read_frames(io.BytesIO(master.answers.get(timeout=60)))
-    assert (done, lost) == (DONE, b""), "a stimulus that has not begun cannot be lost"
+    assert master.ask(BEAT) == {}, "a stimulus that has not begun cannot be lost"
     assert master.ask(PLAY, order(5))["ended"] == ""
-    master.pipe.write(frame(BEAT, 3))
-    ((done, _, lost),) = read_frames(io.BytesIO(master.answers.get(timeout=60)))
-    assert (done, lost) == (DONE, b"")
+    assert master.ask(BEAT)["ended"] == ""
     master.pipe.write(frame(END, 0), frame(CLEAN, 0))
     master.serving.join(10)

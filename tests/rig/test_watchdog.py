@@ -17,8 +17,9 @@ from pathlib import Path
 
 import pytest
 
+from modaltouch.rig.pacing import PATIENCE
 from modaltouch.rig.simulator import Simulator
-from modaltouch.rig.watchdog_process import LIMIT, REPLY_TIMEOUT
+from modaltouch.rig.watchdog_process import REPLY_TIMEOUT
 
 APPARATUS = Path(__file__).parents[2] / "protocols" / "apparatus" / "beam_100x6x2.yaml"
 
@@ -186,7 +187,7 @@ def test_a_stopped_session_leaves_outputs_off(start: Start, single_link: Simulat
     session.signal(signal.SIGSTOP)
     took = seconds_until_off(single_link)
     if phase == "trial":
-        assert took > 0.7 * LIMIT
+        assert took > 0.7 * PATIENCE
 
 
 @pytest.mark.parametrize("phase", list(PHASES))

@@ -14,7 +14,7 @@ from dataclasses import asdict
 from typing import Any
 
 from modaltouch.rig.interface import InUse, LinkError, RigError, TransportError
-from modaltouch.rig.pacing import LEASE, Order, Report
+from modaltouch.rig.pacing import LEASE, PATIENCE, Order, Report
 from modaltouch.rig.watchdog_process import (
     ARM,
     BEAT,
@@ -27,8 +27,6 @@ from modaltouch.rig.watchdog_process import (
     FLAG,
     HEAD,
     LATE,
-    LIMIT,
-    LOOK,
     MARK,
     OPEN,
     PLAY,
@@ -131,10 +129,10 @@ class WatchdogClient:
         """Send heartbeats while outputs may be on, as long as the session calls `beat`."""
         while not self._released.wait(BEAT_PERIOD):
             self._armed.wait(BEAT_PERIOD)
-            if not self._armed.is_set() or time.monotonic() - self._came_round > LIMIT / 2:
+            if not self._armed.is_set() or time.monotonic() - self._came_round > PATIENCE / 2:
                 continue
             try:
-                lost = self._request(BEAT, b"", OVERHEAD).decode()
+                lost = self.look().lost
             except (LinkError, TransportError) as error:
                 # A request that failed meanwhile has already raised in the session.
                 self._broken = self._broken or LinkError(str(error))
@@ -147,8 +145,8 @@ class WatchdogClient:
         return _report(self._request(PLAY, json.dumps(asdict(order)).encode(), limit))
 
     def look(self) -> Report:
-        """Return the report so far."""
-        return _report(self._request(LOOK, b"", OVERHEAD))
+        """Return the report so far; the request is a heartbeat, too."""
+        return _report(self._request(BEAT, b"", OVERHEAD))
 
     def end(self) -> None:
         """Trigger no further burst; never raises, since the next request detects a lost process."""

@@ -3,12 +3,12 @@
 ``python -m modaltouch.rig.watchdog_process ADDRESS OFF`` runs it as a separate process; OFF is `Instrument.off`. The
 driver (the client) makes every exchange via this process, over a pipe, so that the
 process can switch the outputs off at any time, even over an interface limited to a single session (USB). While armed it
-expects a heartbeat at least every `LIMIT` seconds; every request counts as one. If none arrives, no further burst is
+expects a heartbeat at least every `PATIENCE` seconds; every request counts as one. If none arrives, no further burst is
 triggered and the outputs are switched off. The same happens when the pipe ends without `CLEAN` (the client was killed,
 possibly together with its display server).
 
 A request consists of a mark, a letter, a number, a length and that number of bytes. `OPEN`, `EXCHANGE`, `CLOSE`,
-`PLAY`, `LOOK`, `REPORT`, `BEAT` and `LATE` are answered in the same format, with the number of the request and a letter
+`PLAY`, `REPORT`, `BEAT` and `LATE` are answered in the same format, with the number of the request and a letter
 for the outcome.
 """
 
@@ -35,7 +35,7 @@ from modaltouch.rig.visa import VisaSession
 from modaltouch.system import SYSTEM_CLOCK, Clock
 
 OPEN, EXCHANGE, CLOSE, ARM, BEAT, DISARM, CLEAN = b"O", b"X", b"Z", b"A", b".", b"D", b"C"
-PLAY, LOOK, END, REPORT, LATE = b"P", b"?", b"E", b"R", b"L"
+PLAY, END, REPORT, LATE = b"P", b"E", b"R", b"L"
 DONE, FAILED, TAKEN = b"+", b"-", b"!"
 
 HEAD = struct.Struct(">4scII")
@@ -49,9 +49,6 @@ TERMS = struct.Struct(">d??")
 
 FLAG = struct.Struct(">?")
 """Parameter of `ARM` (whether the outputs play until switched off) and `REPORT` (whether to await the last burst)."""
-
-LIMIT = PATIENCE
-"""Longest silence of an armed client [s]."""
 
 PERSISTENCE = 30.0
 """Time for which it keeps trying to reach an instrument that plays only when triggered [s]."""
@@ -91,7 +88,7 @@ class WatchdogProcess:
         transport: Transport,
         off: str,
         *,
-        limit: float = LIMIT,
+        limit: float = PATIENCE,
         persistence: float = PERSISTENCE,
         say: Callable[[str], object] = lambda sentence: None,
         clock: Clock = SYSTEM_CLOCK,
@@ -151,7 +148,7 @@ class WatchdogProcess:
             for letter, number, content in read_frames(requests):
                 self._heard = self._clock.now()
                 if letter == BEAT:
-                    reply(DONE, number, b"" if self._pacer is None else self._pacer.report.lost.encode())
+                    reply(DONE, number, self._encoded_report())
                 else:
                     waiting.put((letter, number, content))
         finally:
@@ -172,8 +169,6 @@ class WatchdogProcess:
             return DONE, b"%f" % self._held_up
         elif letter == PLAY:
             self._play(Order(**json.loads(content)), answer_later)
-        elif letter == LOOK:
-            return DONE, self._encoded_report()
         elif letter == END:
             self._end_bursts()
         elif letter == REPORT:
