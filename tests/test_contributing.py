@@ -79,7 +79,7 @@ print(session.complete, session.start["rig"]["identity"])
 print(instrument_of(preflight.experiment.apparatus).off)
 print(*examine("protocols/long.yaml").problems)
 """
-    complete, off, refused = run_in(tmp_path, program).splitlines()
+    complete, off, _, refused = run_in(tmp_path, program).splitlines()
     assert complete == "True ACME,WG2,SIMULATED,1.0"
     assert off == ":OUTP1:REL OFF;:OUTP2:REL OFF;:OUTP1:REL?;:OUTP2:REL?"
     assert "given 200002; allowed: at most 200000, the points of a record of the WG2" in refused
