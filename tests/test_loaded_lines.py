@@ -56,6 +56,7 @@ def test_a_simulated_session_loads_neither_lab_nor_analysis_nor_screen(tmp_path)
         "preflight.results",
         "protocol.calibration",
         "protocol.catch_trials",
+        "protocol.latin_squares",
         "protocol.levels",
         "protocol.wording",
         "record.audit",

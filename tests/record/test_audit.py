@@ -17,9 +17,9 @@ import pytest
 
 from modaltouch import examine
 from modaltouch.analysis.pipeline import read_responses
-from modaltouch.protocol import InputError, Sources
+from modaltouch.protocol import InputError, Schedule, Sources
 from modaltouch.protocol.findings import Findings
-from modaltouch.record.audit import audit_session, draw_again
+from modaltouch.record.audit import audit_session
 from modaltouch.record.chain import GENESIS, RecordError, encode_line, read_chain
 from modaltouch.record.folders import SessionFolder
 from modaltouch.record.log import SessionLog
@@ -127,7 +127,7 @@ def rewrite_protocol(events: Events) -> None:
     source["sha256"] = sources.protocol.sha256
     protocol = Findings.restored(sources).experiment().protocol
     start["design"] = protocol.model_dump(mode="json")
-    start["schedule"] = draw_again(Session(Path(), tuple(events)), protocol).as_dict()
+    start["schedule"] = Schedule.draw_again(protocol, start, Session(Path(), tuple(events)).drawn_as).as_dict()
     for event in of(events, "fired", "answered", "trial"):
         condition = event["trial"]["condition"]
         condition["velocity_mm_s"] = 90.0 if condition["velocity_mm_s"] == 80 else condition["velocity_mm_s"]

@@ -1,4 +1,4 @@
-"""Orders of the cells within a block: shuffled, blocked or by a balanced Latin square.
+"""Orders of the cells within a block: shuffled, as listed or by a balanced Latin square.
 
 Shuffled orders are drawn uniformly among all that keep the protocol's limits: exactly, if the only limit is on runs
 and orders can be counted or found by rejection; otherwise by a random walk.
@@ -6,7 +6,6 @@ and orders can be counted or found by rejection; otherwise by a random walk.
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Callable, Sequence
 from operator import itemgetter
@@ -14,11 +13,16 @@ from operator import itemgetter
 from modaltouch.protocol.conditions import Cell
 from modaltouch.protocol.schedule_section import LIMITS
 from modaltouch.protocol.sections import Protocol
-from modaltouch.protocol.streams import Stream
+from modaltouch.protocol.streams import ALGORITHM, Stream
 
 
 def order_cells(
-    protocol: Protocol, finger_condition: str, turn: int, stream: Stream, effort: float = 1.0
+    protocol: Protocol,
+    finger_condition: str,
+    turn: int,
+    stream: Stream,
+    effort: float = 1.0,
+    algorithm: str = ALGORITHM,
 ) -> list[Cell]:
     """Return the ordered cells of one block, according to the protocol's `order`."""
     cells, order = protocol.cells(finger_condition), protocol.schedule.order
@@ -26,7 +30,9 @@ def order_cells(
         return cells * protocol.scheduled_repetitions
     if order == "shuffled":
         return _shuffled(protocol, cells, stream, effort)
-    return order_by_square(protocol, cells, turn, stream)
+    from modaltouch.protocol.latin_squares import order_by_square
+
+    return order_by_square(protocol, cells, turn, stream, algorithm)
 
 
 def are_certain(protocol: Protocol) -> bool:
@@ -82,84 +88,3 @@ def draw_order(counts: Sequence[int], limit: int | None, stream: Stream, key: st
         kinds = [kind for kind, count in enumerate(counts) for _ in range(count)]
         drawn = limited_orders.draw_by_walk(kinds, [limited_orders.Limit(key, lambda kind: kind, limit)], stream)
     return drawn
-
-
-def latin_square(n_cells: int) -> list[list[int]]:
-    """Return the rows of a balanced Latin square: Williams' design (Aust. J. Sci. Res. A 2, 149 (1949)).
-
-    Each cell occurs equally often at each position and follows each other cell equally often. This takes `n_cells` rows
-    for an even number of cells and twice as many for an odd number.
-
-    >>> latin_square(4)
-    [[0, 1, 3, 2], [1, 2, 0, 3], [2, 3, 1, 0], [3, 0, 2, 1]]
-    """
-    zigzag = [(place + 1) // 2 if place % 2 else -place // 2 for place in range(n_cells)]
-    rows = [[(cell + shift) % n_cells for cell in zigzag] for shift in range(n_cells)]
-    return rows if n_cells % 2 == 0 else [*rows, *(row[::-1] for row in rows)]
-
-
-def period_of_rows(protocol: Protocol) -> int:
-    """Return the number of turns after which the rows of a Latin square repeat; 1 if there is no square."""
-    if protocol.schedule.order not in ("latin_square", *_PLACES):
-        return 1
-    return math.lcm(*(_period(protocol, protocol.cells(name)) for name in protocol.conditions.finger_conditions))
-
-
-def order_by_square(protocol: Protocol, cells: list[Cell], turn: int, stream: Stream) -> list[Cell]:
-    """Return the cells of a block in a participant's row of a Latin square.
-
-    With a square of pairs or velocities, these are presented one after the other, the cells of each shuffled. With a
-    square of all cells, each repetition takes the next row.
-    """
-    order, repetitions = protocol.schedule.order, protocol.scheduled_repetitions
-    kinds = _kinds(order, cells)
-    square = latin_square(len(kinds))
-    rows = [square[row] for row in _rows_of_turn(protocol, cells, turn)]
-    if order == "latin_square":
-        return [cells[cell] for row in rows for cell in row]
-    each_kind = [[cell for cell in cells if cell[_PLACES[order]] == kind] * repetitions for kind in kinds]
-    return [cell for row in rows for kind in row for cell in stream.shuffled(each_kind[kind])]
-
-
-def rows_of_turn(protocol: Protocol, turn: int) -> tuple[tuple[int, ...], ...]:
-    """Return the rows of a Latin square in a turn, for each finger condition; empty if there is no square."""
-    if protocol.schedule.order not in ("latin_square", *_PLACES):
-        return ()
-    return tuple(_rows_of_turn(protocol, protocol.cells(name), turn) for name in protocol.conditions.finger_conditions)
-
-
-def _rows_of_turn(protocol: Protocol, cells: list[Cell], turn: int) -> tuple[int, ...]:
-    n_rows, taken = _n_rows(protocol, cells), _rows_per_turn(protocol)
-    return tuple(_row_of_turn(each, n_rows) for each in range(turn * taken, (turn + 1) * taken))
-
-
-def _n_rows(protocol: Protocol, cells: list[Cell]) -> int:
-    return len(latin_square(len(_kinds(protocol.schedule.order, cells))))
-
-
-def _rows_per_turn(protocol: Protocol) -> int:
-    return protocol.scheduled_repetitions if protocol.schedule.order == "latin_square" else 1
-
-
-def _period(protocol: Protocol, cells: list[Cell]) -> int:
-    # Each round begins one row later than the last, so the period is as many rounds as rows.
-    period = _n_rows(protocol, cells) ** 2
-    return period // math.gcd(period, _rows_per_turn(protocol))
-
-
-def _row_of_turn(turn: int, n_rows: int) -> int:
-    """Return the row of a square for a turn.
-
-    Each round of `n_rows` participants begins one row later than the last, so that every row is combined with every
-    order of finger conditions, which also alternates between participants.
-    """
-    return (turn + turn // n_rows) % n_rows
-
-
-_PLACES = {"by_pair": 0, "by_velocity": 1}
-"""Index, within a cell, of the factor ordered by the square, by the protocol's `order`."""
-
-
-def _kinds(order: str, cells: list[Cell]) -> list[object]:
-    """Return the items ordered by a Latin square: pairs, velocities, or cells (each as often as its weight)."""
-    return list(cells if order == "latin_square" else dict.fromkeys(cell[_PLACES[order]] for cell in cells))

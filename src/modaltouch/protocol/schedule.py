@@ -16,11 +16,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from modaltouch.protocol.conditions import Cell, Placement
-from modaltouch.protocol.orders import are_certain, order_cells, period_of_rows, rows_of_turn
+from modaltouch.protocol.orders import are_certain, order_cells
 from modaltouch.protocol.schedule_section import NoOrderError
 from modaltouch.protocol.sections import Protocol
 from modaltouch.protocol.source import InputError, Problem
-from modaltouch.protocol.streams import ALGORITHM, Stream, key_of, seed_sequence
+from modaltouch.protocol.streams import ALGORITHM, FORMER_ALGORITHM, Stream, key_of, seed_sequence
 from modaltouch.protocol.trial import SIDES, Condition, Trial
 
 if TYPE_CHECKING:
@@ -86,13 +86,18 @@ class Turn:
 
     def balanced(self, protocol: Protocol) -> tuple[object, ...]:
         """Return all that this turn decides: order of finger conditions, placement and rows of a Latin square."""
-        return *self.order(protocol), rows_of_turn(protocol, self.number)
+        from modaltouch.protocol.latin_squares import numbers_of_rows, row_of_turn
+
+        return *self.order(protocol), *(row_of_turn(self.number, n_rows) for n_rows in numbers_of_rows(protocol))
 
     @staticmethod
     def period(protocol: Protocol) -> int:
         """Return the number of turns after which orders of finger conditions, placements and rows all repeat."""
+        from modaltouch.protocol.latin_squares import numbers_of_rows
+
         n_orders = len(_orders_of_finger_conditions(protocol)) * len(protocol.conditions.placements)
-        return math.lcm(n_orders, period_of_rows(protocol))
+        # Each round of a square begins one row later than the last, so its period is as many rounds as rows.
+        return math.lcm(n_orders, *(n_rows**2 for n_rows in numbers_of_rows(protocol)))
 
 
 @dataclass(frozen=True)
@@ -131,6 +136,8 @@ class Schedule:
         The participant's group and its origin; empty if the protocol has none.
     session_kind : str
         Kind of the session; empty if the protocol has only one.
+    algorithm : str
+        Name and version of the algorithm that drew the order.
     """
 
     participant: str
@@ -144,6 +151,7 @@ class Schedule:
     group: str = ""
     group_by: str = ""
     session_kind: str = ""
+    algorithm: str = ALGORITHM
 
     @property
     def trials(self) -> tuple[Trial, ...]:
@@ -162,7 +170,7 @@ class Schedule:
     def seeds(self) -> dict[str, Any]:
         """Seeds and algorithm of the order, for the record."""
         return {
-            "algorithm": ALGORITHM,
+            "algorithm": self.algorithm,
             "study_seed": self.seed,
             "participant": self.participant,
             "participant_key": f"{key_of(self.participant):064x}",
@@ -204,6 +212,7 @@ class Schedule:
         *,
         given: Turn | None = None,
         effort: float = 1.0,
+        algorithm: str = ALGORITHM,
     ) -> Schedule:
         """Draw a participant's schedule; the same arguments give the same schedule.
 
@@ -221,6 +230,8 @@ class Schedule:
             The participant's turn, if set by the record rather than by the participant's number.
         effort : float
             Fraction of the usual work after which the search for an order is abandoned [1].
+        algorithm : str
+            Name and version of the algorithm.
 
         Raises
         ------
@@ -228,12 +239,12 @@ class Schedule:
             If no order keeps the protocol's limits, or if such orders are too rare to find.
         """
         decided = given or Turn.of(participant, seed, session, protocol.groups)
-        kind = protocol.schedule.kind_of(session)
         finger_conditions, placement = decided.order(protocol)
         blocks: list[Block] = []
         chance = partial(Stream, seed, participant, session)
         for number, finger_condition in enumerate(finger_conditions, start=1):
-            cells = order_cells(protocol, finger_condition, decided.number, chance(_ORDER + finger_condition), effort)
+            stream = chance(_ORDER + finger_condition)
+            cells = order_cells(protocol, finger_condition, decided.number, stream, effort, algorithm)
             cells = _with_catches(protocol, cells, chance(_CATCHES + finger_condition))
             conditions = [_place(finger_condition, cell, placement) for cell in cells]
             first = sum(len(block.trials) for block in blocks) + 1
@@ -252,7 +263,31 @@ class Schedule:
             turn=given,
             group=decided.group,
             group_by=decided.group_by,
-            session_kind="" if kind is None else kind.name,
+            session_kind=getattr(protocol.schedule.kind_of(session), "name", ""),
+            algorithm=algorithm,
+        )
+
+    @classmethod
+    def draw_again(cls, protocol: Protocol, start: dict[str, Any], session: int) -> Schedule:
+        """Draw the schedule of a start record again, by the algorithm that it names.
+
+        Parameters
+        ----------
+        protocol : Protocol
+            The design.
+        start : dict
+            The start record.
+        session : int
+            Number of the session when the order was drawn.
+        """
+        is_former = start["schedule"]["seeds"]["algorithm"] == FORMER_ALGORITHM
+        return cls.draw(
+            protocol,
+            start["participant"],
+            start["seed"],
+            session,
+            given=Turn.recorded(start),
+            algorithm=FORMER_ALGORITHM if is_former else ALGORITHM,
         )
 
     @classmethod

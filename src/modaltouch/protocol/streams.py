@@ -16,8 +16,11 @@ from typing import Self, TypeVar
 
 import numpy as np
 
-ALGORITHM = "modaltouch order 1: raw words of numpy PCG64, seeded by SeedSequence(seed, participant, session, purpose)"
+_WORDS = "raw words of numpy PCG64, seeded by SeedSequence(seed, participant, session, purpose)"
+ALGORITHM = f"modaltouch order 2: {_WORDS}"
 """Name and version of the algorithm that derives an order from a seed, for the record."""
+FORMER_ALGORITHM = f"modaltouch order 1: {_WORDS}"
+"""The one of older records, with other rows of a Latin square with several repetitions."""
 
 Item = TypeVar("Item")
 

@@ -9,7 +9,7 @@ from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
-from modaltouch.protocol import InputError, Protocol, Schedule, Sources, Turn
+from modaltouch.protocol import InputError, Protocol, Schedule, Sources
 from modaltouch.record.chain import RecordError, read_chain
 from modaltouch.record.expectation import MALFORMED, SPEED, RestoredExperiment, TrialExpectation, restore
 from modaltouch.record.folders import SessionFolder
@@ -81,7 +81,7 @@ def audit_session(session: Session) -> Audit:
         restored = restore(Sources.recorded(start), session.occasion)
         own = start.get("sensation_levels")
         protocol = restored.protocol.with_levels(tuple(own["levels_mm_s"])) if own else restored.protocol
-        schedule = draw_again(session, protocol)
+        schedule = Schedule.draw_again(protocol, start, session.drawn_as)
         for holds, sentence in check_beginning(session, restored, protocol, schedule):
             if sentence:
                 (lines if holds else problems).append(sentence)
@@ -135,12 +135,6 @@ def check_beginning(
         yield _check_own_levels(session, restored, place)
     if schedule.session_kind:
         yield _check_gap(session, protocol, place)
-
-
-def draw_again(session: Session, protocol: Protocol) -> Schedule:
-    """Redraw the order from the seed in the start record."""
-    start = session.start
-    return Schedule.draw(protocol, start["participant"], start["seed"], session.drawn_as, given=Turn.recorded(start))
 
 
 def _check_texts(start: dict[str, Any], protocol: Protocol, place: str) -> tuple[bool, str]:

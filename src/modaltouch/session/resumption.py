@@ -10,7 +10,7 @@ from typing import Any
 
 from modaltouch.planning import Observer
 from modaltouch.preflight import examine_findings
-from modaltouch.protocol import Findings, Schedule, Turn
+from modaltouch.protocol import Findings, Schedule
 from modaltouch.record import (
     RecordError,
     RecordInputError,
@@ -185,8 +185,8 @@ def wire_resume(
     preflight = examine_findings(Findings.recorded(start)).require()
     if own := start.get("sensation_levels"):
         preflight = preflight.with_levels(tuple(own["levels_mm_s"]))
-    protocol, given = preflight.experiment.protocol, Turn.recorded(start)
-    schedule = Schedule.draw(protocol, place.participant, start["seed"], session.drawn_as, given=given)
+    protocol = preflight.experiment.protocol
+    schedule = Schedule.draw_again(protocol, start, session.drawn_as)
     observer = Observer.from_dict(start["observer"]) if "observer" in start else Observer()
     at = protocol.schedule.resume.at
     chosen = (restart and not session.complete) or (at == "restart" and session.lacks_trials)

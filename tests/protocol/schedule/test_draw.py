@@ -15,10 +15,11 @@ from hypothesis import strategies as st
 
 from modaltouch.protocol import Findings, Protocol
 from modaltouch.protocol.catch_trials import place_catches
+from modaltouch.protocol.latin_squares import latin_square
 from modaltouch.protocol.limited_orders import longest_run
-from modaltouch.protocol.orders import latin_square, order_cells, period_of_rows
+from modaltouch.protocol.orders import order_cells
 from modaltouch.protocol.schedule import Schedule, Turn
-from modaltouch.protocol.streams import Cuts, Stream
+from modaltouch.protocol.streams import ALGORITHM, FORMER_ALGORITHM, Cuts, Stream
 
 SHIPPED = Path(__file__).parents[3] / "protocols"
 ORDERS = ["shuffled", "by_pair", "by_velocity", "latin_square"]
@@ -69,11 +70,25 @@ def test_a_schedule_depends_on_its_arguments_only() -> None:
     assert len({each.order_hash for each in (schedule, *others)}) == 5
 
 
-def test_orders_of_version_1_never_change() -> None:
-    """Records must stay verifiable: this hash may change only with the name of the algorithm."""
-    schedule = Schedule.draw(PAPER, "p01", 1)
-    assert "modaltouch order 1" in schedule.seeds["algorithm"]
-    assert schedule.order_hash.startswith("88743af0c42dc4a8")
+@pytest.mark.parametrize(
+    ("algorithm", "version", "changes", "hash_begins"),
+    [
+        (ALGORITHM, 2, {}, "88743af0c42dc4a8"),
+        (FORMER_ALGORITHM, 1, {}, "88743af0c42dc4a8"),
+        (ALGORITHM, 2, {"order": "latin_square", "repetitions": 3}, "bf21fbe41615de83"),
+        (FORMER_ALGORITHM, 1, {"order": "latin_square", "repetitions": 3}, "1fd689ac2f11b891"),
+    ],
+)
+def test_recorded_orders_are_drawn_again_by_the_algorithm_they_name(
+    algorithm: str, version: int, changes: dict[str, Any], hash_begins: str
+) -> None:
+    """Records must stay verifiable: a hash may change only with the name of the algorithm."""
+    protocol = changed("schedule", max_same_pair_running=None if changes else 2, **changes)
+    schedule = Schedule.draw(protocol, "p02" if changes else "p01", 1, algorithm=algorithm)
+    assert f"modaltouch order {version}:" in schedule.seeds["algorithm"]
+    assert schedule.order_hash.startswith(hash_begins)
+    start = {"participant": schedule.participant, "seed": 1, "schedule": schedule.as_dict()}
+    assert Schedule.draw_again(protocol, start, 1) == schedule
 
 
 def test_each_purpose_has_its_own_stream() -> None:
@@ -205,6 +220,16 @@ def test_twelve_participants_balance_the_latin_square() -> None:
     assert len({pair for order in orders for pair in itertools.pairwise(order)}) == 12 * 11
 
 
+@pytest.mark.parametrize("repetitions", [2, 3, 5, 11])
+def test_each_repetition_balances_the_latin_square(repetitions: int) -> None:
+    """Twelve participants have each of twelve cells once at each place, as with one repetition."""
+    protocol = changed("schedule", order="latin_square", max_same_pair_running=None, repetitions=repetitions)
+    blocks = [Schedule.draw(protocol, f"p{number:02d}", 1).blocks for number in range(1, 13)]
+    orders = [own.trials for each in blocks for own in each if own.finger_condition == "one_hand"]
+    for place in range(12 * repetitions):
+        assert len({order[place].condition for order in orders}) == 12
+
+
 def test_rows_are_crossed_with_orders_of_finger_conditions() -> None:
     """Twelve rows and two orders give 24 different combinations for 24 participants."""
     protocol = changed("schedule", order="latin_square", max_same_pair_running=None)
@@ -309,9 +334,9 @@ def signature(protocol: Protocol, turn: int) -> tuple[Any, ...]:
 def test_rows_repeat_after_their_period_and_not_before(order: str, repetitions: int, name: str) -> None:
     """The period is the least number of turns after which all rows repeat, checked over two periods."""
     protocol = Findings.read(SHIPPED / f"{name}.yaml").experiment().protocol
-    part = protocol.schedule.model_copy(update={"order": order, "repetitions": repetitions})
-    protocol = protocol.model_copy(update={"schedule": part})
-    period = period_of_rows(protocol)
+    alone = {"order": order, "repetitions": repetitions, "counterbalance_finger_conditions": False}
+    protocol = protocol.model_copy(update={"schedule": protocol.schedule.model_copy(update=alone)})
+    period = Turn.period(protocol)
     rows = [signature(protocol, turn) for turn in range(2 * period)]
     assert rows[:period] == rows[period:]
     shorter = [each for each in range(1, period) if period % each == 0]
