@@ -299,7 +299,7 @@ class Schedule:
         session: int = 1,
         *,
         given: Turn | None = None,
-        **how: float,
+        effort: float = 1.0,
     ) -> Schedule:
         """Draw a participant's schedule from a protocol file without problems; arguments and `effort` as in `draw`.
 
@@ -309,7 +309,7 @@ class Schedule:
             If no order keeps a limit, or if such orders are too rare to find; with the position of the limit.
         """
         try:
-            return cls.draw(findings.experiment().protocol, participant, seed, session, given=given, **how)
+            return cls.draw(findings.experiment().protocol, participant, seed, session, given=given, effort=effort)
         except NoOrderError as error:
             raise InputError([findings.problem(("schedule", error.key), *error.parts)]) from error
 
