@@ -8,11 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from modaltouch.protocol import Findings
+from modaltouch.protocol import Findings, Source, Texts
+from modaltouch.protocol.reading import read
 from modaltouch.protocol.schedule import Schedule
 from modaltouch.protocol.trial import AnswerList, Condition, Trial
 
 Edit = Callable[..., Path]
+SHIPPED = Path(__file__).parents[2] / "protocols"
 FINGERS = "finger_conditions: [one_hand, two_hands]"
 PAIRS = "zone_pairs: [[A, C], [B, D], [C, E]]"
 KEYS = "    left: [left, num_4]\n    both: [up, down, num_8]\n    right: [right, num_6]\n"
@@ -130,6 +132,24 @@ def test_faults_of_fingers_zones_and_answers_have_their_position(
     (file.parent / "texts" / "bare.yaml").write_text(bare, encoding="utf-8")
     found = faults(file)
     assert any(fault in each for each in found), found
+
+
+@pytest.mark.parametrize(
+    ("language", "line"),
+    [
+        ("english", "Rest your right index finger on zone A"),
+        ("german", "Rechter Zeigefinger auf Zone A"),
+        ("french", "Index droit : zone A"),
+        ("arabic", "ضع السبابة اليمنى على المنطقة A"),
+        ("chinese", "请把右手食指放在 A 区"),
+    ],
+)
+def test_a_line_that_begins_with_a_finger_begins_with_a_capital(language: str, line: str) -> None:
+    """The name of a finger alone, as above its tip, does not."""
+    texts = read(Source.load(SHIPPED / "texts" / f"{language}.yaml"), Texts).require()
+    name = texts.finger("right index")
+    assert name == name.lower() or language == "german"
+    assert texts.placing((name, name, name), ("A", "A", "A")).replace("\u00a0", " ").split("\n") == [line] * 3
 
 
 def test_a_misspelt_finger_of_an_answer_is_reported_once(edit: Edit) -> None:

@@ -485,7 +485,7 @@ def test_permanent_stalls_end_the_session(sit: Callable[..., SessionRun]) -> Non
     """After 30 presentations of a trial, without blaming the instrument."""
     sitting = sit()
     sitting.rig.stalled = 30  # type: ignore[attr-defined]
-    with pytest.raises(RigError, match=r"30 presentations could not be confirmed .held up.*close other programs"):
+    with pytest.raises(RigError, match=r"30 presentations could not be confirmed .held up.*close other programs$"):
         conduct(sitting)
     sitting = sit()
     sitting.rig.stalled = 29  # type: ignore[attr-defined]

@@ -162,6 +162,7 @@ def test_digits_and_punctuation_are_in_the_font_of_their_letters() -> None:
     assert set(arabic) == set(arabic[:1])
     assert names("按 Esc。") == ["wqy", "wqy", "NotoSans", "NotoSans", "NotoSans", "wqy"]
     assert Typesetter().lacking("A \U0010fffd") == "\U0010fffd"
+    assert Typesetter().lacking("a\tb\n\x07") == Typesetter().lacking("按\t\n\x07") == "\t\x07"
 
 
 @pytest.mark.parametrize("name", ["NotoSans", "DejaVuSans"])

@@ -95,8 +95,6 @@ class Laboratory:
         ``simulated`` if the generator is, else ``real``.
     progress : MeasurementProgress
         Callbacks of the measurement; called with the outputs off.
-    settling_time : float
-        Wait between the first burst and the first record [s].
     simulator : Simulator or None
         The twin, which holds the true values; for evaluating results, never for measuring.
     """
@@ -106,8 +104,12 @@ class Laboratory:
     scope: Scope
     mode: Mode
     progress: MeasurementProgress = SILENT_PROGRESS
-    settling_time: float = 0.0
     simulator: Simulator | None = None
+
+    @property
+    def settling_time(self) -> float:
+        """Wait between the first burst and the first record [s]; none for the twin, which computes the steady state."""
+        return 0.0 if self.simulator is not None else SETTLING_TIME
 
     def load(self, burst: Burst) -> None:
         """Load a burst into the generator and verify it; the outputs are off."""
@@ -250,4 +252,4 @@ def open_laboratory(
         scope = stack.enter_context(scope or Scope.open(apparatus))
         rig = open_generator(address=address)
         mode: Mode = "simulated" if instrument_of(apparatus).is_simulated(rig.identity) else "real"
-        yield Laboratory(apparatus, rig, scope, mode, progress, SETTLING_TIME)
+        yield Laboratory(apparatus, rig, scope, mode, progress)

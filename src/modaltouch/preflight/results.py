@@ -311,7 +311,7 @@ _PARTS = {
 
 def design_warnings(protocol: Protocol) -> Iterator[str]:
     """Yield warnings about pairs without a finger on the focus, tests that are impossible, and long sessions."""
-    conditions, presented = protocol.conditions, dict[str, str]()
+    conditions, presented, untouched = protocol.conditions, dict[str, str](), dict[str, list[str]]()
     for name in protocol.stimulus_names:
         section = protocol.stimulus_of(name)
         own = f"{section}, {protocol.n_bursts(name)} bursts, masked {protocol.is_masked(name)}"
@@ -322,7 +322,10 @@ def design_warnings(protocol: Protocol) -> Iterator[str]:
         noun = "any pair" if conditions.zone_pairs else "any zones"
         where = noun if len(without) == len(conditions.contacts) else ", ".join(without)
         if without:
-            yield (f"{f'stimulus {name}: ' if name else ''}no finger touches the focus {', '.join(foci)} on {where}")
+            untouched.setdefault(f"no finger touches the focus {', '.join(foci)} on {where}", []).append(name)
+    for told, names in untouched.items():
+        own = f"{'stimulus' if len(names) == 1 else 'stimuli'} {', '.join(names)}: "
+        yield f"{own if names != [''] else ''}{told}"
     kinds = protocol.schedule.session_kinds
     is_analysed = not kinds or any(each.analysed for each in kinds)
     if not is_analysed:

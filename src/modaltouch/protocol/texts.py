@@ -228,7 +228,8 @@ class Texts(Section):
         """Return the instruction that assigns fingers to zones."""
         if len(zones) != 2:
             each = self.place_each_finger or ""
-            return "\n".join(each.format(finger=f, zone=zone) for f, zone in zip(fingers, zones, strict=True))
+            lines = (each.format(finger=finger, zone=zone) for finger, zone in zip(fingers, zones, strict=True))
+            return "\n".join(line[:1].upper() + line[1:] for line in lines)
         return self.place_fingers.format(
             left_finger=fingers[0], left_zone=zones[0], right_finger=fingers[1], right_zone=zones[1]
         )

@@ -29,9 +29,6 @@ if TYPE_CHECKING:
 AnswersBy = Literal["window", "simulated", "robot"]
 """A person at the window; a simulated participant without a window; one that types into the real window."""
 
-SETTLING_TIME = 0.5
-"""Time from the start of a probe's sines to the steady state of a real beam [s]."""
-
 SIMULATED = "simulated"
 """Address of the simulated rig."""
 
@@ -242,7 +239,7 @@ class SessionParts:
                 yield Prober(Laboratory(apparatus, rig, scope, "simulated", simulator=self.simulator), expected)
             else:
                 # The vibrometer is not re-aimed during a session.
-                yield Prober(Laboratory(apparatus, rig, scope, "real", settling_time=SETTLING_TIME), expected)
+                yield Prober(Laboratory(apparatus, rig, scope, "real"), expected)
 
     def open_window(self, tick: Callable[[], Event | None], log: Callable[..., None]) -> AnswerWindow:
         """Open the answer window, with a simulated participant unless a person answers."""

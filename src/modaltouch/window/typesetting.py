@@ -43,8 +43,9 @@ class Font:
     is_emboldened: bool = False  # whether it lacks a bold companion and must be drawn with thicker strokes
 
     def has(self, character: str) -> bool:
-        """Return whether the font has a glyph for a character; True for spaces and invisible characters."""
-        return unicodedata.category(character) in ("Cc", "Cf", "Zs") or ord(character) in _coverage(self.path)
+        """Return whether the font has a glyph for a character; True for spaces, line breaks and format characters."""
+        is_blank = character == "\n" or unicodedata.category(character) in ("Cf", "Zs")
+        return is_blank or ord(character) in _coverage(self.path)
 
 
 @cache
@@ -182,7 +183,7 @@ class Typesetter:
         """Return the characters that no font has; Western European texts, covered by bundled fonts, are not checked."""
         with suppress(UnicodeEncodeError):
             text.encode("cp1252")
-            return ""
+            return "".join(letter for letter in text if letter != "\n" and unicodedata.category(letter) == "Cc")
         return "".join(
             letter for letter, font in zip(text, self.choose_fonts(text), strict=True) if not font.has(letter)
         )
