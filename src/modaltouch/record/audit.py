@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Any
 
 from modaltouch.protocol import InputError, Protocol, Schedule, Sources
+from modaltouch.record.agreement import check_view
 from modaltouch.record.chain import RecordError, read_chain
 from modaltouch.record.expectation import MALFORMED, SPEED, RestoredExperiment, TrialExpectation, restore
 from modaltouch.record.folders import SessionFolder
 from modaltouch.record.sequence import EventSequence
 from modaltouch.record.session import Session, check_shape
-from modaltouch.record.view import check_view
 
 
 @dataclass(frozen=True)

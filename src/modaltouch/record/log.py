@@ -14,7 +14,7 @@ from modaltouch.record.chain import GENESIS, Chain, RecordError, describe_torn, 
 from modaltouch.record.files import make_folder, move, open_file, sync_folder
 from modaltouch.record.folders import SessionFolder, refuse_existing
 from modaltouch.record.session import SCHEMA, Session, count, read_session
-from modaltouch.record.view import check_view, write_view
+from modaltouch.record.view import write_view
 from modaltouch.system import SYSTEM_CLOCK, Clock, lock, sync_file
 
 
@@ -117,6 +117,8 @@ class SessionLog(AbstractContextManager["SessionLog"]):
         RecordError
             If the log is damaged, in use by another process, or cannot be written.
         """
+        from modaltouch.record.agreement import check_view
+
         session = read_session(place.log)
         if check_view(session).is_current and not session.chain.problems:
             return session
