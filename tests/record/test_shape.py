@@ -7,7 +7,8 @@ import pytest
 from modaltouch.protocol import InputError
 from modaltouch.record.audit import audit_session
 from modaltouch.record.chain import GENESIS, RecordError, encode_line, read_chain
-from modaltouch.record.session import Session, check_shape, read_session
+from modaltouch.record.session import Session, read_session
+from modaltouch.record.shape import check_shape
 from modaltouch.session.resumption import wire_resume
 from modaltouch.session.wiring import simulate_session
 

@@ -22,7 +22,7 @@ from modaltouch.record.expectation import check_answers
 from modaltouch.rig import Generator, RigError, Simulator
 from modaltouch.session import simulate_session
 from modaltouch.session.console.status import Status
-from modaltouch.session.events import Markers
+from modaltouch.session.markers import Markers
 from modaltouch.session.resumption import resume, wire_resume
 from modaltouch.session.setup import begin
 from modaltouch.session.wiring import wire_run

@@ -13,7 +13,7 @@ import pytest
 from modaltouch.preflight import examine
 from modaltouch.protocol import InputError
 from modaltouch.record import Session
-from modaltouch.session.events import Markers
+from modaltouch.session.markers import Markers
 from modaltouch.session.setup import Setup, begin
 from modaltouch.session.wiring import wire_run
 from modaltouch.system import SYSTEM_CLOCK

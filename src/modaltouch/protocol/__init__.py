@@ -18,8 +18,9 @@ if TYPE_CHECKING:
     from modaltouch.protocol.findings import Experiment, Findings
     from modaltouch.protocol.levels import Levels
     from modaltouch.protocol.observers import ObserverFile
+    from modaltouch.protocol.practice import judge_round
     from modaltouch.protocol.questions import ScaleSection
-    from modaltouch.protocol.schedule import Schedule, Turn, judge_round
+    from modaltouch.protocol.schedule import Schedule, Turn
     from modaltouch.protocol.sections import AnswersSection, Protocol
     from modaltouch.protocol.source import InputError, Problem, Source, Sources, suggest
     from modaltouch.protocol.stimulus_sections import MaskingSection, StimulusSection
@@ -34,8 +35,9 @@ else:
             "findings": "Experiment Findings",
             "levels": "Levels",
             "observers": "ObserverFile",
+            "practice": "judge_round",
             "questions": "ScaleSection",
-            "schedule": "Schedule Turn judge_round",
+            "schedule": "Schedule Turn",
             "sections": "AnswersSection Protocol",
             "source": "InputError Problem Source Sources suggest",
             "stimulus_sections": "MaskingSection StimulusSection",

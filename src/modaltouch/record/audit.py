@@ -15,7 +15,8 @@ from modaltouch.record.chain import RecordError, read_chain
 from modaltouch.record.expectation import MALFORMED, SPEED, RestoredExperiment, TrialExpectation, restore
 from modaltouch.record.folders import SessionFolder
 from modaltouch.record.sequence import EventSequence
-from modaltouch.record.session import Session, check_shape
+from modaltouch.record.session import Session
+from modaltouch.record.shape import check_shape
 
 
 @dataclass(frozen=True)

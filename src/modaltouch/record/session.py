@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -19,41 +19,6 @@ _TAIL = 4096
 SCHEMA = 2
 """Version of the log format, stated in the first line. Since version 2, bursts are counted, and an answer is written
 on a separate line before its trial is confirmed."""
-
-READABLE = (1, 2)
-"""Readable versions of the log format."""
-
-_NEEDED: dict[str, tuple[tuple[tuple[str, ...], type | tuple[type, ...]], ...]] = {
-    "start": ((("mode",), str), (("participant",), str), (("protocol",), str), (("schedule", "n_trials"), int)),
-    "start, to be repeated": (
-        (("session",), int),
-        (("seed",), int),
-        (("rig_choice",), str),
-        (("answers_choice",), str),
-        (("design",), dict),
-        *((("sources", file, key), str) for file in ("protocol", "apparatus", "texts") for key in ("text", "path")),
-        (("schedule", "order_hash"), str),
-        (("stimulus", "content_hash"), str),
-        (("versions",), dict),
-    ),
-    "withdrawn": ((("lines",), list),),
-    "closed": ((("begun_anew_as",), int),),
-    "form": ((("name",), str), (("response", "answer"), str), (("response", "reaction_time"), (int, float))),
-    "trial": (
-        (("trial", "index"), int),
-        (("trial", "block"), int),
-        (("trial", "practice"), bool),
-        (("trial", "repetition"), int),
-        (("trial", "condition", "finger_condition"), str),
-        (("trial", "condition", "zone_left"), str),
-        (("trial", "condition", "zone_right"), str),
-        (("trial", "condition", "velocity_mm_s"), (int, float)),
-        (("confirmed", "confirmed"), bool),
-        (("response", "answer"), str),
-        (("response", "reaction_time"), (int, float)),
-    ),
-}
-"""Required members of each kind of event, and their types."""
 
 
 @dataclass(frozen=True)
@@ -112,11 +77,15 @@ class Session:
     @cached_property
     def problems(self) -> tuple[str, ...]:
         """All problems of the file; empty for an intact file."""
+        from modaltouch.record.shape import check_shape
+
         return (*self.chain.problems, *check_shape(self.events, str(self.path)))
 
     @property
     def is_readable(self) -> bool:
         """Whether there is a start record and all lines have the required members."""
+        from modaltouch.record.shape import check_shape
+
         return bool(self.start) and not check_shape(self.events, "")
 
     @property
@@ -349,39 +318,3 @@ def read_session(path: Path) -> Session:
     """
     chain = read_chain(path)
     return Session(path, chain.events, chain)
-
-
-def check_shape(events: Iterable[dict[str, Any]], name: str, *, to_repeat: bool = False) -> tuple[str, ...]:
-    """Return a problem for each event with missing or wrong members; empty if all events are valid.
-
-    Parameters
-    ----------
-    events : iterable of dict
-        Valid lines of a log.
-    name : str
-        Prefix of each problem.
-    to_repeat : bool
-        Whether the first line must also contain all inputs from which order and drive are computed.
-    """
-    problems = []
-    for number, event in enumerate(events, 1):
-        kind = event.get("event")
-        clock = event.get("clock", 0.0)
-        if not isinstance(kind, str) or not isinstance(event.get("n"), int) or not isinstance(clock, (int, float)):
-            problems.append(f"{name}:{number}: is not an event of a session")
-            continue
-        if kind == "start" and event.get("schema", 1) not in READABLE:
-            problems.append(
-                f"{name}:{number}: was written in format {event.get('schema')}, but this program reads "
-                f"{' and '.join(map(str, READABLE))}; use the version of the program that wrote it"
-            )
-        kind = "trial" if kind == "answered" else kind
-        repeated = _NEEDED["start, to be repeated"] if to_repeat and kind == "start" else ()
-        for path, types in (*_NEEDED.get(kind, ()), *repeated):
-            value: Any = event
-            for step in path:
-                value = value.get(step) if isinstance(value, dict) else None
-            if not isinstance(value, types) or (isinstance(value, bool) and types is not bool):
-                problems.append(f"{name}:{number}: the event `{kind}` does not say its {'.'.join(path)}")
-                break
-    return tuple(problems)

@@ -20,13 +20,14 @@ from modaltouch.record import (
 )
 from modaltouch.rig import Rig, instrument_of
 from modaltouch.session.console import Console, Experimenter
-from modaltouch.session.events import Markers, boot_id, describe_ending, describe_start, how_to_continue
+from modaltouch.session.events import boot_id, describe_ending, describe_start, how_to_continue
 from modaltouch.session.loop import SessionRun, conduct
 from modaltouch.system import SYSTEM_CLOCK, Clock, Interruption, commit, versions
 from modaltouch.window import AnswerWindow, Event, Masking
 
 if TYPE_CHECKING:
     from modaltouch.lab import Prober
+    from modaltouch.session.markers import Markers
 
 
 @dataclass(frozen=True)

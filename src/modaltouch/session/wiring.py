@@ -16,7 +16,6 @@ from modaltouch.preflight import Preflight, examine
 from modaltouch.protocol import InputError, Protocol, Schedule, Trial, Turn
 from modaltouch.record import RecordInputError, Session, SessionFolder
 from modaltouch.rig import Generator, Rig
-from modaltouch.session.events import Markers
 from modaltouch.session.setup import Setup, begin
 from modaltouch.system import SYSTEM_CLOCK, Clock, VirtualClock
 from modaltouch.window import Answerer, AnswerWindow, Event, Masking
@@ -24,6 +23,7 @@ from modaltouch.window import Answerer, AnswerWindow, Event, Masking
 if TYPE_CHECKING:
     from modaltouch.lab import Prober
     from modaltouch.rig import Simulator
+    from modaltouch.session.markers import Markers
     from modaltouch.window import WindowOptions
 
 AnswersBy = Literal["window", "simulated", "robot"]
@@ -258,6 +258,8 @@ class SessionParts:
         section = self.preflight.experiment.protocol.markers
         if section is None or not section.lsl or self.clock is not SYSTEM_CLOCK:
             return None
+        from modaltouch.session.markers import Markers
+
         try:
             return Markers(f"{self.place.protocol}/{self.place.participant}/{self.place.session}", self.clock)
         except (ImportError, RuntimeError) as error:
