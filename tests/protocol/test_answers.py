@@ -120,6 +120,11 @@ def test_faults_of_a_list_have_their_position(edit: Edit, old: str, new: str, fa
             "The right one I should say - beyond doubt",
             "answers.rechts: given 41 characters on a button; allowed: at most 40",
         ),
+        (
+            "Unterschiedlicher",
+            "answers.rechts: given a word of 17 letters on a button; allowed: at most 15 with 3 answers in a row; "
+            "shorten it, or write a zero-width space (U+200B) where it may break",
+        ),
         ("'Press {key}'", "answers.rechts: given {key} in 'Press {key}'; allowed: exactly no words in braces"),
     ],
 )

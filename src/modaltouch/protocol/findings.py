@@ -15,7 +15,7 @@ from modaltouch.protocol.schedule_section import LIMITS, Occasion, at_occasion, 
 from modaltouch.protocol.sections import Protocol
 from modaltouch.protocol.source import InputError, Problem, Source, Sources
 from modaltouch.protocol.stimulus_sections import MEASURED, NO_FINGERS, StimulusSection, presented_levels
-from modaltouch.protocol.texts import Texts, check_words
+from modaltouch.protocol.texts import Texts, check_labels, check_words
 from modaltouch.protocol.tree import parse_tree
 from modaltouch.protocol.trial import Condition
 
@@ -359,6 +359,7 @@ class Findings:
             fingers = load_fingers(protocol, problems)
         found = cls._checked(protocol, files, calibrated, fingers, occasion, problems)
         problems += check_timing(protocol, found.apparatus)
+        problems += [] if found.texts is None else check_labels(protocol, found.texts)
         if found.measured:
             from modaltouch.protocol.placements import check_measured
 

@@ -243,12 +243,8 @@ class Texts(Section):
         return self.further.get(words, words)
 
 
-_ROOM = 120
-"""Largest number of characters on a row of buttons; more would be too small to read."""
-
-
 def check_words(protocol: Reading[Protocol], texts: Reading[Texts]) -> Iterator[Problem]:
-    """Yield a problem for each required text missing in the language file and each label too long for its button."""
+    """Yield a problem for each required text missing in the language file."""
     yield from _check_further(protocol, texts)
     yield from _lacking_fingers(protocol, texts)
     file, offered = protocol.source.path.name, offered_answers(protocol)
@@ -259,16 +255,6 @@ def check_words(protocol: Reading[Protocol], texts: Reading[Texts]) -> Iterator[
         needed += [("how_to_answer_or_none",)] if answer.means_nothing_felt else []
         for path in needed:
             field, node = Texts.model_fields[path[0]], texts.find(path)
-            label = texts.sound(*path) if path[0] == "answers" else None
-            in_row = sum(other.is_below == answer.is_below for other in offered)
-            room = _ROOM // in_row
-            if isinstance(label, str) and len(label) > room:
-                yield texts.problem(
-                    path,
-                    f"{len(label)} characters on a button",
-                    f"at most {room} with {in_row} answers in a row",
-                    "shorten it",
-                )
             # Missing required keys are also reported without a protocol.
             if field.is_required() or (node is not None and node.content is not None):
                 continue
@@ -287,6 +273,41 @@ def check_words(protocol: Reading[Protocol], texts: Reading[Texts]) -> Iterator[
                 f"a text, since {file} offers the answer {name}",
                 f"add the missing key `{'.'.join(path)}`",
             )
+
+
+_ROOM, _ROOM_IN_WORDS, _LONGEST_WORD = 120, 70, 15
+"""Largest number of characters on a row of buttons and of the longest words on them, and in a word: all labels of a row
+have the size of the longest one, which would be too small to read."""
+_BREAKS = re.compile(r"[^\S\u00a0\u202f]|\u200b|[\u2e80-\uffef]")
+"""Places where a line may break: spaces, zero-width spaces, and ideographs."""
+
+
+def check_labels(protocol: Reading[Protocol], texts: Reading[Texts]) -> Iterator[Problem]:
+    """Yield a problem for each label too long for its button; for new files only, so that all records can be read."""
+    offered = offered_answers(protocol)
+    rows = [[answer.name for answer in offered if answer.is_below is below] for below in (False, True)]
+    for questions in (("answers", "then"), ("form",)):
+        rows += [list(question.keys) for _, question in protocol.items(*questions)]
+    for name, n_beside in [(name, len(row)) for row in rows for name in row]:
+        path = (name,) if name in SHIPPED else ("answers", name)
+        label = str(texts.sound(*path) or "")
+        length, room = max(map(len, _BREAKS.split(label))), min(_LONGEST_WORD, _ROOM_IN_WORDS // n_beside)
+        yield from texts.faults(
+            (
+                len(label) > _ROOM // n_beside,
+                path,
+                f"{len(label)} characters on a button",
+                f"at most {_ROOM // n_beside} with {n_beside} answers in a row",
+                "shorten it",
+            ),
+            (
+                length > room,
+                path,
+                f"a word of {length} letters on a button",
+                f"at most {room} with {n_beside} answers in a row",
+                "shorten it, or write a zero-width space (U+200B) where it may break",
+            ),
+        )
 
 
 def _lacking_fingers(protocol: Reading[Protocol], texts: Reading[Texts]) -> Iterator[Problem]:

@@ -145,11 +145,13 @@ def _parsed(text: str) -> tuple[Node | None, list[Problem]]:
                 return root, []
     from ruamel.yaml import YAML, error
 
+    from modaltouch.protocol.syntax import syntax_problem
+
     reader = _Reader(YAML(typ="safe", pure=True).parse(text))
     try:
         return _built(reader), reader.problems
     except (error.YAMLError, ValueError, AttributeError) as fault:  # the parser raises these for some directives
-        return None, [*reader.problems, _syntax_problem(text, fault)]
+        return None, [*reader.problems, syntax_problem(text, fault)]
 
 
 def _built(reader: _Reader) -> Node | None:
@@ -175,38 +177,6 @@ def _built(reader: _Reader) -> Node | None:
 
 class _Stop(Exception):  # noqa: N818
     """Raised to stop reading at a problem."""
-
-
-def _syntax_problem(text: str, error: Exception) -> Problem:
-    """Convert a parser error to a problem."""
-    mark = getattr(error, "problem_mark", None) or getattr(error, "context_mark", None)
-    if (position := getattr(error, "position", None)) is not None:
-        before = text[:position]
-        line, column = before.count("\n") + 1, len(before) - before.rfind("\n")
-        return Problem(
-            "",
-            line,
-            column,
-            "",
-            f"the character U+{ord(text[position]):04X}, which YAML does not allow",
-            "printable text",
-            "remove it",
-        )
-    line, column = (mark.line + 1, mark.column + 1) if mark is not None else (1, 1)
-    written = text.split("\n")[line - 1] if line <= text.count("\n") + 1 else ""
-    if "\t" in written[: max(column, len(written) - len(written.lstrip()))]:
-        return Problem("", line, column, "", "a tab, but YAML needs spaces", "spaces", "indent only with spaces")
-    detail = " ".join(str(getattr(error, "problem", None) or error).split())
-    context = getattr(error, "context", None)
-    return Problem(
-        "",
-        line,
-        column,
-        "",
-        f"text that is not YAML ({detail}{f' {context}' if context else ''})",
-        "YAML 1.2",
-        "check indentation, brackets, quotes and colons here and in the line above",
-    )
 
 
 class _Reader:
