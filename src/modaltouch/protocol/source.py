@@ -191,7 +191,7 @@ class Source:
             reason = getattr(error, "strerror", None) or str(error)
             raise refused(f"a file that cannot be read ({reason})") from None
         if len(content) > SIZE_LIMIT:
-            raise refused(f"more than {SIZE_LIMIT // 1024} KiB", f"at most {SIZE_LIMIT // 1024} KiB of YAML")
+            raise refused(f"more than {SIZE_LIMIT // 1024} KiB", f"at most {SIZE_LIMIT // 1024} KiB")
         try:
             return cls(path, content.decode("utf-8-sig"))
         except UnicodeDecodeError as error:

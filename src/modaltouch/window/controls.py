@@ -89,7 +89,7 @@ class Buttons:
     @cached_property
     def _share(self) -> float:
         """Share of a button's width for its label, between arrows if answers name fingers."""
-        return 0.68 if any(answer.fingers for answer in self.answers.offered) else 0.84
+        return 0.68 if any(answer.fingers for answer in self.answers.offered) else 0.88
 
     @cached_property
     def _answer_size(self) -> float:
