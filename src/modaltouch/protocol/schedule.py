@@ -242,16 +242,19 @@ class Schedule:
         finger_conditions, placement = decided.order(protocol)
         blocks: list[Block] = []
         chance = partial(Stream, seed, participant, session)
-        for number, finger_condition in enumerate(finger_conditions, start=1):
-            stream = chance(_ORDER + finger_condition)
-            cells = order_cells(protocol, finger_condition, decided.number, stream, effort, algorithm)
-            cells = _with_catches(protocol, cells, chance(_CATCHES + finger_condition))
-            conditions = [_place(finger_condition, cell, placement) for cell in cells]
+        for number, name in enumerate(finger_conditions, start=1):
+            cells = order_cells(protocol, name, decided.number, chance(_ORDER + name), effort, algorithm)
+            if protocol.schedule.catch_trials:
+                from modaltouch.protocol.catch_trials import insert_catches
+
+                cells = insert_catches(protocol, cells, chance(_CATCHES + name))
+            conditions = _place(name, cells, placement)
             first = sum(len(block.trials) for block in blocks) + 1
-            trials = _number(protocol, conditions, chance(_INTERVALS + finger_condition), block=number, first=first)
-            blocks.append(Block(number, finger_condition, trials))
-        drawn = _draw_practice(protocol, finger_conditions[0], chance("practice"))
-        practised = [_place(finger_conditions[0], cell, placement) for cell in drawn]
+            trials = _number(protocol, conditions, chance(_INTERVALS + name), block=number, first=first)
+            blocks.append(Block(number, name, trials))
+        practised = _place(
+            finger_conditions[0], _draw_practice(protocol, finger_conditions[0], chance("practice")), placement
+        )
         return cls(
             participant=participant,
             session=session,
@@ -343,18 +346,10 @@ def _orders_of_finger_conditions(protocol: Protocol) -> list[tuple[str, ...]]:
     return list(itertools.permutations(given)) if protocol.schedule.counterbalance_finger_conditions else [given]
 
 
-def _with_catches(protocol: Protocol, cells: list[Cell], stream: Stream) -> list[Cell]:
-    if not protocol.schedule.catch_trials:
-        return cells
-    from modaltouch.protocol.catch_trials import insert_catches
-
-    return insert_catches(protocol, cells, stream)
-
-
-def _place(finger_condition: str, cell: Cell, placement: Placement) -> Condition:
-    """Return the condition of a cell in a placement; left and right are exchanged on a beam turned end to end."""
-    zones = cell[0][::-1] if placement.startswith("mirrored") else cell[0]
-    return Condition.on(zones, finger_condition, cell[1], placement, cell[2])
+def _place(finger_condition: str, cells: Iterable[Cell], placement: Placement) -> list[Condition]:
+    """Return the conditions of cells in a placement; left and right are exchanged on a beam turned end to end."""
+    way = -1 if placement.startswith("mirrored") else 1
+    return [Condition.on(zones[::way], finger_condition, level, placement, name) for zones, level, name in cells]
 
 
 def _draw_practice(protocol: Protocol, finger_condition: str, stream: Stream) -> list[Cell]:
