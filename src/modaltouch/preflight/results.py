@@ -323,9 +323,9 @@ def design_warnings(protocol: Protocol) -> Iterator[str]:
         where = noun if len(without) == len(conditions.contacts) else ", ".join(without)
         if without:
             untouched.setdefault(f"no finger touches the focus {', '.join(foci)} on {where}", []).append(name)
-    for told, names in untouched.items():
+    for warning, names in untouched.items():
         own = f"{'stimulus' if len(names) == 1 else 'stimuli'} {', '.join(names)}: "
-        yield f"{own if names != [''] else ''}{told}"
+        yield f"{own if names != [''] else ''}{warning}"
     kinds = protocol.schedule.session_kinds
     is_analysed = not kinds or any(each.analysed for each in kinds)
     if not is_analysed:
