@@ -45,7 +45,6 @@ SPLIT = (
     "tests/test_readme.py",
     "tests/session/test_resumption.py",
     "tests/session/test_in_the_window.py",
-    "tests/session/test_kill_and_resume.py",
 )
 """Files of which each test may run in another process: one takes longer than most files."""
 
@@ -63,7 +62,7 @@ gc.disable()
 
 @pytest.hookimpl(wrapper=True)
 def pytest_collect_file(file_path: Path) -> Generator[None, list[pytest.Collector], list[pytest.Collector]]:
-    """Collect doctests only from files of the source that have one: searching the others takes time in every process."""
+    """Collect doctests only from files of the source that have one: searching the others takes time in each process."""
     found = yield
     if file_path.is_relative_to(SOURCE) and ">>> " in file_path.read_text(encoding="utf-8"):
         return found

@@ -51,12 +51,12 @@ def test_run_prompts_for_missing_options_and_waits_for_start(ask: Callable[..., 
 
 def test_a_participant_who_has_had_every_session_is_refused(ask: Callable[..., Any], tmp_path: Path) -> None:
     """An additional session needs its number; an existing number is refused immediately."""
-    assert ask("-p", "p07", "--yes").finish() == 0
+    simulate_session("demo", "p07", tmp_path)
     session = ask("-p", "p07")
     assert session.finish() == 4
-    said = " ".join(session.text.split())
-    assert "has had its one session of the protocol" in said
-    assert "--session 2 for one more" in said
+    text = " ".join(session.text.split())
+    assert "has had its one session of the protocol" in text
+    assert "--session 2 for one more" in text
     session = ask("-p", "p07", "-s", "2")
     expect(session, "Participant p07, session 2")
     session.type("q\r")

@@ -129,8 +129,8 @@ def test_the_experimenter_conducts_a_session_from_the_terminal(
             time.sleep(0.3)
         response = _answers(events_of(tmp_path))[-1]["response"]
         given = {name: response[name] for name in ("answer", "device", "key", "answered_by", "way")}
-        told = {"answer": answer, "device": "console", "key": named}
-        assert given == {**told, "answered_by": "experimenter", "way": "experimenter"}
+        expected = {"answer": answer, "device": "console", "key": named}
+        assert given == {**expected, "answered_by": "experimenter", "way": "experimenter"}
         assert 0 < response["reaction_time"] < 60
     session.type("q")
     session.wait_for("stop the session now?")
