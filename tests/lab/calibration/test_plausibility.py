@@ -80,11 +80,10 @@ def inverted_at(place: float) -> Callable[[Recording], Recording]:
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         (changed(velocity=0.0), r"mode 1 at 229 Hz is not seen: it rises above the noise by 0\.0 standard errors"),
         (changed(velocity=-1.0), r"every mode moves against the sign of its listed gain"),
-        (changed(velocity=2.0), r"the modes move (2\.0|1\.9)\d times as fast as their listed .*sensitivity_mm_s_per_V"),
         (
             changed(velocity=1.3),
             r"the modes move 1\.[23]\d times as fast .* allowed 0\.85 to 1\.15; .*sensitivity_mm_s_per_V",
@@ -93,10 +92,6 @@ def inverted_at(place: float) -> Callable[[Recording], Recording]:
         (humming(2e-2), r"differs from burst to burst; the outputs are off; it has mains hum"),
         (
             whistling(1e-3, locked=True),
-            r"holds a tone near 1370\d Hz that does not decay .* a disturbance, such as a f",
-        ),
-        (
-            whistling(2e-2, locked=True),
             r"holds a tone near 1370\d Hz that does not decay .* a disturbance, such as a f",
         ),
         (whistling(3e-2, locked=False), r"holds a tone near 13\d\d\d Hz, which differs from burst .* a disturbance"),
@@ -113,11 +108,9 @@ def inverted_at(place: float) -> Callable[[Recording], Recording]:
         "dead vibrometer",
         "inverted vibrometer",
         "wrong sensitivity",
-        "somewhat wrong sensitivity",
         "hum",
         "strong hum",
         "tone in step with the bursts",
-        "strong tone in step",
         "tone",
         "a point inverted",
         "exchanged probes",
@@ -127,11 +120,11 @@ def inverted_at(place: float) -> Callable[[Recording], Recording]:
     ],
 )
 def test_faults_of_a_rig_are_reported(
-    preflight: Preflight, shipped_apparatus: Apparatus, make_bench: Callable, change: Callable, said: str
+    preflight: Preflight, shipped_apparatus: Apparatus, make_bench: Callable, change: Callable, message: str
 ) -> None:
     """Before anything is corrected."""
     bench = Spoilt(make_bench(shipped_apparatus, 1), change)
-    with pytest.raises(RigError, match=said):
+    with pytest.raises(RigError, match=message):
         CalibrationLoop(bench, shipped_apparatus, preflight.inputs).run()
 
 
@@ -192,9 +185,8 @@ def test_too_small_a_range_is_reported(
         CalibrationLoop(bench, small, preflight.inputs).run()
 
 
-@pytest.mark.parametrize("reads", [0.995, 1.005])
 def test_a_sensitivity_error_of_half_a_percent_is_within_the_interval(
-    preflight: Preflight, shipped_apparatus: Apparatus, make_bench: Callable, reads: float
+    preflight: Preflight, shipped_apparatus: Apparatus, make_bench: Callable
 ) -> None:
     """The error of 0.29 mm/s in a mode of 59 mm/s is within the stated interval, and the limits hold.
 
@@ -202,7 +194,7 @@ def test_a_sensitivity_error_of_half_a_percent_is_within_the_interval(
     """
     assert shipped_apparatus.acquisition.sensitivity_uncertainty_percent == 1.0
     bench = make_bench(shipped_apparatus, 1)
-    outcome = CalibrationLoop(Spoilt(bench, changed(velocity=reads)), shipped_apparatus, preflight.inputs).run()
+    outcome = CalibrationLoop(Spoilt(bench, changed(velocity=0.995)), shipped_apparatus, preflight.inputs).run()
     correction = replace(outcome.correction, corrections=())
     played = design_to_fit(corrected_inputs(preflight.inputs, outcome.refined, correction), release="free")
     true = bench.true_state(played.burst, played.target_field.velocity, played.timing.focusing_instant)
@@ -216,14 +208,11 @@ def test_a_sensitivity_error_of_half_a_percent_is_within_the_interval(
     assert mark_of(outcome, preflight.experiment.protocol)["missed"] == []
 
 
-@pytest.mark.parametrize("microseconds", [30.0, 60.0])
 def test_a_long_amplifier_delay_is_corrected(
-    preflight: Preflight, shipped_apparatus: Apparatus, make_bench: Callable, judge: Callable, microseconds: float
+    preflight: Preflight, shipped_apparatus: Apparatus, make_bench: Callable, judge: Callable
 ) -> None:
-    """A delay longer than the usual margin is found and allowed for."""
-    slow = shipped_apparatus.twin.model_copy(
-        update={"amplifier": TrueAmplifier(bandwidth_kHz=100.0, delay_us=microseconds)}
-    )
+    """A delay of 60 us, longer than the usual margin, is found and allowed for."""
+    slow = shipped_apparatus.twin.model_copy(update={"amplifier": TrueAmplifier(bandwidth_kHz=100.0, delay_us=60.0)})
     bench = make_bench(shipped_apparatus.model_copy(update={"twin": slow}), 1)
     velocity, displacement, _ = judge(bench, CalibrationLoop(bench, shipped_apparatus, preflight.inputs).run())
     assert max(velocity, displacement) < 0.3e-3

@@ -121,7 +121,6 @@ def test_causes_of_missed_limits_are_reported(
     ("spot", "factor", "cause"),
     [
         (0.0, 1.05, r"at the focus the beam moves 1\.05 times as fast as the other points predict: the spot"),
-        (0.0, 0.8, r"at the focus the beam moves 0\.80 times as fast as the other points"),
         (24.0, 1.05, "the points along the beam disagree: the sensor is loose, its spot is in the wrong place"),
     ],
 )
@@ -155,7 +154,6 @@ def test_a_wrong_reading_at_one_point_is_reported(
     ("spot", "late", "cause"),
     [
         (-24.0, 2e-6, "the points along the beam disagree: .* or a record is late"),
-        (24.0, 2e-6, "the points along the beam disagree: .* or a record is late"),
         (0.0, 10e-6, "at the focus the records leave .* uncertain, .* or the records are late"),
     ],
 )
@@ -226,7 +224,7 @@ def test_other_causes_are_distinguished_by_the_states(preflight: Preflight, outc
 
 
 @pytest.mark.parametrize(
-    ("departures", "said"),
+    ("departures", "message"),
     [
         ({"dropouts_Hz": 20.0}, r"the velocity has gaps or shocks: 0\.\d+% of its samples .*; check that the sensor"),
         (
@@ -242,10 +240,10 @@ def test_other_causes_are_distinguished_by_the_states(preflight: Preflight, outc
     ids=["loose sensor", "strong saturation", "strong hysteresis", "strong drift"],
 )
 def test_unidentifiable_rigs_are_refused(
-    preflight: Preflight, shipped_apparatus: Apparatus, make_bench: Callable, departures: dict[str, float], said: str
+    preflight: Preflight, shipped_apparatus: Apparatus, make_bench: Callable, departures: dict[str, float], message: str
 ) -> None:
     """Before anything is corrected, with the right cause: drift is not blamed on wiring."""
-    with pytest.raises(RigError, match=said):
+    with pytest.raises(RigError, match=message):
         CalibrationLoop(
             make_bench(spoilt(shipped_apparatus, **departures), 0), shipped_apparatus, preflight.inputs
         ).run()

@@ -180,8 +180,8 @@ def test_a_conjugated_file_needs_its_option(tmp_path: Path, frequency: np.ndarra
 
 
 def test_noise_is_not_called_conjugated(tmp_path: Path, frequency: np.ndarray) -> None:
-    """Of twenty responses as noisy as their peaks, none gets this wrong remedy."""
-    for seed in range(20):
+    """Of ten responses as noisy as their peaks, none gets this wrong remedy."""
+    for seed in range(10):
         rng = np.random.default_rng(seed)
         values = accelerance(frequency, RESIDUES[0])
         noise = rng.standard_normal(values.shape) + 1j * rng.standard_normal(values.shape)

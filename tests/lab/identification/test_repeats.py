@@ -282,7 +282,6 @@ def roving(drift: np.ndarray, ratio: ArrayLike = 0.018, noise: float = 0.01) -> 
     [
         (0.01 * np.linspace(-1, 1, 39).reshape(13, 3).T, 0.003),
         (0.015 * np.random.default_rng(5).standard_normal((5, 13)), 0.003),
-        (0.01 * np.random.default_rng(1).standard_normal((3, 13)), 0.001),
     ],
 )
 def test_drift_between_blows_is_no_noise(drift: np.ndarray, noise: float) -> None:
