@@ -120,7 +120,7 @@ def guard(clock: VirtualClock) -> QuietGuard:
 @pytest.fixture
 def patience() -> Patience:
     """Return timeouts short enough for many faults in a test."""
-    return Patience(reply=0.2, copy=0.4, tries=2, pause=0.02)
+    return Patience(reply=0.2, trigger=1.0, copy=0.4, tries=2, pause=0.02)
 
 
 @pytest.fixture

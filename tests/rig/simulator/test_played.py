@@ -76,6 +76,9 @@ def test_a_line_describes_what_reached_the_beam(
         simulator.front_panel("*TRG")
         clock.sleep(0.015)
         simulator.front_panel("ABOR")
+        # A line is computed, by a thread of the twin, for the amplifier as it is then.
+        while len(lines_of(file)) < 2:
+            time.sleep(0.001)
         simulator.twin.tripped = True
         simulator.front_panel("*TRG")
         clock.sleep(0.1)
