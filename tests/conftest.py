@@ -24,6 +24,7 @@ LONGEST = (
     "tests/session/test_demo.py",
     "tests/session/test_in_the_window.py",
     "tests/session/test_stalls.py",
+    "tests/lab/identification/test_verdict.py",
     "tests/lab/identification/test_identify.py",
     "tests/window/test_session_from_outside.py",
     "tests/session/test_kill_and_resume.py",
@@ -34,11 +35,23 @@ LONGEST = (
     "tests/golden/test_golden.py",
     "tests/cli/test_new.py",
     "tests/session/console/test_beside_the_window.py",
+    "tests/session/test_disk_and_company.py",
+    "tests/session/test_measured_fingers.py",
+    "tests/session/test_by_windows_rules.py",
+    "tests/window/test_screen.py",
+    "tests/stimulus/test_fingers.py",
+    "tests/test_wheel.py",
 )
 """Files that take longest, begun first, so that no process is left with one of them when the others are done."""
 
-TOGETHER = ("tests/lab/identification/", "tests/lab/validation/")
-"""Folders whose files share what takes seconds to make: one process makes it for all of them."""
+TOGETHER = (
+    tuple(
+        f"tests/lab/identification/test_{name}.py"
+        for name in ("identify", "apparatus_file", "export", "figures", "rows")
+    ),
+    ("tests/lab/validation/",),
+)
+"""Files that share what takes seconds to make: one process makes it for all of them."""
 
 SPLIT = (
     "tests/session/test_durability.py",
@@ -92,7 +105,7 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
         def _split_scope(self, nodeid: str) -> str:
             if nodeid.startswith(SPLIT):
                 return nodeid
-            together = (folder for folder in TOGETHER if nodeid.startswith(folder))
+            together = (files[0] for files in TOGETHER if nodeid.startswith(files))
             return next(together, str(super()._split_scope(nodeid)))
 
     return Scheduling(config, log)
