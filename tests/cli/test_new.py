@@ -30,10 +30,10 @@ def _elsewhere(tmp_path, monkeypatch):
 
 
 def commands_of(study):
-    """Return the commands of a study's README with fewer participants and simulated answers."""
+    """Return the commands of a study's README with one participant and simulated answers."""
     lines = re.findall(r"^\| `modaltouch (.*?)` \|", (study / "README.md").read_text("utf-8"), flags=re.MULTILINE)
     for line in lines:
-        words = shlex.split(line.replace("-n 10", "-n 2"))
+        words = shlex.split(line.replace("-n 10", "-n 1"))
         if words[0] == "run":
             words += ["--rig", "simulated", "--answers", "simulated"]
         if words[0] in ("verify", "analyse"):

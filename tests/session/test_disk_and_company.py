@@ -40,16 +40,16 @@ def modaltouch(*words):
 
 
 @needs_mount
-@pytest.mark.parametrize("kilobytes", [16, 64, 96, 128, 150])
+@pytest.mark.parametrize("kilobytes", [16, 96, 150])
 def test_a_full_disk_ends_the_session_and_a_larger_one_completes_it(
     tmp_path, finish, protocol_path, log_of, answers_of, kilobytes
 ):
     """Exit status 4 with the file; answers are kept, and with more space the session continues to its end."""
     with small_disk(tmp_path / "disk", kilobytes) as disk:
         log = log_of(disk, "p07")
-        status, said = modaltouch("run", protocol_path, "-p", "p07", *RUN, "--results", disk)
-        assert (status, "No space left on device" in said or "the disk is full" in said) == (4, True), said
-        assert str(disk) in said
+        status, output = modaltouch("run", protocol_path, "-p", "p07", *RUN, "--results", disk)
+        assert (status, "No space left on device" in output or "the disk is full" in output) == (4, True), output
+        assert str(disk) in output
         before = answers_of(log) if log.exists() else []
         remount(disk, "size=8m")
         words = ("resume", log.parent) if log.exists() else ("run", protocol_path, "-p", "p07", *RUN, "--results", disk)
@@ -72,14 +72,14 @@ def test_a_read_only_disk_is_reported_and_nothing_is_changed(
         kept = log.read_bytes()
         remount(disk, "ro")
         for words in (("resume", log.parent), ("run", protocol_path, "-p", "p08", *RUN, "--results", disk)):
-            status, said = modaltouch(*words)
-            assert (status, "Read-only file system" in said) == (4, True), said
+            status, output = modaltouch(*words)
+            assert (status, "Read-only file system" in output) == (4, True), output
         assert log.read_bytes() == kept
         remount(disk, "rw")
         assert finish("resume", log.parent) == 0
 
 
-@pytest.mark.parametrize("attempt", range(4))
+@pytest.mark.parametrize("attempt", range(2))
 def test_one_of_two_simultaneous_runs_of_a_session_is_refused(tmp_path, start, protocol_path, log_of, attempt):
     """As from two machines on a shared folder: one session is recorded, the other changes nothing."""
     runs = [start("run", protocol_path, "-p", "p07", *RUN, "--results", tmp_path) for _ in range(2)]
@@ -124,9 +124,9 @@ def test_only_the_owner_can_read_the_files_of_a_session(tmp_path, protocol_path)
     """Whatever the umask."""
     before = os.umask(0)
     try:
-        status, said = modaltouch("run", protocol_path, "-p", "p07", *RUN, "--results", tmp_path / "results")
+        status, output = modaltouch("run", protocol_path, "-p", "p07", *RUN, "--results", tmp_path / "results")
     finally:
         os.umask(before)
-    assert status == 0, said
+    assert status == 0, output
     for path in (tmp_path / "results", *(tmp_path / "results").rglob("*")):
         assert path.stat().st_mode & 0o077 == 0, f"{path} has the mode {path.stat().st_mode:o}"

@@ -115,9 +115,9 @@ def test_the_shipped_table_is_refused(tmp_path):
         probe_fingers(Path("under_the_finger"), tmp_path / "fingers.yaml", rig="no rig")
 
 
-@pytest.mark.parametrize("factor", [0.5, 0.8, 1.25, 2.0])
+@pytest.mark.parametrize("factor", [0.8, 1.25])
 def test_a_wrong_sensitivity_is_refused(protocol, tmp_path, monkeypatch, factor):
-    """Set to 0.5, 0.8, 1.25 or 2 times the listed value, every level would be wrong by as much."""
+    """Set to 0.8 or 1.25 times the listed value, every level would be wrong by as much."""
     measure = SimulatedScope.measure
 
     def misread(*args):
@@ -125,8 +125,8 @@ def test_a_wrong_sensitivity_is_refused(protocol, tmp_path, monkeypatch, factor)
         return replace(recording, velocity=recording.velocity * factor)
 
     monkeypatch.setattr(SimulatedScope, "measure", misread)
-    said = r"the modes move (0\.50|0\.80|1\.2[45]|1\.99|2\.00) times as fast .*sensitivity_mm_s_per_V"
-    with pytest.raises(ValueError, match=said):
+    message = r"the modes move (0\.80|1\.2[45]) times as fast .*sensitivity_mm_s_per_V"
+    with pytest.raises(ValueError, match=message):
         probe_fingers(protocol, tmp_path / "mine.yaml", pair="A-C", seed=5)
 
 
