@@ -16,6 +16,8 @@ from modaltouch.analysis.responses import AnswerSource, Responses
 from modaltouch.analysis.statistics import uncorrected
 from modaltouch.protocol import AnswerList, InputError
 
+pytestmark = pytest.mark.usefixtures("svg_alone")
+
 PEOPLE = [f"p{number:02}" for number in range(1, 11)]
 PAPER = AnswerList.of_words(())
 CELLS = [("A", "C", 80.0, 1), ("A", "C", 150.0, 1), ("B", "D", 120.0, 2), ("C", "E", 80.0, 1), ("C", "E", 150.0, 1)]

@@ -46,6 +46,8 @@ from modaltouch.record.session import Session
 from modaltouch.session.setup import begin
 from modaltouch.session.wiring import wire_run
 
+pytestmark = pytest.mark.usefixtures("svg_alone")
+
 ROOT = Path(__file__).parents[2]
 BOUNDS = (to_dB(2), to_dB(200))
 
