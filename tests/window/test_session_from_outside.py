@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
 import tempfile
@@ -166,17 +167,26 @@ def test_a_whole_session_by_keys_and_clicks(
         assert log_file.stat().st_mode & 0o777 == 0o600
 
 
-def test_a_session_whose_window_is_closed_keeps_its_record(
-    start: Callable[..., subprocess.Popen[str]], outside_hands: Any, tmp_path: Path
+@pytest.mark.parametrize(
+    ("way", "reason"), [("close button", "window closed"), ("Ctrl-C", "SIGINT"), ("F12", "emergency stop")]
+)
+def test_a_session_that_is_ended_early_keeps_its_record(
+    start: Callable[..., subprocess.Popen[str]], outside_hands: Any, tmp_path: Path, way: str, reason: str
 ) -> None:
-    """Exit status 130, and the reason in the log."""
+    """Exit status 130, and the reason in the log: window closed, Ctrl-C, or the emergency key."""
     process = start()
     wait_for_window(outside_hands, process)
     while not events(tmp_path):
         time.sleep(0.05)
-    outside_hands.press_close_button(TITLE)
+    if way == "Ctrl-C":
+        process.send_signal(signal.SIGINT)
+    elif way == "F12":
+        time.sleep(0.5)
+        outside_hands.key("F12")
+    else:
+        outside_hands.press_close_button(TITLE)
     _, err = process.communicate(timeout=120)
     assert process.returncode == 130, err
     assert "Traceback" not in err
     log = events(tmp_path)
-    assert (log[-1]["event"], log[-1]["reason"]) == ("stop", "window closed")
+    assert (log[-1]["event"], log[-1]["reason"]) == ("stop", reason)
