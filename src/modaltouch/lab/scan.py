@@ -43,6 +43,9 @@ NEEDED = (
 LARGEST_SHIFT = 20e-9
 """Largest difference between sampling instants that count as equal [s]."""
 
+WRONG_DRIVE = 2.5
+"""Factor between measured and predicted peak of a drive above which it is that of another output, or none [1]."""
+
 
 @dataclass(frozen=True, eq=False)
 class ScanPlan:
@@ -55,6 +58,7 @@ class ScanPlan:
     # further metadata as plain values: name of the stimulus, actuator set, ...
     about: Mapping[str, Any] = field(default_factory=dict)
     across: float = 0.0  # distance of the row of positions from the beam's mid-line [m]
+    peak_drive: Sequence[float] = ()  # predicted peak of each drive [V]; a record far from it is refused
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,6 +135,16 @@ def _refuse_unusable(position: float, own: Mapping[str, NDArray[Any]], first: Ma
             f"the sampling instants at {position * 1e3:g} mm differ from those of the positions before: set the scope "
             "as it was and continue, or scan again into another folder"
         )
+
+
+def refuse_wrong_drive(drive: FloatArray, predicted: Sequence[float], position: float) -> None:
+    """Refuse the record of a position whose drives, an (n_records, n_drives, n_samples) array [V], are not expected."""
+    for output, (volts, peak) in enumerate(zip(np.abs(drive).max(axis=(0, 2)), predicted, strict=False), start=1):
+        if not 1 / WRONG_DRIVE < max(volts, 1.0) / max(peak, 1.0) < WRONG_DRIVE:
+            raise RecordInputError(
+                f"the drive of output {output} measures {volts:.2g} V at {position * 1e3:g} mm, and {peak:.0f} V are "
+                "predicted: check which probe is at which output, and its attenuation, and measure again"
+            )
 
 
 def position_file(folder: Path, index: int) -> Path:
@@ -268,7 +282,8 @@ def take_scan(
     RigError
         If the rig fails; the outputs are off, and the positions recorded so far are kept.
     RecordInputError
-        If a record is clipped, or its sampling instants differ from those of the first; it is not kept.
+        If a record is clipped, its drive is not the expected one, or its sampling instants differ from those of the
+        first; it is not kept.
     RecordError
         If the folder holds a scan with other settings or something else, or cannot be written.
     """
@@ -284,6 +299,7 @@ def take_scan(
             recording = laboratory.record(float(places[index]), plan.velocity, plan.acquisition, plan.across)
             kept.append(_arrays(recording, reduction))
             _refuse_unusable(float(places[index]), kept[-1], kept[0])
+            refuse_wrong_drive(recording.drive, plan.peak_drive, recording.position)
             if folder is not None:
                 save_arrays(position_file(folder, index), kept[-1])
             laboratory.progress.show(step, len(kept), len(places))

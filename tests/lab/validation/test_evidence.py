@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from modaltouch.lab.validation import read_laws
+from modaltouch.lab.laboratory import open_laboratory
+from modaltouch.lab.validation import read_laws, record_laws
 from modaltouch.lab.validation.evidence import Observation, Prediction
 from modaltouch.lab.validation.key_figures import key_figures
 from modaltouch.lab.validation.plausibility import evaluate
@@ -117,10 +118,31 @@ def test_wrongly_scaled_velocities_are_refused(points, factor, said, evidences):
 def test_a_missing_drive_is_refused(evidences):
     """A disconnected probe would show zero beside the predicted 30 V."""
     observation = evidences[0].observation
-    for factors, said in (([1.0, 0.0], "2 measures 0 V, and 30 V"), ([0.16, 6.0], "1 measures 29 V, and 184 V")):
+    for factors, said in (
+        ([1.0, 0.0], "2 measures 0 V .* 30 V"),
+        ([0.16, 6.0], "1 measures 29 V .* 184 V"),
+    ):
         times = np.tile(factors, (observation.field.positions.size, 1))
         with pytest.raises(RecordInputError, match=f"the drive of output {said} are predicted: check which probe"):
             evaluate([changed(observation, "drive", times)])
+
+
+def test_a_wrong_drive_ends_the_scan_at_its_first_point(preflight, tmp_path):
+    """Forty more points would be scanned in vain."""
+
+    class Unplugged:
+        def __init__(self, scope):
+            self.scope, self.configure, self.identity = scope, scope.configure, scope.identity
+
+        def measure(self, position, across=0.0):
+            recording = self.scope.measure(position, across)
+            return replace(recording, drive=recording.drive * [[1.0], [0.0]])
+
+    with open_laboratory(preflight.experiment.apparatus) as laboratory:
+        unplugged = replace(laboratory, scope=Unplugged(laboratory.scope))
+        with pytest.raises(RecordInputError, match="the drive of output 2 measures 0 V at -50 mm, and .* check which"):
+            record_laws(preflight.inputs, unplugged, 0.2, n_points=41, n_records=1, folder=tmp_path)
+    assert not [*tmp_path.rglob("*.npz")]
 
 
 def test_a_wrongly_scaled_zone_is_refused(evidences):

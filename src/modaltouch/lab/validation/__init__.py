@@ -223,15 +223,16 @@ def plans(
     start = max(0.0, timing.focusing_instant - AROUND - MARGIN)
     end = min(timing.focusing_instant + AROUND + MARGIN, 1 / timing.repetition_rate)
     before = -min(1e-3, (1 / timing.repetition_rate - timing.duration) / 2)
-    drive = max(1.0, HEADROOM * float(stimulus.peak_drive(velocity).max()))
+    peak_drive = stimulus.peak_drive(velocity).tolist()
+    drive = max(1.0, HEADROOM * max(peak_drive))
     around, throughout = (
         Acquisition(rate, round((last - first) * rate), n_records, outputs, first, expected, drive)
         for rate, first, last in ((FIELD_RATE, start, end), (COURSE_RATE, before, timing.duration - before))
     )
     about = {"law": stimulus.law, "focus": inputs.section.focus}
     return (
-        ScanPlan(stimulus.burst, velocity, tuple(places), around, {**about, "what": "field"}),
-        ScanPlan(stimulus.burst, velocity, tuple(centres), throughout, {**about, "what": "course"}),
+        ScanPlan(stimulus.burst, velocity, tuple(places), around, {**about, "what": "field"}, 0.0, peak_drive),
+        ScanPlan(stimulus.burst, velocity, tuple(centres), throughout, {**about, "what": "course"}, 0.0, peak_drive),
     )
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.lab.common import FloatArray
-from modaltouch.lab.scan import Scan
+from modaltouch.lab.scan import Scan, refuse_wrong_drive
 from modaltouch.lab.validation.evidence import Evidence, Observation, Prediction, mean_velocity
 from modaltouch.record import RecordInputError
 
@@ -92,9 +92,6 @@ the number of those tried, odd to include none."""
 NEAR, AROUND = 0.25e-3, 1e-3
 """Time before and after the focusing instant in which delays and modes are fitted [s]."""
 
-WRONG_DRIVE = 2.5
-"""Factor between measured and predicted peak of a drive above which it is that of another output, or none [1]."""
-
 FEWEST_INSTANTS = 64
 """Minimum number of samples around the focusing instant."""
 
@@ -104,15 +101,10 @@ def refuse_implausible_records(
 ) -> None:
     """Refuse drives that were not recorded, and velocities unlike the predicted ones, at all points or at some."""
     for observation, prediction in zip(observations, predictions, strict=True):
-        expected = observation.stimulus.peak_drive(observation.velocity)
+        expected = observation.stimulus.peak_drive(observation.velocity).tolist()
         for scan in (observation.field, *observation.rows):
-            measured = np.abs(scan.drive).max(axis=(0, 1, 3), initial=0.0)
-            for output, (volts, predicted) in enumerate(zip(measured, expected, strict=False), start=1):
-                if not 1 / WRONG_DRIVE < max(volts, 1.0) / max(predicted, 1.0) < WRONG_DRIVE:
-                    raise RecordInputError(
-                        f"the drive of output {output} measures {volts:.2g} V, and {predicted:.0f} V are predicted: "
-                        "check which probe is at which output, and its attenuation, and measure again"
-                    )
+            for position, drive in zip(scan.positions, scan.drive, strict=True):
+                refuse_wrong_drive(drive, expected, position)
         fit = ModalFit(observation, prediction, delay)
         fit.refuse_shifted_points()
         for scan in (observation.field, *observation.rows, observation.course):
