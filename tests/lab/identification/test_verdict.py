@@ -362,9 +362,11 @@ def test_a_point_without_the_modes_of_the_others_is_not_called_inverted(clean: F
     response = clean.response.copy()
     late = np.exp(-2j * np.pi * clean.frequency * 50e-6)
     response[:, 7] = response[:, 7].conj() if fault == "conjugated" else response[:, 7] * late
-    with pytest.raises(
-        ValueError, match=r"of the response at -15 mm is not in the modes .* trigger and the sign of its"
-    ):
+    said = {
+        "conjugated": r"of the response at -15 mm is not in the modes .* trigger and the sign of its",
+        "late": r"the delay .* differs between the points \(-15 mm \+0.05\d* ms from the others\): start all records",
+    }
+    with pytest.raises(ValueError, match=said[fault]):
         identify(replace(clean, response=response), 0.1)
 
 

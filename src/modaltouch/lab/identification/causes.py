@@ -10,6 +10,8 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -17,6 +19,7 @@ from modaltouch.lab.common import FloatArray
 from modaltouch.lab.identification.joint_fit import make_problem, refine
 from modaltouch.lab.identification.kernel import Evaluation, Poles
 from modaltouch.lab.identification.modal_parameters import REMEDIES, Identification, IdentifiedMode
+from modaltouch.lab.identification.shapes import bending_likeness
 from modaltouch.protocol import Apparatus
 
 EXPLAINS = 0.4
@@ -24,6 +27,9 @@ EXPLAINS = 0.4
 
 ALMOST = 0.85
 """Share explained by a second pattern, relative to the first, above which both are named [1]."""
+
+CERTAIN = 0.95
+"""Minimum MAC of a resonance with the mode whose shape it has, although modes of lower number lie above it [1]."""
 
 FILTERED = 0.05
 """Minimum share of the residual explained by one phase for each mode if a filter is the cause [1]."""
@@ -35,29 +41,69 @@ def probable_cause(found: Identification, odd_point: str = "", least: float = 0.
     A point that holds most of the residual, if described, is the cause unless a pattern explains it. None is named if
     the misfit of the poles with one in place of close ones is below `least`.
     """
-    poles = found.poles
-    if poles is None or not found.responses.places:
-        return odd_point
-    poles = _merged(found, poles)
-    # The mean of repeats hides how they differ.
-    responses = found.responses.repeats[0].aligned() if found.responses.repeats else found.responses
-    fit = refine(make_problem(responses, poles), poles)
-    if fit.variance < least:
+    fit = _refitted(found)
+    if fit is None or fit.variance < least:
         return odd_point
     shares, moved, sensor = _shares(fit, *found.responses.response.shape[:2])
+    names = _explaining(shares)
+    if not names:
+        return odd_point or _named(*_common_causes(found, fit))
+    if names[0] == "drift":
+        return _other_beam(found, moved) or _named(*names)
+    return _named(*names, size=f"about {sensor:.2g} of the beam's; " if names[0].startswith("the mass") else "")
+
+
+def causes_by_mode(found: Identification, modes: Sequence[IdentifiedMode]) -> dict[str, list[IdentifiedMode]]:
+    """Describe the most probable causes of the residual around modes, with the modes that each of them affects.
+
+    The cause of the whole residual is that of a mode unless other patterns explain what is left around it.
+    """
+    whole, fit = probable_cause(found), _refitted(found)
+    grouped: dict[str, list[IdentifiedMode]] = {}
+    for mode in modes:
+        names, known = [mode.rest.cause], whole
+        if fit is not None and len(modes) > 1:
+            near = _around(fit, mode)
+            shares = _shares(near, *found.responses.response.shape[:2])[0]
+            names = _explaining(shares) or _common_causes(found, near) or names
+            # A pattern of several modes explains one of them if no other does so far better.
+            explained = max((share for name, share in shares.items() if name in whole), default=EXPLAINS)
+            known = whole if any(name in whole for name in names) or explained >= EXPLAINS else ""
+        grouped.setdefault(known or _named(*names), []).append(mode)
+    return grouped
+
+
+@lru_cache(maxsize=1)
+def _refitted(found: Identification) -> Evaluation | None:
+    """Return the fit of one measurement with one pole in place of close ones; None without shapes."""
+    if found.poles is None or not found.responses.places:
+        return None
+    poles = _merged(found, found.poles)
+    # The mean of repeats hides how they differ.
+    responses = found.responses.repeats[0].aligned() if found.responses.repeats else found.responses
+    return refine(make_problem(responses, poles), poles)
+
+
+def _around(fit: Evaluation, mode: IdentifiedMode) -> Evaluation:
+    """Return a fit within two half-power bandwidths on either side of a mode."""
+    own, ratio = mode.natural_frequency.value, mode.damping_ratio.value
+    inside = np.abs(fit.problem.bins.centre / own - 1) <= 4 * ratio
+    bins = replace(fit.problem.bins, start=fit.problem.bins.start[inside])
+    rows = np.tile(inside, 2)
+    problem = replace(fit.problem, bins=bins)
+    return replace(fit, problem=problem, rest=fit.rest[rows], slope=fit.slope[rows], turned=fit.turned[rows])
+
+
+def _explaining(shares: Mapping[str, float]) -> list[str]:
+    """Return the pattern that explains the residual, and the second if it is almost as good; empty if none does."""
     first, second, *_ = sorted(shares, key=lambda each: -shares[each])
-    if shares[first] < EXPLAINS:
-        return odd_point or _common_cause(found, fit)
     also = [second] if shares[second] > ALMOST * shares[first] else []
-    if first == "drift":
-        return _other_beam(found, moved) or _named(first, *also)
-    size = f"about {sensor:.2g} of the beam's; " if first.startswith("the mass") else ""
-    return _named(first, *also, size=size)
+    return [first, *also] if shares[first] >= EXPLAINS else []
 
 
-def _named(first: str, *others: str, size: str = "") -> str:
+def _named(first: str = "", *others: str, size: str = "") -> str:
     also = "".join(f"; or {other}: {REMEDIES[other]}" for other in others)
-    return f"the most probable cause is {first}: {size}{REMEDIES[first]}{also}"
+    return first and f"the most probable cause is {first}: {size}{REMEDIES[first]}{also}"
 
 
 def _merged(found: Identification, poles: Poles) -> Poles:
@@ -108,24 +154,44 @@ def _shares(fit: Evaluation, n_sets: int, n_points: int) -> tuple[dict[str, floa
     return shares, factor, -2 * mass
 
 
-def _common_cause(found: Identification, fit: Evaluation) -> str:
-    """Describe a residual that has the shapes of the modes themselves; empty if it has not."""
+def _common_causes(found: Identification, fit: Evaluation) -> list[str]:
+    """Return the causes of a residual that has the shapes of the modes themselves; empty if it has not."""
     n, rest, left = fit.n_modes, fit.rest, fit.left
     power = float((rest**2).sum()) - rest.size
     nearest = np.abs(np.log(fit.problem.bins.centre[:, None] / fit.poles.natural_frequency)).argmin(axis=1)
     shape = fit.residue[nearest] / np.linalg.norm(fit.residue[nearest], axis=1, keepdims=True)
     if (np.abs((left * shape).sum(axis=1)) ** 2).sum() - 2 * len(left) < EXPLAINS * power:
-        return ""
+        return []
     by_phase = fit.turned[:, :n]
     overlap = ((by_phase.T @ rest) * fit.residue[:n]).sum(axis=1)
     curvature = (by_phase.T @ by_phase) * (fit.residue[:n] @ fit.residue[:n].T)
-    if overlap @ np.linalg.lstsq(curvature, overlap, rcond=1e-12)[0] > FILTERED * power:
-        alone = any(not (mode.label or mode.torsion) for mode in found.modes)
-        return _named("a filter that is not listed", *(["aliasing"] if alone else []))
+    filtered = float(overlap @ np.linalg.lstsq(curvature, overlap, rcond=1e-12)[0])
+    if filtered > FILTERED * power:
+        # The phase of a high-pass leads in proportion to the reciprocal frequency; an exponential window lags alike.
+        steep = 1 / fit.poles.natural_frequency**2
+        along = float(steep @ overlap)
+        if along**2 > ALMOST * filtered * float(steep @ curvature @ steep):
+            return ["a high-pass" if along < 0 else "an exponential window"]
+        return ["a filter that is not listed"]
     first = found.responses.frequency[0] / found.responses.spacing
     if abs(first - round(first)) > 1e-3 * max(1.0, first / 1e3):
-        return _named("interpolation of the responses", "nonlinearity")
-    return _named("nonlinearity")
+        return ["interpolation of the responses", "nonlinearity"]
+    return ["nonlinearity"]
+
+
+def aliased(found: Identification) -> str:
+    """Describe resonances with shapes of modes that lie higher, as folded at half the sampling rate; else empty."""
+    places, length, labels = found.responses.places, found.length, [mode.label for mode in found.modes]
+    if not places or length is None:
+        return ""
+    likeness = bending_likeness(np.array([mode.residue.real for mode in found.modes]), places, length)
+    folded = [
+        f"{mode.name} is that of mode {int(alike.argmax()) + 1}"
+        for k, (mode, alike) in enumerate(zip(found.modes, likeness, strict=True))
+        if not (mode.label or mode.torsion) and alike.max() > CERTAIN
+        if any(label is not None and label <= alike.argmax() for label in labels[k:])
+    ]
+    return folded and f"the shape at {', '.join(folded)}, which lies higher: {_named('aliasing')}" or ""
 
 
 def _other_beam(found: Identification, moved: FloatArray) -> str:
@@ -219,6 +285,8 @@ def check_gains(identification: Identification, apparatus: Apparatus, labels: Se
         _refuse_factor([each for (name, _), each in listed.items() if name in chosen], chosen, apparatus)
     if len(ratios) < FEWEST_GAINS:
         return []
+    if mirrored := _mirrored({key: each for key, (each, _) in listed.items()}, apparatus):
+        return [mirrored]
     shown = ratios if labels is None else labels
     moved = {f"mode {label}": each for label, each in ratios.items() if label in shown and abs(each - 1) > MOVED}
     other: dict[str, float] = {}
@@ -252,6 +320,19 @@ def _refuse_axis(ratios: Sequence[float], apparatus: Apparatus) -> None:
                     f"{meaning}; check the frequencies or times in the files, or give the file of this beam with "
                     "--apparatus"
                 )
+
+
+def _mirrored(ratios: Mapping[tuple[str, int], float], apparatus: Apparatus) -> str:
+    """Describe gains of which those of all antisymmetric modes have the other sign than the listed ones; else empty."""
+    antisymmetric = [each for (_, label), each in ratios.items() if label % 2 == 0]
+    symmetric = [each for (_, label), each in ratios.items() if label % 2]
+    if len(antisymmetric) < FEWEST_GAINS or not symmetric or max(antisymmetric) > 0 or min(symmetric) < 0:
+        return ""
+    return (
+        f"the gains of all antisymmetric modes have the opposite sign of those of {apparatus.apparatus}, as if the scan "
+        "were mirrored: count positions from mid-beam, positive to the participant's right, or give the file of this "
+        "beam with --apparatus"
+    )
 
 
 def _refuse_exchanged(found: Mapping[int, IdentifiedMode], sets: Sequence[str], apparatus: Apparatus) -> None:

@@ -61,9 +61,12 @@ REMEDIES = {
     "a phase that differs between the points": "keep filters, range and coupling of the sensor the same at all points",
     "a filter that is not listed": "give the bandwidth of the vibrometer in the apparatus file, and set other filters "
     "far above the band, or use less of it with --highest-kHz",
+    "a high-pass": "couple sensor and analyser for direct current, or use the band far above its corner with "
+    "--lowest-Hz",
+    "an exponential window": "it makes all damping ratios too large: record without it",
     "interpolation of the responses": "export them at the frequencies of the analyser",
-    "aliasing": "an unlisted resonance may be one above half the sampling rate; use a filter against aliasing or a "
-    "higher rate",
+    "aliasing": "resonances above half the sampling rate appear in the band; use a filter against aliasing or a higher "
+    "rate, and measure again",
     "a missing mode": "measure with a filter against aliasing, finer bins or more points, or leave that band out",
     "nonlinearity or a missing mode": "drive at half the voltage, and compare, or measure with finer bins",
     "a strange point": "check that it is of the same beam, its trigger and the sign of its phase; measure it again, or "

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Literal, NamedTuple
+from warnings import catch_warnings, simplefilter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -92,6 +93,7 @@ class Part(NamedTuple):
     responses: list[MeasuredResponse]
     quantity: Quantity | None
     marks: tuple[str, ...] = ()
+    per: str = ""  # unit of the excitation, V or N; empty if unknown
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,6 +115,7 @@ class FrequencyResponses:
     # the measurements of which these are the mean, or the responses of each file; empty for a single one
     repeats: tuple[FrequencyResponses, ...] = ()
     across: FloatArray | float = 0.0  # (n_points,): distance of each point from the beam's mid-line [m]
+    per: str = ""  # unit of the excitation, V or N; empty if unknown
 
     @classmethod
     def of_rows(cls, rows: Sequence[FrequencyResponses]) -> FrequencyResponses:
@@ -215,33 +218,55 @@ class FrequencyResponses:
         :math:`2\tau`. An offset of less than half a cycle of phase over the band is left to the delay of the fit.
         """
         power = np.abs(self.response) ** 2
-        squares = (self.response**2 / np.maximum(power + self.noise[:, None], 1e-300)).sum(axis=1)
-        n_fft = 1 << int(np.ceil(np.log2(16 * squares.shape[1])))
-        time = np.fft.fftfreq(n_fft, self.spacing) / 2
-        resolution = 1 / (2 * (self.frequency[-1] - self.frequency[0]))
-        near = np.abs(time) <= resolution
-
-        def found(values: ComplexArray) -> float | None:
-            line = np.abs(np.fft.ifft(values, n_fft)) * n_fft / max(float(np.abs(values).sum()), 1e-300)
-            # No offset beyond 20 ms is looked for.
-            line[np.abs(time) > min(20e-3, 1 / (8 * self.spacing))] = 0.0
-            at, at_zero = int(line.argmax()), float(line[near].max())
-            if line[at] < CLEAR_LINE:
-                return None
-            return float(time[at]) if not near[at] and line[at] >= 1.2 * at_zero else 0.0
-
-        offset, own = found(squares.sum(axis=0)), [found(each) for each in squares]
-        known = {name: each for name, each in zip(self.sets, own, strict=True) if each is not None}
-        if known and self.positions is not None and max(known.values()) - min(known.values()) > resolution:
-            delays = ", ".join(f"{name} {each * 1e3:.4g} ms" for name, each in known.items())
-            raise ValueError(
-                f"the delay of the motion differs between the sets ({delays}): start all records at their excitation, "
-                "check the trigger, and export them again"
-            )
+        squares = self.response**2 / np.maximum(power + self.noise[:, None], 1e-300)
+        if self.positions is not None:
+            self._refuse_several_delays(squares)
+        offset = self._offset(squares.sum(axis=(0, 1)), 16)
         if not offset:
             return self
         turned = self.response * np.exp(2j * np.pi * self.frequency * offset)
         return replace(self, response=turned, offset=self.offset + offset)
+
+    def _offset(self, squares: ComplexArray, finer: int) -> float | None:
+        """Return the time offset of squared responses to a fraction of the resolution; None without a clear line."""
+        n_fft = 1 << int(np.ceil(np.log2(finer * squares.size)))
+        time = np.fft.fftfreq(n_fft, self.spacing) / 2
+        near = np.abs(time) <= self._resolution
+        line = np.abs(np.fft.ifft(squares, n_fft)) * n_fft / max(float(np.abs(squares).sum()), 1e-300)
+        # No offset beyond 20 ms is looked for.
+        line[np.abs(time) > min(20e-3, 1 / (8 * self.spacing))] = 0.0
+        at, at_zero = int(line.argmax()), float(line[near].max())
+        if line[at] < CLEAR_LINE:
+            return None
+        return float(time[at]) if not near[at] and line[at] >= 1.2 * at_zero else 0.0
+
+    @property
+    def _resolution(self) -> float:
+        """Offset that turns the phase by half a cycle over the band [s]."""
+        return float(1 / (2 * (self.frequency[-1] - self.frequency[0])))
+
+    def _refuse_several_delays(self, squares: ComplexArray) -> None:
+        """Refuse sets or points whose delays differ; relative to one response, a filter common to all cancels."""
+        relative = (squares * squares[0, 0].conj()).reshape(-1, self.frequency.size)
+        found = np.array([self._offset(each, 2) for each in relative], dtype=float).reshape(squares.shape[:2])
+        with catch_warnings():
+            # A row in which no offset is clear has no median.
+            simplefilter("ignore", RuntimeWarning)
+            by_set, by_point = np.nanmedian(found, axis=1), np.nanmedian(found - np.nanmedian(found), axis=0)
+            apart = np.nanmax(by_set) - np.nanmin(by_set)
+        odd = np.abs(by_point) > self._resolution
+        if apart > self._resolution:
+            each = zip(self.sets, by_set, strict=True)
+            what = f"sets ({', '.join(f'{name} {delay * 1e3:.4g} ms' for name, delay in each)})"
+        elif odd.any():
+            of_point = ", ".join(f"{self.places[k]} {by_point[k] * 1e3:+.4g} ms" for k in np.flatnonzero(odd))
+            what = f"points ({of_point} from the others)"
+        else:
+            return
+        raise ValueError(
+            f"the delay of the motion differs between the {what}: start all records at their excitation, check the "
+            "trigger, and export them again"
+        )
 
     def without(self, places: Sequence[float]) -> FrequencyResponses:
         """Leave out the responses at given positions [m], and note it in the marks."""
@@ -374,6 +399,7 @@ def responses_of(scans: Mapping[str, Scan], bandwidth: float | None = None) -> F
         n_averages=n_averages,
         bandwidth=bandwidth,
         across=across,
+        per="V",
     )
 
 

@@ -70,9 +70,16 @@ def check_points(positions: FloatArray, labels: Sequence[int], length: float) ->
     likeness = mac(shapes, shapes) - np.eye(highest)
     one, other = np.unravel_index(int(likeness.argmax()), likeness.shape)
     if likeness[one, other] >= ALIKE or positions.size < highest:
+        alike = (
+            f"modes {one + 1} and {other + 1}, whose shapes are alike there (MAC {likeness[one, other]:.2f}); give at "
+            f"least {needed} evenly spaced points"
+        )
+        ends = f"{positions.min() * 1e3:.4g} to {positions.max() * 1e3:.4g} mm"
         raise ValueError(
-            f"{positions.size} points are too few to distinguish modes {one + 1} and {other + 1}, whose shapes are "
-            f"alike there (MAC {likeness[one, other]:.2f}); give at least {needed} evenly spaced points"
+            f"{positions.size} points are too few to distinguish {alike}"
+            if positions.size < needed
+            else f"the points from {ends} do not distinguish {alike} from end to end, and check the unit of the "
+            "positions"
         )
     if positions.size < needed:
         raise ValueError(

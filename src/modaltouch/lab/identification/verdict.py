@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from modaltouch.lab.identification.causes import probable_cause
+from modaltouch.lab.identification.causes import aliased, causes_by_mode, probable_cause
 from modaltouch.lab.identification.joint_fit import axis_error
 from modaltouch.lab.identification.modal_parameters import (
     REMEDIES,
@@ -61,7 +61,7 @@ def check_modes(identification: Identification, labels: Sequence[int]) -> None:
     split = _split(identification, missing, faulty)
     strange = split
     if missing:
-        strange = _in_two_units(identification) or split or _misplaced(identification)
+        strange = _in_two_units(identification) or split or aliased(identification) or _misplaced(identification)
     if not (strange or spoilt):
         strange = _implausible_modes(identification.modes, missing)
         # A mode that moved far has several poles, which fit well but have no mode's shape.
@@ -78,7 +78,7 @@ def check_modes(identification: Identification, labels: Sequence[int]) -> None:
     elif lines and spoilt:
         cut = [mark for mark in identification.responses.marks if mark.endswith(STILL_MOVES)]
         known = axis_error(identification) or _digit(identification) or _hum(identification)
-        lines += cut or [known or _cause(identification, identification.modes)]
+        lines += cut or ([known] if known else _causes(identification, [found[label] for label in faulty]))
     if lines:
         raise ValueError("\n".join(lines))
 
@@ -187,7 +187,7 @@ def check_all(identification: Identification) -> None:
     modes = identification.modes
     faults = [_faults(f"the mode at {mode.natural_frequency.value:.6g} Hz", mode) for mode in modes]
     if 2 * sum(bool(each) for each in faults) > len(modes):
-        cause = [_cause(identification, modes)] if any(mode.rest.share > MOST_LEFT for mode in modes) else []
+        cause = _causes(identification, modes) if any(mode.rest.share > MOST_LEFT for mode in modes) else []
         raise ValueError("\n".join([*(line for each in faults for line in each), *cause]))
 
 
@@ -261,15 +261,18 @@ def _digit(identification: Identification) -> str:
     return ""
 
 
-def _cause(identification: Identification, modes: Sequence[IdentifiedMode]) -> str:
-    """Return the most probable cause of the residual and its remedy."""
-    if known := probable_cause(identification):
-        return known
-    weight: dict[str, float] = {}
-    for mode in modes:
-        weight[mode.rest.cause] = weight.get(mode.rest.cause, 0.0) + mode.rest.share
-    cause = max(weight, key=lambda each: weight[each])
-    return f"the most probable cause is {cause}: {REMEDIES[cause]}"
+def _causes(identification: Identification, modes: Sequence[IdentifiedMode]) -> list[str]:
+    """Return the causes of the residual around badly fitted modes, or the worst of all, with their remedies."""
+    spoilt = [mode for mode in modes if mode.rest.share > MOST_LEFT]
+    worst = max(identification.modes, key=lambda each: each.rest.share)
+    grouped = causes_by_mode(identification, spoilt or [worst])
+    if len(grouped) == 1:
+        return [*grouped]
+    return [f"around {_names(each)} {cause}" for cause, each in grouped.items()]
+
+
+def _names(modes: Sequence[IdentifiedMode]) -> str:
+    return ", ".join(each.name for each in sorted(modes, key=lambda each: each.natural_frequency.value))
 
 
 def warnings(identification: Identification) -> list[str]:
@@ -286,17 +289,16 @@ def warnings(identification: Identification) -> list[str]:
     known = "" if noisy else _digit(identification) or _hum(identification)
     marked = [mode for mode in identification.modes if mode.rest.smooth > MARKED.get(mode.rest.cause, MARKED_ELSE)]
     badly = [mode for mode in identification.modes if mode.rest.share > MOST_LEFT and mode not in marked]
-    by_cause: dict[str, list[IdentifiedMode]] = {}
-    for chosen in (marked, badly):
-        if chosen:
-            by_cause.setdefault(known or _cause(identification, chosen), []).extend(chosen)
+    spoilt = [*marked, *badly]
+    by_cause = {known: spoilt} if known and spoilt else causes_by_mode(identification, spoilt)
     for cause, chosen in by_cause.items():
-        names = ", ".join(each.name for each in sorted(chosen, key=lambda each: each.natural_frequency.value))
         left = max(max(each.rest.smooth, each.rest.share) for each in chosen)
         sentences.append(
-            f"the residual is up to {left:.1%} of the response around {names}, and the intervals may not cover it: "
-            f"{cause}"
+            f"the residual is up to {left:.1%} of the response around {_names(chosen)}, and the intervals may not "
+            f"cover it: {cause}"
         )
+    if folded := aliased(identification):
+        sentences.append(folded)
     if of_points := _misplaced(identification) or _uneven(identification):
         sentences.append(of_points)
     split = _split(identification) if identification.length else ""
@@ -305,6 +307,7 @@ def warnings(identification: Identification) -> list[str]:
             known
             or split
             or f"{misfit_verdict(identification)}: the intervals are widened accordingly, but may not cover it"
+            + (f"; {cause}" if (cause := probable_cause(identification)) else "")
         )
     return sentences
 
