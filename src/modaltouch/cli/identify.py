@@ -146,7 +146,7 @@ def _show(result: dict[str, Any]) -> None:
     if result["apparatus_file"]:
         say(f"Written: {result['apparatus_file']}, with a table and figures next to it", markup=False)
     else:
-        say("[dim]No apparatus file: without positions along the beam there are no shapes, without them no gains[/]")
+        say("[dim]No apparatus file: gains need positions along the beam, and responses to a voltage[/]")
 
 
 def _table(table_kind: Any, modes: list[dict[str, Any]], gains: list[str]) -> Any:

@@ -76,12 +76,17 @@ def test_shapes_are_data_set_55(tmp_path: Path, found: Identification) -> None:
     assert sets[1]["x"] == pytest.approx(POSITIONS)
 
 
-def test_responses_without_positions_are_exported_without_nodes(tmp_path: Path, found: Identification) -> None:
-    """No position is invented."""
-    bare = Identification((), found.delay, 1.0, FrequencyResponses(
-        found.responses.frequency, found.responses.response[:1], None, ("hammer",)), None, found.fitted)  # fmt: skip
-    export(bare, tmp_path / "beam.uff")
-    assert {each["type"] for each in pyuff.UFF(str(tmp_path / "beam.uff")).read_sets()} == {164, 58}
+@pytest.mark.parametrize("n_points", [3, 4])
+def test_responses_to_a_hammer_are_read_back_without_nodes(
+    tmp_path: Path, found: Identification, n_points: int
+) -> None:
+    """No position is invented; the excitation is a force; an odd number of binary data sets is not called cut off."""
+    path, given = tmp_path / "beam.uff", found.responses
+    hammered = FrequencyResponses(given.frequency, given.response[:1, :n_points], None, ("hammer",), per="N")
+    export(Identification((), found.delay, 1.0, hammered, None, found.fitted), path)
+    assert {each["type"] for each in pyuff.UFF(str(path)).read_sets()} == {164, 58}
+    read = read_responses([path])
+    assert (read.response.shape, read.per) == ((n_points, 1, 40), "N")
 
 
 def test_unknown_formats_are_refused_first(tmp_path: Path, found: Identification) -> None:

@@ -60,13 +60,15 @@ def test_the_complexity_of_a_mode_is_found(found: Identification) -> None:
 
 
 def test_axes_end_with_the_beam_and_the_band(found: Identification) -> None:
-    """Shapes from end to end of the beam, responses from the first bin to the last."""
+    """Shapes from end to end of the beam, responses from a fifth of the lowest mode or the first bin to the last."""
     few = replace(found, modes=tuple(mode for mode in found.modes if mode.label in (1, 3, 5)))
     shapes = figures.draw_shapes(few)
     assert [axes.get_xlim() for axes in shapes.axes] == [pytest.approx((-50, 50))] * 3
-    ends = pytest.approx((few.responses.frequency[0] / 1e3, few.responses.frequency[-1] / 1e3))
+    low, high = few.responses.frequency[[0, -1]] / 1e3
     for draw in (figures.draw_responses, figures.draw_fits, figures.draw_coherence):
-        assert all(axes.get_xlim() == ends for axes in draw(few).axes)
+        assert all(axes.get_xlim() == pytest.approx((low, high)) for axes in draw(few).axes)
+    higher = figures.from_lowest_mode(replace(few, modes=few.modes[1:]))
+    assert figures.draw_responses(higher).axes[0].get_xlim() == pytest.approx((0.51, high), rel=0.01)
     assert [each.get_text() for each in figures.draw_coherence(few).axes[0].texts] == ["1", "3", "5"]
 
 

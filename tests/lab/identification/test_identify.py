@@ -217,6 +217,10 @@ def test_too_few_points_are_refused() -> None:
         check_points(np.linspace(-0.05, 0.05, 15), [1, 17], LENGTH)
     with pytest.raises(ValueError, match="20 points are too few to draw the shape of mode 17: give at least 26"):
         check_points(np.linspace(-0.05, 0.05, 20), [1, 17], LENGTH)
+    with pytest.raises(
+        ValueError, match=r"from -1.949 to 1.949 mm do not distinguish .* check the unit of the positions"
+    ):
+        check_points(np.linspace(-0.0495, 0.0495, 41) / 25.4, [1, 17], LENGTH)
     check_points(np.linspace(-0.0495, 0.0495, 41), [1, 17], LENGTH)
 
 

@@ -19,7 +19,7 @@ from modaltouch.lab.common import FloatArray
 from modaltouch.lab.identification.joint_fit import make_problem, refine
 from modaltouch.lab.identification.kernel import Evaluation, Poles
 from modaltouch.lab.identification.modal_parameters import REMEDIES, Identification, IdentifiedMode
-from modaltouch.lab.identification.shapes import bending_likeness
+from modaltouch.lab.identification.shapes import CERTAIN, bending_likeness, straightened
 from modaltouch.protocol import Apparatus
 
 EXPLAINS = 0.4
@@ -27,9 +27,6 @@ EXPLAINS = 0.4
 
 ALMOST = 0.85
 """Share explained by a second pattern, relative to the first, above which both are named [1]."""
-
-CERTAIN = 0.95
-"""Minimum MAC of a resonance with the mode whose shape it has, although modes of lower number lie above it [1]."""
 
 FILTERED = 0.05
 """Minimum share of the residual explained by one phase for each mode if a filter is the cause [1]."""
@@ -160,7 +157,7 @@ def _common_causes(found: Identification, fit: Evaluation) -> list[str]:
     power = float((rest**2).sum()) - rest.size
     nearest = np.abs(np.log(fit.problem.bins.centre[:, None] / fit.poles.natural_frequency)).argmin(axis=1)
     shape = fit.residue[nearest] / np.linalg.norm(fit.residue[nearest], axis=1, keepdims=True)
-    if (np.abs((left * shape).sum(axis=1)) ** 2).sum() - 2 * len(left) < EXPLAINS * power:
+    if (np.abs((left * shape).sum(axis=1)) ** 2).sum() - 2 * len(left) <= EXPLAINS * power:
         return []
     by_phase = fit.turned[:, :n]
     overlap = ((by_phase.T @ rest) * fit.residue[:n]).sum(axis=1)
@@ -170,7 +167,7 @@ def _common_causes(found: Identification, fit: Evaluation) -> list[str]:
         # The phase of a high-pass leads in proportion to the reciprocal frequency; an exponential window lags alike.
         steep = 1 / fit.poles.natural_frequency**2
         along = float(steep @ overlap)
-        if along**2 > ALMOST * filtered * float(steep @ curvature @ steep):
+        if 2 * along**2 > filtered * float(steep @ curvature @ steep):
             return ["a high-pass" if along < 0 else "an exponential window"]
         return ["a filter that is not listed"]
     first = found.responses.frequency[0] / found.responses.spacing
@@ -184,7 +181,7 @@ def aliased(found: Identification) -> str:
     places, length, labels = found.responses.places, found.length, [mode.label for mode in found.modes]
     if not places or length is None:
         return ""
-    likeness = bending_likeness(np.array([mode.residue.real for mode in found.modes]), places, length)
+    likeness = bending_likeness(np.array([straightened(mode.residue).real for mode in found.modes]), places, length)
     folded = [
         f"{mode.name} is that of mode {int(alike.argmax()) + 1}"
         for k, (mode, alike) in enumerate(zip(found.modes, likeness, strict=True))
@@ -329,8 +326,8 @@ def _mirrored(ratios: Mapping[tuple[str, int], float], apparatus: Apparatus) -> 
     if len(antisymmetric) < FEWEST_GAINS or not symmetric or max(antisymmetric) > 0 or min(symmetric) < 0:
         return ""
     return (
-        f"the gains of all antisymmetric modes have the opposite sign of those of {apparatus.apparatus}, as if the scan "
-        "were mirrored: count positions from mid-beam, positive to the participant's right, or give the file of this "
+        f"the gains of all antisymmetric modes have the opposite sign of those of {apparatus.apparatus}, as if the "
+        "scan were mirrored: count positions from mid-beam, positive to the participant's right, or give the file of this "
         "beam with --apparatus"
     )
 

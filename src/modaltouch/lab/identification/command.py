@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -45,6 +46,12 @@ from modaltouch.report import refuse_other
 
 FEWEST_SHAPE_POINTS = 6
 """Minimum number of points in a file for identifying its modes by their shapes."""
+
+BY_FORCE = (
+    "the excitation is a force, so there are no gains per volt, and no apparatus file: measure the responses to the "
+    "voltage of each actuator set"
+)
+"""Mark of responses to a hammer or shaker."""
 
 
 @dataclass(frozen=True)
@@ -267,6 +274,7 @@ class _Beam:
             coherence=None if responses.coherence is None else responses.coherence[rows],
             sets=self.sets,
             bandwidth=self.bandwidth,
+            per=responses.per or "V",
             repeats=tuple(self.chosen(each) for each in responses.repeats),
         )
 
@@ -281,13 +289,17 @@ class _Beam:
         with _fitting(progress):
             found = over_repeats(fit_jointly(responses, self.length, clock_tolerance=CLOCK_TOLERANCE))
         check_modes(found, self.labels)
-        axis = axis_error(found)
-        marks = (*responses.marks, *check_gains(found, self.apparatus, self.labels), *([axis] if axis else []))
+        axis, by_force = axis_error(found), responses.per == "N"
+        if by_force:
+            modes = tuple(replace(mode, gain=(), half_power_gain=math.nan) for mode in found.modes)
+            found = replace(found, modes=modes)
+        told = check_gains(found, self.apparatus, self.labels)
+        marks = (*responses.marks, *told, *([axis] if axis else []), *([BY_FORCE] if by_force else []))
         found = replace(found, responses=replace(found.responses, marks=marks))
         uncertainty = self.apparatus.acquisition.sensitivity_uncertainty_percent * 1e-2
         found = found.with_sensitivity_uncertainty(uncertainty)
         labels = tuple(found.by_label) if self.options.modes == "all" else self.labels
-        apparatus = identified_apparatus(self.source, found, labels, facts)
+        apparatus = None if by_force else identified_apparatus(self.source, found, labels, facts)
         return write_identification(
             found,
             self.options.out,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import zip_longest
 from typing import Any
 
@@ -16,9 +17,12 @@ from numpy.typing import NDArray
 from modaltouch.lab.common import DARK, LIGHT, MIDDLE, ComplexArray, FloatArray, draw_map
 from modaltouch.lab.identification.modal_parameters import Identification
 from modaltouch.lab.identification.responses import FrequencyResponses
-from modaltouch.lab.identification.shapes import phase_collinearity, phase_deviation
+from modaltouch.lab.identification.shapes import phase_collinearity, phase_deviation, straightened
 from modaltouch.report import CONDITION_COLOURS, FAINT, INK, house_style, quiet_grid
 from modaltouch.stimulus import mode_shapes
+
+FROM = 0.2
+"""Lowest drawn frequency, relative to that of the lowest mode [1]."""
 
 DRAWN_BINS = 1500
 """Maximum number of bins per curve, limited by the resolution of a figure."""
@@ -33,6 +37,7 @@ STABILITIES: tuple[tuple[str, dict[str, Any]], ...] = (
 
 def draw_all(identification: Identification) -> dict[str, Figure]:
     """Draw all figures for which the responses suffice, by file name."""
+    identification = from_lowest_mode(identification)
     drawn = {
         "responses": draw_responses(identification),
         "fits": draw_fits(identification),
@@ -47,6 +52,16 @@ def draw_all(identification: Identification) -> dict[str, Figure]:
     if identification.shaped and np.any(identification.responses.across):
         drawn["fig_4_map"] = draw_shape_maps(identification)
     return drawn
+
+
+def from_lowest_mode(identification: Identification) -> Identification:
+    """Leave out the responses far below the lowest mode, which would fill half of a logarithmic axis."""
+    responses = identification.responses
+    lowest = FROM * min(mode.natural_frequency.value for mode in identification.modes)
+    kept = responses.frequency >= lowest
+    return replace(
+        identification, responses=responses.between(lowest, math.inf), fitted=identification.fitted[..., kept]
+    )
 
 
 def draw_responses(identification: Identification) -> Figure:
@@ -158,8 +173,7 @@ def draw_complexity(identification: Identification) -> Figure:
             axes.set_axis_off()
             if mode is None:
                 continue
-            straight = mode.residue * np.exp(-0.5j * np.angle((mode.residue**2).sum()))
-            straight = straight / np.abs(straight).max()
+            straight = straightened(mode.residue) / np.abs(mode.residue).max()
             axes.axhline(0, color=LIGHT, lw=0.8)
             axes.axvline(0, color=LIGHT, lw=0.8)
             # Draw all with one line: each from the origin, followed by a gap.
@@ -250,8 +264,7 @@ def _colour(row: int) -> str:
 
 
 def _unit(identification: Identification) -> str:
-    excitation = "V" if identification.length is not None else "unit of excitation"
-    return f"velocity [mm/s per {excitation}]"
+    return f"velocity [mm/s per {identification.responses.per or 'unit of excitation'}]"
 
 
 def _rounded_down(value: float) -> str:

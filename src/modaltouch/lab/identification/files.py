@@ -29,7 +29,7 @@ from modaltouch.lab.identification.responses import (
 )
 from modaltouch.lab.identification.time_records import TimeRecord, part_of, read_lvm, step_of
 
-_FUNCTION, _TIME, _RESPONSE = 58, 1, 4
+_FUNCTION, _TIME, _RESPONSE, _FORCE = 58, 1, 4, 13
 _NODES = (15, 2411)
 _UNITS = 164
 _NUMERIC, _GARBLED = b"0123456789+-.eEdD \t", 3
@@ -79,7 +79,8 @@ def _read_universal(path: Path, how: ResponseFormat) -> Part:
         if any(int(each.get("orddenom_spec_data_type", 0)) in _QUANTITIES for each in responses):
             raise ValueError(f"{path}: it contains ratios of two motions; export responses to the excitation")
         values = [np.asarray(each["data"], dtype=np.complex128) * (_sign(each) / size) for each in responses]
-        return Part(frequency, list(map(MeasuredResponse, keys, values)), quantity)
+        by_force = all(int(each.get("orddenom_spec_data_type", 0)) == _FORCE for each in responses)
+        return Part(frequency, list(map(MeasuredResponse, keys, values)), quantity, per="N" if by_force else "")
     records = []
     drive = next((each for each in functions if _kind(each) not in _QUANTITIES), None)
     for each in functions:
@@ -96,7 +97,7 @@ def _read_universal(path: Path, how: ResponseFormat) -> Part:
             f"{path}: its time records are not one excitation followed by motions; mark each by the data type of its "
             "ordinate (8 displacement, 11 velocity, 12 acceleration, 13 force)"
         )
-    return part_of(path, records, quantity, how)
+    return part_of(path, records, quantity, how, "N" if drive is not None and _kind(drive) == _FORCE else "")
 
 
 def _sign(function: dict[str, Any]) -> float:
@@ -112,8 +113,9 @@ def _read_sets(path: Path) -> list[dict[str, Any]]:
     """Read the data sets of a universal file."""
     import pyuff
 
-    lines = path.read_bytes().splitlines()
-    if sum(line.rstrip() == b"    -1" for line in lines) % 2:
+    lines = path.read_bytes().rstrip().splitlines()
+    # Binary numbers may precede the end mark in its line.
+    if b"    -1" in map(bytes.rstrip, lines) and not lines[-1].endswith(b"    -1"):
         raise ValueError(f"{path}: it ends within a data set: it was cut off; export or copy it again")
     try:
         read = pyuff.UFF(str(path)).read_sets()
@@ -220,7 +222,8 @@ def read_responses(paths: Sequence[Path], how: ResponseFormat | None = None) -> 
     if whole.positions is None and not whole.repeats and len(by_file) > 1:
         alone = [_assemble(path, frequency, each, 0, how) for path, each in zip(paths, by_file, strict=True)]
         whole = replace(whole, repeats=tuple(alone))
-    return replace(whole, marks=tuple(marks))
+    units = {part.per for _, part in parts}
+    return replace(whole, marks=tuple(marks), per=units.pop() if len(units) == 1 else "")
 
 
 def _quantity(path: Path, part: Part, how: ResponseFormat) -> Quantity:

@@ -58,7 +58,8 @@ REMEDIES = {
     "the mass of a sensor that is moved": "measure without contact, or leave the sensor in place and move the "
     "excitation",
     "a trigger that is late at some points": "start all records at their excitation, with one delay of the trigger",
-    "a phase that differs between the points": "keep filters, range and coupling of the sensor the same at all points",
+    "a phase that differs between the points": "keep trigger, filters, range and coupling of the sensor the same at "
+    "all points",
     "a filter that is not listed": "give the bandwidth of the vibrometer in the apparatus file, and set other filters "
     "far above the band, or use less of it with --highest-kHz",
     "a high-pass": "couple sensor and analyser for direct current, or use the band far above its corner with "

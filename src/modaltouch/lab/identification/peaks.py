@@ -12,6 +12,7 @@ import numpy as np
 from modaltouch.lab.common import ComplexArray, FloatArray, low_pass
 from modaltouch.lab.identification.kernel import Poles
 from modaltouch.lab.identification.responses import FrequencyResponses, along
+from modaltouch.lab.identification.time_records import DECAY
 from modaltouch.stimulus import mode_shapes
 
 FEWEST_BINS = 5.0
@@ -287,7 +288,9 @@ def first_delay(responses: FrequencyResponses, peaks: Sequence[_Peak]) -> float:
     reach = min(0.5 / frequency.min(), 200e-6 + 1 / frequency.max())
     tried = np.arange(-0.2 * reach, reach, step)
     score = (np.exp(4j * np.pi * np.outer(tried, frequency)) @ np.array(twice)).real
-    if frequency.size >= FEWEST_PHASES and -score.min() > score.max() + WRONG_QUANTITY * frequency.size:
+    # The phases of a free decay are arbitrary.
+    certain = frequency.size >= FEWEST_PHASES and not any(DECAY in mark for mark in responses.marks)
+    if certain and -score.min() > score.max() + WRONG_QUANTITY * frequency.size:
         raise ValueError(
             "the responses are imaginary at their resonances, but those of a velocity are real: they show a "
             "displacement or an acceleration; say which with --quantity"

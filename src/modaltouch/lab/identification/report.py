@@ -352,7 +352,7 @@ def _lines(identification: Identification) -> Iterator[str]:
             place = "" if responses.positions is None else f"{responses.positions[p] * 1e3:.9g}"
             row = f",{responses.places[p].across * 1e3:.9g}" if rows else ""
             for k, (frequency, value) in enumerate(zip(responses.frequency, responses.response[s, p], strict=True)):
-                certain = "" if coherence is None else f",{coherence[s, p, k]:.6g}"
+                certain = "" if coherence is None else f",{coherence[s, p, k]:.9g}"
                 yield f"{frequency:.12g},{name},{place},{value.real:.9g},{value.imag:.9g}{certain}{row}\n"
 
 
@@ -373,10 +373,11 @@ def _sets(identification: Identification) -> Iterator[dict[str, Any]]:
         for p in range(responses.n_points):
             yield {
                 "type": 58, "binary": 1, "func_type": 4,
-                "id1": f"velocity per unit of excitation, {name}", "id2": "NONE", "id3": "NONE", "id4": "NONE",
-                "id5": "NONE", "rsp_node": p + 1, "rsp_dir": 3, "ref_node": responses.n_points + 1 + s, "ref_dir": 3,
+                "id1": f"velocity per {responses.per or 'unit of excitation'}, {name}",
+                "id2": "NONE", "id3": "NONE", "id4": "NONE", "id5": "NONE",
+                "rsp_node": p + 1, "rsp_dir": 3, "ref_node": responses.n_points + 1 + s, "ref_dir": 3,
                 "ord_data_type": 6, "abscissa_spacing": 1, "abscissa_spec_data_type": 18,
-                "ordinate_spec_data_type": 11, "orddenom_spec_data_type": 0,
+                "ordinate_spec_data_type": 11, "orddenom_spec_data_type": 13 if responses.per == "N" else 0,
                 "x": responses.frequency, "data": responses.response[s, p],
             }  # fmt: skip
     for number, mode in enumerate(identification.modes, start=1):

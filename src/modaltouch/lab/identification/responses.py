@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Literal, NamedTuple
-from warnings import catch_warnings, simplefilter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,8 +35,8 @@ class Place(NamedTuple):
 Key = tuple[str, Place | None]
 """Excitation and place of a response; the place is None if the file does not state it."""
 
-CLEAR_LINE = 0.5
-"""Fraction of the phases that must agree on a time offset [1]."""
+CLEAR_LINE, CERTAIN_LINE = 0.5, 0.75
+"""Fraction of the phases that must agree on a time offset of all responses, and on one between some and others [1]."""
 
 SAME_PLACE = 5e-6
 """Distance within which a given position counts as a measured one [m]."""
@@ -221,13 +220,13 @@ class FrequencyResponses:
         squares = self.response**2 / np.maximum(power + self.noise[:, None], 1e-300)
         if self.positions is not None:
             self._refuse_several_delays(squares)
-        offset = self._offset(squares.sum(axis=(0, 1)), 16)
+        offset = self._offset(squares.sum(axis=(0, 1)), 16, CLEAR_LINE)
         if not offset:
             return self
         turned = self.response * np.exp(2j * np.pi * self.frequency * offset)
         return replace(self, response=turned, offset=self.offset + offset)
 
-    def _offset(self, squares: ComplexArray, finer: int) -> float | None:
+    def _offset(self, squares: ComplexArray, finer: int, least: float) -> float | None:
         """Return the time offset of squared responses to a fraction of the resolution; None without a clear line."""
         n_fft = 1 << int(np.ceil(np.log2(finer * squares.size)))
         time = np.fft.fftfreq(n_fft, self.spacing) / 2
@@ -236,7 +235,7 @@ class FrequencyResponses:
         # No offset beyond 20 ms is looked for.
         line[np.abs(time) > min(20e-3, 1 / (8 * self.spacing))] = 0.0
         at, at_zero = int(line.argmax()), float(line[near].max())
-        if line[at] < CLEAR_LINE:
+        if line[at] < least:
             return None
         return float(time[at]) if not near[at] and line[at] >= 1.2 * at_zero else 0.0
 
@@ -246,27 +245,21 @@ class FrequencyResponses:
         return float(1 / (2 * (self.frequency[-1] - self.frequency[0])))
 
     def _refuse_several_delays(self, squares: ComplexArray) -> None:
-        """Refuse sets or points whose delays differ; relative to one response, a filter common to all cancels."""
-        relative = (squares * squares[0, 0].conj()).reshape(-1, self.frequency.size)
-        found = np.array([self._offset(each, 2) for each in relative], dtype=float).reshape(squares.shape[:2])
-        with catch_warnings():
-            # A row in which no offset is clear has no median.
-            simplefilter("ignore", RuntimeWarning)
-            by_set, by_point = np.nanmedian(found, axis=1), np.nanmedian(found - np.nanmedian(found), axis=0)
-            apart = np.nanmax(by_set) - np.nanmin(by_set)
-        odd = np.abs(by_point) > self._resolution
-        if apart > self._resolution:
-            each = zip(self.sets, by_set, strict=True)
-            what = f"sets ({', '.join(f'{name} {delay * 1e3:.4g} ms' for name, delay in each)})"
-        elif odd.any():
-            of_point = ", ".join(f"{self.places[k]} {by_point[k] * 1e3:+.4g} ms" for k in np.flatnonzero(odd))
-            what = f"points ({of_point} from the others)"
-        else:
-            return
-        raise ValueError(
-            f"the delay of the motion differs between the {what}: start all records at their excitation, check the "
-            "trigger, and export them again"
-        )
+        """Refuse sets or points whose delays differ from those of the others; a filter common to all cancels."""
+        by_set, by_point = squares.sum(axis=1), squares.sum(axis=0)
+        total = by_point.sum(axis=0)
+        relative = {
+            "sets": zip(self.sets, by_set * by_set[0].conj(), strict=True),
+            "points": zip(self.places, by_point * (total - by_point).conj(), strict=True),
+        }
+        for what, each in relative.items():
+            late = {str(name): self._offset(values, 4, CERTAIN_LINE) or 0.0 for name, values in each}
+            named = [f"{name} {delay * 1e3:.4g} ms" for name, delay in late.items() if delay or what == "sets"]
+            if any(late.values()):
+                raise ValueError(
+                    f"the delay of the motion differs between the {what} ({', '.join(named)}): start all records at "
+                    "their excitation, check the trigger, and export them again"
+                )
 
     def without(self, places: Sequence[float]) -> FrequencyResponses:
         """Leave out the responses at given positions [m], and note it in the marks."""

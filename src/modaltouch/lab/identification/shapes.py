@@ -40,11 +40,16 @@ def phase_collinearity(residue: ComplexArray) -> float:
     return (turned / size) ** 2
 
 
+def straightened(residue: ComplexArray) -> ComplexArray:
+    """Return a complex shape rotated so that its common line is real."""
+    return np.asarray(residue * np.exp(-0.5j * np.angle((residue**2).sum())))
+
+
 def phase_deviation(residue: ComplexArray) -> float:
     """Return the amplitude-weighted mean phase deviation of a shape (Reynders 2012) [rad]; NaN for a single point."""
     if residue.size < 2:
         return float("nan")
-    straight = residue * np.exp(-0.5j * np.angle((residue**2).sum()))
+    straight = straightened(residue)
     size = np.abs(straight)
     return float((size * np.arctan2(np.abs(straight.imag), np.abs(straight.real))).sum() / size.sum())
 
@@ -203,6 +208,9 @@ def over_width(shape: FloatArray, places: Sequence[Place]) -> FloatArray:
 FEWEST_MODES = 3
 """Minimum number of modes with a shape for the check of a point."""
 
+CERTAIN = 0.95
+"""Minimum MAC of a shape with the theoretical one that serves to judge a point, or to recognise a folded mode [1]."""
+
 OFF = 0.2
 """Minimum deviation of a faulty point's factor from 1 [1]."""
 
@@ -269,8 +277,8 @@ def _without(
     """Return a point's factor for each set, and its squared misfit without and with the factor, (n_sets,) arrays."""
     others = np.delete(np.arange(len(places)), point)
     common = np.array([np.linalg.svd(each[:, others], full_matrices=False)[2][0] for each in measured])
-    labels, _ = label_shapes(common, [*places[:point], *places[point + 1 :]], length)
-    known = [k for k, label in enumerate(labels) if label is not None]
+    labels, likeness = label_shapes(common, [*places[:point], *places[point + 1 :]], length)
+    known = [k for k, label in enumerate(labels) if label is not None and likeness[k] > CERTAIN]
     n_sets = measured.shape[1]
     if len(known) < FEWEST_MODES:
         return np.ones(n_sets), np.zeros(n_sets), np.zeros(n_sets)

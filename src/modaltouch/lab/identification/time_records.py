@@ -45,13 +45,18 @@ MOST_AT_END = 3
 CUT = 4
 """Ratio of samples at a record's extreme to those at the next value, above which the record is saturated [1]."""
 
+WHITE = 1.7
+"""Standard deviation of second differences, relative to that of the values, above which they are noise; white noise has
+the square root of 6 [1]."""
+
 STEEP = 0.8
 """Value next to equal samples, relative to theirs, below which they are saturated rather than a rounded peak [1]."""
 
+DECAY = "free decay"
 STILL_MOVES = "has not died out at the end of a record: record for longer"
 COARSE = "different values, so that its converter's steps are coarse: choose the smallest range that covers it"
 WINDOWED = "an exponential window, which makes damping ratios too large, was applied: record without it"
-"""Endings of the marks on truncated decays, coarse converters and windows, which explain the residual of a fit."""
+"""Words of the marks on free decays, truncated ones, coarse converters and windows."""
 
 FEWEST_VALUES, FADED = 300, 0.2
 """Minimum number of distinct values of a motion that is not coarse, and noise at the end of a decay, relative to that
@@ -125,10 +130,12 @@ def read_lvm(path: Path, how: ResponseFormat) -> Part:
             raise ValueError(f"{path}: a record has {held}: the file was cut off; export or copy it again")
         driven = record[drive[0]] * DRIVES[units[drive[0]].casefold()]
         records.append(TimeRecord((units[drive[0]], None), driven, record[motion[0]] * size, step))
-    return part_of(path, records, quantity, how)
+    return part_of(path, records, quantity, how, "V" if "v" in units[drive[0]].casefold() else "N")
 
 
-def part_of(path: Path, records: Sequence[TimeRecord], quantity: Quantity | None, how: ResponseFormat) -> Part:
+def part_of(
+    path: Path, records: Sequence[TimeRecord], quantity: Quantity | None, how: ResponseFormat, per: str = ""
+) -> Part:
     """Compute the responses of time records, up to the highest frequency at which all of them are excited.
 
     Parameters
@@ -141,6 +148,8 @@ def part_of(path: Path, records: Sequence[TimeRecord], quantity: Quantity | None
         Quantity of the motion, if the file states it.
     how : ResponseFormat
         Number of averages, and whether the free decay of a saturated record is used.
+    per : str
+        Unit of the excitation, V or N, if the file states it.
 
     Raises
     ------
@@ -161,16 +170,18 @@ def part_of(path: Path, records: Sequence[TimeRecord], quantity: Quantity | None
             frequency, _ = transfer(motion, drive, step)
             found.append((key, frequency, np.fft.rfft(np.roll(decay, -last - 1))[: frequency.size], None))
             since = (last + 1) * step * 1e3
-            marks.append(f"the record {path.name} was saturated: only its free decay from {since:.4g} ms on was used")
+            marks.append(f"the record {path.name} was saturated: only its {DECAY} from {since:.4g} ms on was used")
             continue
         hits, n_left_out = impacts(drive, motion)
         if hits is None:
+            if how.n_averages < 2:
+                raise ValueError(f"{path}: its excitation goes on throughout, so averages are needed: give --averages")
             found.append((key, *averaged(motion, drive, step, how.n_averages)))
             continue
         marks += _spoilt(path.name, drive, motion)
         n_double, n_hits = n_double + n_left_out, n_hits + n_left_out + len(hits)
         found += [(key, *transfer(motion[hit], drive[hit], step), None) for hit in hits]
-        if not all(_rests(motion[hit]) for hit in hits):
+        if not all(_rests(motion[hit]) or _is_white(motion[hit][-motion[hit].size // 50 :]) for hit in hits):
             marks.append(f"the motion of {path.name} {STILL_MOVES}")
     if not found:
         raise ValueError(f"{path}: all {n_hits} impacts are double hits: strike again, or leave the file out")
@@ -187,7 +198,7 @@ def part_of(path: Path, records: Sequence[TimeRecord], quantity: Quantity | None
     responses = [
         MeasuredResponse(key, values[:n_bins], None if c is None else c[:n_bins]) for key, _, values, c in found
     ]
-    return Part(axis, responses, quantity, tuple(dict.fromkeys(marks)))
+    return Part(axis, responses, quantity, tuple(dict.fromkeys(marks)), per)
 
 
 def _spoilt(name: str, drive: FloatArray, motion: FloatArray) -> list[str]:
@@ -195,11 +206,13 @@ def _spoilt(name: str, drive: FloatArray, motion: FloatArray) -> list[str]:
     size, n_values = np.abs(drive - np.median(drive)), np.unique(motion).size
     if n_values < min(FEWEST_VALUES, motion.size // 8):
         return [f"the motion of {name} has only {n_values} {COARSE}"]
-    n_before = int((size > HIT * size.max()).argmax()) * 3 // 4
-    if n_before < FEWEST_SAMPLES:
-        return []
-    before, after = (float(np.std(np.diff(part, 2))) for part in (motion[:n_before], motion[-n_before:]))
-    return [f"to the motion of {name} {WINDOWED}"] * (after < FADED * before)
+    high = np.flatnonzero(size > HIT * size.max())
+    n_before, n_quiet = int(high[0]) * 3 // 4, (size.size - int(high[-1])) // 4
+    # The noise of the drive after the impact tells of a window if there is no record before it.
+    pairs = [(motion[:n_before], motion[-n_before:])] * (n_before >= FEWEST_SAMPLES)
+    pairs += [(drive[high[-1] :][n_quiet : 2 * n_quiet], drive[-n_quiet:])] * (n_quiet >= FEWEST_SAMPLES)
+    noise = [(float(np.std(np.diff(before, 2))), float(np.std(np.diff(after, 2)))) for before, after in pairs]
+    return [f"to the motion of {name} {WINDOWED}"] * any(after < FADED * before for before, after in noise)
 
 
 def _refuse_unusable(path: Path, drive: FloatArray, motion: FloatArray) -> None:
@@ -251,6 +264,11 @@ def _rests(row: FloatArray) -> bool:
     return bool(size[-size.size // 50 :].max() < HIT * size.max())
 
 
+def _is_white(tail: FloatArray) -> bool:
+    """Return whether the end of a record is noise, of which the second differences are far larger than its values."""
+    return bool(np.std(np.diff(tail, 2)) > WHITE * np.std(tail))
+
+
 def averaged(
     motion: FloatArray, drive: FloatArray, step: float, n_averages: int
 ) -> tuple[FloatArray, ComplexArray, FloatArray]:
@@ -280,8 +298,9 @@ def _last_cut(path: Path, name: str, row: FloatArray, step: float, how: Response
     if cut and not how.use_clipped:
         raise ValueError(
             f"{path}: the {name} stays at {row[cut[0][0]]:g} for {cut[0].size} samples: it was saturated; measure "
-            f"again with a wider range, or use only its free decay from {(last + 1) * step * 1e3:.4g} ms on with "
-            "--use-clipped"
+            "again with a wider range"
+            + (name == "motion")
+            * f", or use only its free decay from {(last + 1) * step * 1e3:.4g} ms on with --use-clipped"
         )
     return last
 

@@ -17,6 +17,7 @@ from modaltouch.lab.identification.modal_parameters import (
     IdentifiedMode,
     neighbouring,
 )
+from modaltouch.lab.identification.peaks import FEWEST_BINS
 from modaltouch.lab.identification.shapes import BELONGS, bending_likeness, in_two_units, mac, misplaced, unevenness
 from modaltouch.lab.identification.time_records import STILL_MOVES
 
@@ -59,9 +60,9 @@ def check_modes(identification: Identification, labels: Sequence[int]) -> None:
     faulty = [label for label, mode in found.items() if label in labels and _faults(f"mode {label}", mode)]
     # A missing mode is split if the beam drifts, and has a single resonance of another shape if points are exchanged.
     split = _split(identification, missing, faulty)
-    strange = split
+    strange = aliased(identification) or split
     if missing:
-        strange = _in_two_units(identification) or split or aliased(identification) or _misplaced(identification)
+        strange = _in_two_units(identification) or strange or _misplaced(identification)
     if not (strange or spoilt):
         strange = _implausible_modes(identification.modes, missing)
         # A mode that moved far has several poles, which fit well but have no mode's shape.
@@ -194,9 +195,12 @@ def check_all(identification: Identification) -> None:
 def _faults(name: str, mode: IdentifiedMode) -> list[str]:
     lines = []
     if mode.coherence < LEAST_COHERENCE:
+        remedy = "drive harder (--drive-V) or average more (--averages)"
+        if mode.half_power.n_bins < FEWEST_BINS:
+            remedy = f"its peak is {mode.half_power.n_bins:.1f} bins wide; record for longer, or {remedy}"
         lines.append(
             f"{name} has a coherence of {mode.coherence:.2f} at its peak, but at least {LEAST_COHERENCE:g} is needed: "
-            "drive harder (--drive-V) or average more (--averages)"
+            f"{remedy}"
         )
     if mode.rest.share > MOST_LEFT:
         lines.append(
@@ -301,7 +305,7 @@ def warnings(identification: Identification) -> list[str]:
         sentences.append(folded)
     if of_points := _misplaced(identification) or _uneven(identification):
         sentences.append(of_points)
-    split = _split(identification) if identification.length else ""
+    split = _split(identification) if identification.length and not folded else ""
     if split or not (noisy or (known and (marked or badly))):
         sentences.append(
             known
