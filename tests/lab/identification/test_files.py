@@ -290,6 +290,26 @@ def test_a_truncated_decay_is_marked(tmp_path: Path) -> None:
     assert read_responses([path]).marks == (
         "the motion of a.npz has not died out at the end of a record: record for longer",
     )
+    noisy = np.where(time < 0.1, motion, 0.0) + 0.06 * np.random.default_rng(0).standard_normal(time.size)
+    assert read_responses([blow(path, time=time, drive=drive[None, None], motion=noisy[None, None])]).marks == ()
+
+
+def test_a_window_without_a_record_before_the_impact_is_marked(tmp_path: Path) -> None:
+    """The noise of the drive fades with it."""
+    time, rng = np.arange(4096) / 4096, np.random.default_rng(0)
+    drive = np.where(time < 4e-3, np.sin(np.pi * time / 4e-3), 1e-3 * rng.standard_normal(time.size))
+    motion = np.exp(-20 * time) * np.sin(2 * np.pi * 120 * time)
+    for decay, marked in ((0.0, False), (6.0, True)):
+        arrays = {"drive": drive * np.exp(-decay * time), "motion": motion * np.exp(-decay * time)}
+        path = blow(tmp_path / "a.npz", time=time, **{name: each[None, None] for name, each in arrays.items()})
+        assert ("an exponential window" in " ".join(read_responses([path]).marks)) == marked
+
+
+def test_a_record_without_impacts_needs_averages(tmp_path: Path) -> None:
+    """A single spectrum of noise has peaks like resonances."""
+    drive, motion = np.random.default_rng(0).standard_normal((2, 1, 1, 4096))
+    with pytest.raises(ValueError, match="its excitation goes on throughout, so averages are needed: give --averages"):
+        read_responses([blow(tmp_path / "a.npz", drive=drive, motion=motion)])
 
 
 def test_a_burst_with_an_offset_is_one_spectrum(tmp_path: Path) -> None:

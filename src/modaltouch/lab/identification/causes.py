@@ -327,8 +327,8 @@ def _mirrored(ratios: Mapping[tuple[str, int], float], apparatus: Apparatus) -> 
         return ""
     return (
         f"the gains of all antisymmetric modes have the opposite sign of those of {apparatus.apparatus}, as if the "
-        "scan were mirrored: count positions from mid-beam, positive to the participant's right, or give the file of this "
-        "beam with --apparatus"
+        "scan were mirrored: count positions from mid-beam, positive to the participant's right, or give the file of "
+        "this beam with --apparatus"
     )
 
 

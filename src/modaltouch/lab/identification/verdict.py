@@ -19,7 +19,7 @@ from modaltouch.lab.identification.modal_parameters import (
 )
 from modaltouch.lab.identification.peaks import FEWEST_BINS
 from modaltouch.lab.identification.shapes import BELONGS, bending_likeness, in_two_units, mac, misplaced, unevenness
-from modaltouch.lab.identification.time_records import STILL_MOVES
+from modaltouch.lab.identification.time_records import DECAY, STILL_MOVES
 
 LEAST_COHERENCE = 0.5
 """Median coherence below which a mode is refused (at its peak) or a warning is given (over the band) [1]."""
@@ -282,7 +282,8 @@ def _names(modes: Sequence[IdentifiedMode]) -> str:
 def warnings(identification: Identification) -> list[str]:
     """Return the warnings for an accepted result, a sentence each."""
     responses, sentences = identification.responses, list(identification.responses.marks)
-    if responses.offset:
+    # A free decay begins at any phase.
+    if responses.offset and not any(DECAY in mark for mark in responses.marks):
         sentences.append(
             f"the motion is {abs(responses.offset) * 1e3:.4g} ms {'behind' if responses.offset > 0 else 'before'} its "
             "excitation, judging by the slope of the phase over frequency; this offset was removed"
