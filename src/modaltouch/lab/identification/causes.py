@@ -11,7 +11,6 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import lru_cache
 
 import numpy as np
 
@@ -32,13 +31,15 @@ FILTERED = 0.05
 """Minimum share of the residual explained by one phase for each mode if a filter is the cause [1]."""
 
 
-def probable_cause(found: Identification, odd_point: str = "", least: float = 0.0) -> str:
+def probable_cause(
+    found: Identification, odd_point: str = "", least: float = 0.0, fit: Evaluation | None = None
+) -> str:
     """Describe the most probable cause of the residual with its remedy, or the two most probable; empty if unclear.
 
     A point that holds most of the residual, if described, is the cause unless a pattern explains it. None is named if
-    the misfit of the poles with one in place of close ones is below `least`.
+    the misfit of the poles with one in place of close ones, of which the fit may be given, is below `least`.
     """
-    fit = _refitted(found)
+    fit = fit or _refitted(found)
     if fit is None or fit.variance < least:
         return odd_point
     shares, moved, sensor = _shares(fit, *found.responses.response.shape[:2])
@@ -55,7 +56,8 @@ def causes_by_mode(found: Identification, modes: Sequence[IdentifiedMode]) -> di
 
     The cause of the whole residual is that of a mode unless other patterns explain what is left around it.
     """
-    whole, fit = probable_cause(found), _refitted(found)
+    fit = _refitted(found) if modes else None
+    whole = probable_cause(found, fit=fit) if modes else ""
     grouped: dict[str, list[IdentifiedMode]] = {}
     for mode in modes:
         names, known = [mode.rest.cause], whole
@@ -70,7 +72,6 @@ def causes_by_mode(found: Identification, modes: Sequence[IdentifiedMode]) -> di
     return grouped
 
 
-@lru_cache(maxsize=1)
 def _refitted(found: Identification) -> Evaluation | None:
     """Return the fit of one measurement with one pole in place of close ones; None without shapes."""
     if found.poles is None or not found.responses.places:
