@@ -101,13 +101,13 @@ def identify(
     Each point is on disk as soon as it is measured. To continue an interrupted scan, run the same command again. The
     result is an apparatus file that `modaltouch check` reads, with a table and figures next to it.
     """
-    highest = math.inf if highest_kHz is None else highest_kHz * 1e3
-    form = lab.ResponseFormat(quantity, conjugated, spacing_Hz, averages, use_clipped, (lowest_Hz or 0.0, highest))
+    highest = None if highest_kHz is None else highest_kHz * 1e3
+    band = (lowest_Hz or 0.0, math.inf if highest is None else highest)
+    form = lab.ResponseFormat(quantity, conjugated, spacing_Hz, averages, use_clipped, band)
     options = lab.IdentifyOptions(
         apparatus, tuple(files or ()), rig, out, points=points, averages=averages, rows=rows, voltage=drive_V,
-        excitation=excitation, lowest=lowest_Hz, highest=None if highest_kHz is None else highest_kHz * 1e3,
-        margin=margin_mm * 1e-3, sets=tuple(sets or ()), modes=modes, form=form, seed=seed, export=export,
-        leave_out=tuple(place * 1e-3 for place in leave_out or ()),
+        excitation=excitation, highest=highest, margin=margin_mm * 1e-3, sets=tuple(sets or ()), modes=modes,
+        form=form, seed=seed, export=export, leave_out=tuple(place * 1e-3 for place in leave_out or ()),
     )  # fmt: skip
     carry_out(_show, json_output, lab.identify, options)
 

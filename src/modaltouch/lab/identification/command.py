@@ -74,11 +74,8 @@ class IdentifyOptions:
         Peak of the excitation at the beam [V].
     excitation : str
         ``multisine`` or ``chirp``.
-    lowest : float or None
-        Lower end of the band of a file; its lowest bin if not given [Hz].
     highest : float or None
-        Upper end of the band [Hz]; if not given, it follows from the highest mode of the table or, for a file, is its
-        highest bin.
+        Upper end of the band of a measurement [Hz]; it follows from the highest mode of the table if not given.
     margin : float
         Distance from the ends of the beam to the outermost points [m].
     sets : tuple of str
@@ -106,7 +103,6 @@ class IdentifyOptions:
     averages: int = 4
     voltage: float = 50.0
     excitation: Excitation = "multisine"
-    lowest: float | None = None
     highest: float | None = None
     margin: float = 0.5e-3
     sets: tuple[str, ...] = ()
@@ -147,7 +143,7 @@ def identify(options: IdentifyOptions, progress: MeasurementProgress = SILENT_PR
     refuse_other(options.out, COMMAND)
     folders = options.files if all(path.is_dir() for path in options.files) else ()
     if options.files and not folders:
-        responses = _read(options)
+        responses = read_responses(options.files, options.form).between(*options.form.band)
         if responses.positions is None or responses.n_points < FEWEST_SHAPE_POINTS:
             with _fitting(progress):
                 found = over_repeats(identify_each(responses))
@@ -177,15 +173,6 @@ def identify(options: IdentifyOptions, progress: MeasurementProgress = SILENT_PR
         [FrequencyResponses.of_rows([responses_of(scans, beam.bandwidth) for scans in rows]) for rows in measured]
     )
     return beam.fit(responses.between(1.5 * LOWEST, float(responses.frequency[-1])), facts, progress)
-
-
-def _read(options: IdentifyOptions) -> FrequencyResponses:
-    """Return the responses in the files, within the requested band."""
-    responses = read_responses(options.files, options.form)
-    if options.lowest is None and options.highest is None:
-        return responses
-    end = float(responses.frequency[-1]) if options.highest is None else options.highest
-    return responses.between(options.lowest or 0.0, end)
 
 
 @contextmanager

@@ -286,9 +286,10 @@ class FrequencyResponses:
         """Return the responses within a band [Hz]."""
         kept = (self.frequency >= lowest) & (self.frequency <= highest)
         if kept.sum() < 16:
+            low, high = self.frequency[[0, -1]]
             raise ValueError(
-                f"{int(kept.sum())} bins lie between {lowest:g} and {highest:g} Hz; at least 16 are needed: choose a "
-                f"wider band within {self.frequency[0]:g} to {self.frequency[-1]:g} Hz"
+                f"{int(kept.sum())} bins lie between {lowest:g} and {min(highest, high):g} Hz; at least 16 are needed: "
+                f"choose a wider band within {low:g} to {high:g} Hz"
             )
         return replace(
             self,
