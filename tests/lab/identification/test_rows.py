@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 from identification.conftest import BANDWIDTH, DELAY, LENGTH, PERIOD
 
+from modaltouch.lab.identification.command import IdentifyOptions
+from modaltouch.lab.identification.command import identify as identify_files
 from modaltouch.lab.identification.figures import draw_shape_maps
 from modaltouch.lab.identification.files import ResponseFormat, read_responses
 from modaltouch.lab.identification.joint_fit import identify
@@ -137,3 +139,13 @@ def test_rows_of_one_set_are_not_those_of_another(tmp_path: Path) -> None:
             (tmp_path / row_name(name, across)).mkdir()
     assert kept_rows(tmp_path, "scan_outer") == ["", "_+2.5_mm", "_-2.5_mm"]
     assert kept_rows(tmp_path, "scan_outer_2") == ["", "_+2.5_mm", "_-2.5_mm"]
+
+
+def test_points_beside_the_beam_are_refused(tmp_path: Path) -> None:
+    """Coordinates across in millimetres, or exchanged with those along it."""
+    response = np.random.default_rng(0).standard_normal((2, 8, 40)) + 1j
+    arrays = {"frequency": 100.0 + np.arange(40), "response": response, "positions": np.linspace(-0.05, 0.05, 8)}
+    path = tmp_path / "a.npz"
+    np.savez(path, **arrays, across=np.full(8, 2.5), sets=["centre", "side"], quantity="velocity")
+    with pytest.raises(ValueError, match=r"a point lies 2500 mm from the mid-line, but the beam is 6 mm wide: check"):
+        identify_files(IdentifyOptions(Path("beam_100x6x2"), (path,), out=tmp_path / "out"))

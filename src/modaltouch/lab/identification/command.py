@@ -272,6 +272,12 @@ class _Beam:
         if self.options.leave_out:
             responses = responses.without(self.options.leave_out)
         if responses.places:
+            across, width = float(np.abs(responses.across).max()) * 1e3, self.apparatus.beam.width_mm
+            if across > width:
+                raise ValueError(
+                    f"a point lies {across:.4g} mm from the mid-line, but the beam is {width:g} mm wide: check the "
+                    "unit and the order of the coordinates along and across it"
+                )
             check_points(along(responses.places)[0], self.labels, self.length)
         with _fitting(progress):
             found = over_repeats(fit_jointly(responses, self.length, clock_tolerance=CLOCK_TOLERANCE))

@@ -55,7 +55,8 @@ def check_modes(identification: Identification, labels: Sequence[int]) -> None:
         If a mode is missing, incoherent or badly fitted; the message lists all of them and the remedy.
     """
     found = identification.by_label
-    spoilt = identification.misfit > WELL_FITTED or any(mode.rest.share > MARKED_ELSE for mode in identification.modes)
+    badly = any(mode.rest.share > MARKED_ELSE for mode in identification.modes)
+    spoilt = badly or identification.misfit > WELL_FITTED
     missing = [label for label in labels if label not in found]
     faulty = [label for label, mode in found.items() if label in labels and _faults(f"mode {label}", mode)]
     # A missing mode is split if the beam drifts, and has a single resonance of another shape if points are exchanged.
@@ -63,10 +64,12 @@ def check_modes(identification: Identification, labels: Sequence[int]) -> None:
     strange = aliased(identification) or split
     if missing:
         strange = _in_two_units(identification) or strange or _misplaced(identification)
-    if not (strange or spoilt):
+    # Low noise alone may raise the misfit, but does not spoil shapes.
+    if not (strange or badly):
         strange = _implausible_modes(identification.modes, missing)
+    if missing and not (strange or spoilt):
         # A mode that moved far has several poles, which fit well but have no mode's shape.
-        strange = strange or (probable_cause(identification, least=WELL_FITTED) if missing else "")
+        strange = probable_cause(identification, least=WELL_FITTED)
     remedy = "" if spoilt or strange else REMEDY
     lines = []
     for label in labels:
