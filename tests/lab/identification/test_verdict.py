@@ -184,8 +184,9 @@ def test_exchanged_points_are_not_called_a_weak_drive(clean: FrequencyResponses)
 
 
 def test_modes_split_by_drift_are_not_called_exchanged_points(apparatus: Apparatus) -> None:
-    """Case 322 of `make spoilt`: each missing mode is two resonances."""
+    """Cases 322 and 33 of `make spoilt`: each missing mode is two resonances, and torsion takes the labels left."""
     assert spoilt.outcome("drift", 322, apparatus)["right"]
+    assert spoilt.outcome("drift", 33, apparatus)["right"]
 
 
 def test_low_coherence_over_the_band_is_reported(beam: TrueBeam) -> None:

@@ -18,7 +18,7 @@ from modaltouch.lab.common import FloatArray
 from modaltouch.lab.identification.joint_fit import make_problem, refine
 from modaltouch.lab.identification.kernel import Evaluation, Poles
 from modaltouch.lab.identification.modal_parameters import REMEDIES, Identification, IdentifiedMode
-from modaltouch.lab.identification.shapes import CERTAIN, bending_likeness, straightened
+from modaltouch.lab.identification.shapes import bending_likeness, straightened
 from modaltouch.protocol import Apparatus
 
 EXPLAINS = 0.4
@@ -26,6 +26,9 @@ EXPLAINS = 0.4
 
 ALMOST = 0.85
 """Share explained by a second pattern, relative to the first, above which both are named [1]."""
+
+UNMISTAKABLE = 0.98
+"""Minimum MAC of a folded mode with its shape, and of the modes above it with theirs [1]."""
 
 FILTERED = 0.05
 """Minimum share of the residual explained by one phase for each mode if a filter is the cause [1]."""
@@ -179,14 +182,16 @@ def _common_causes(found: Identification, fit: Evaluation) -> list[str]:
 
 def aliased(found: Identification) -> str:
     """Describe resonances with shapes of modes that lie higher, as folded at half the sampling rate; else empty."""
-    places, length, labels = found.responses.places, found.length, [mode.label for mode in found.modes]
+    places, length = found.responses.places, found.length
+    # On a single row torsion resembles rigid motion and the lowest modes, and drift leaves these labels free.
+    labels = [mode.label if mode.mac > UNMISTAKABLE else None for mode in found.modes]
     if not places or length is None:
         return ""
     likeness = bending_likeness(np.array([straightened(mode.residue).real for mode in found.modes]), places, length)
     folded = [
         f"{mode.name} is that of mode {int(alike.argmax()) + 1}"
         for k, (mode, alike) in enumerate(zip(found.modes, likeness, strict=True))
-        if not (mode.label or mode.torsion) and alike.max() > CERTAIN
+        if not (mode.label or mode.torsion) and alike.max() > UNMISTAKABLE
         if any(label is not None and label <= alike.argmax() for label in labels[k:])
     ]
     return folded and f"the shape at {', '.join(folded)}, which lies higher: {_named('aliasing')}" or ""

@@ -209,7 +209,7 @@ FEWEST_MODES = 3
 """Minimum number of modes with a shape for the check of a point."""
 
 CERTAIN = 0.95
-"""Minimum MAC of a shape with the theoretical one that serves to judge a point, or to recognise a folded mode [1]."""
+"""Minimum MAC of a shape with the theoretical one that serves to judge a point [1]."""
 
 OFF = 0.2
 """Minimum deviation of a faulty point's factor from 1 [1]."""
