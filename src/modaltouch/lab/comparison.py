@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from modaltouch.lab.common import DARK, MIDDLE, rounded, title_of
-from modaltouch.lab.contest import Contest, DriveAssessment, contest, learn
+from modaltouch.lab.contest import Contest, DriveAssessment, contest, learn, training_data
 from modaltouch.lab.identification.shapes import check_points
 from modaltouch.lab.laboratory import SILENT_PROGRESS, MeasurementProgress
 from modaltouch.preflight import examine
@@ -247,7 +247,7 @@ def write_comparison(found: Contest, about: dict[str, Any], folder: Path) -> dic
         "voltage_limit_V": limit,
         "n_points": int(found.known.responses.position.size),
         "n_other_beams": len(found.changed[0]),
-        "identification": list(found.identification),
+        "identification": list(found.known.quality),
         "methods": rows,
     }
     figures = [
@@ -269,7 +269,7 @@ def write_comparison(found: Contest, about: dict[str, Any], folder: Path) -> dic
         level=format(round(level, 6), "g"),
         rows=rows,
         table=comparison_table(rows, level),
-        delay=found.delay * 1e6,
+        delay=found.known.delay * 1e6,
     )
     tables = {"comparison.json": values, "comparison.csv": _table_rows(rows)}
     written = write_files(folder, files | tables, {"version": version()}, COMMAND)
@@ -323,7 +323,10 @@ def compare(
     check_points(np.linspace(-model.length / 2, model.length / 2, points), model.label, model.length)
     with progress.interruptible() as heard:
         responses = learn(preflight, n_points=points, n_records=averages, progress=heard)
-        found = contest(preflight, responses, n_beams=beams, seed=seed, progress=heard)
+        heard.show("modes identified", 0, 1)
+        known = training_data(preflight, responses)
+        heard.show("modes identified", 1, 1)
+        found = contest(preflight, known, n_beams=beams, seed=seed, progress=heard)
     about = {
         "title": title_of(preflight),
         "protocol": str(protocol),

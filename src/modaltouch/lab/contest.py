@@ -101,52 +101,33 @@ class Contest:
 
     preflight: Preflight  # the protocol
     known: TrainingData  # the data available to each method
-    delay: float  # identified delay of the recordings, removed from the responses for the other methods [s]
-    identification: tuple[str, ...]  # quality of the identified modes, a sentence each
     designed: tuple[MethodDrive, ...]  # drives of the methods
     verdicts: tuple[DriveAssessment, ...]  # effect of each drive on the measured beam
     # effect of each drive on every other beam, drawn at random around the measured one
     changed: tuple[tuple[DriveAssessment, ...], ...]
 
 
-def contest(
-    preflight: Preflight,
-    responses: FrequencyResponses,
-    *,
-    n_beams: int = 20,
-    seed: int = 1,
-    progress: MeasurementProgress = SILENT_PROGRESS,
-) -> Contest:
-    """Identify the modes from responses, and compare the methods.
+def training_data(preflight: Preflight, responses: FrequencyResponses) -> TrainingData:
+    """Identify the modes from responses, and return what every method may know.
 
     Parameters
     ----------
     preflight : Preflight
         The protocol, examined.
     responses : FrequencyResponses
-        Training data of every method, as returned by `learn`.
-    n_beams : int
-        Number of further beams on which the drives are played.
-    seed : int
-        Seed of the first of them; the others have the following seeds.
-    progress : MeasurementProgress, optional
-        Reports progress and lets the user interrupt.
+        Recordings, as returned by `learn`.
 
     Raises
     ------
-    RigError
-        If the twin's generator does not confirm a drive.
     ValueError
         If a mode of the table was not found or fits badly; the values of the table are those of the true beam and must
         not be used instead.
     """
     apparatus, stimulus = preflight.experiment.apparatus, preflight.stimulus
-    progress.show("modes identified", 0, 1)
     excited = responses.between(LOWEST, float(responses.frequency[-1]))
     identification = identify(excited, apparatus.beam.length_mm * 1e-3)
     check_modes(identification, apparatus.modal_model().label)
-    progress.show("modes identified", 1, 1)
-    known = TrainingData(
+    return TrainingData(
         model=identified_model(identification, apparatus),
         responses=for_rivals(responses, identification.delay.value, apparatus),
         target_field=stimulus.target_field,
@@ -154,22 +135,38 @@ def contest(
         amplifier=stimulus.amplifier,
         release=stimulus.release,
         load_factor=stimulus.load_factor,
+        delay=identification.delay.value,
+        quality=(misfit_verdict(identification), *warnings(identification)),
     )
-    delay, quality = identification.delay.value, (misfit_verdict(identification), *warnings(identification))
-    return run_contest(preflight, known, delay, quality, n_beams=n_beams, seed=seed, progress=progress)
 
 
-def run_contest(
+def contest(
     preflight: Preflight,
     known: TrainingData,
-    delay: float = 0.0,
-    identification: tuple[str, ...] = (),
     *,
-    n_beams: int = 20,
+    n_beams: int,
     seed: int = 1,
     progress: MeasurementProgress = SILENT_PROGRESS,
 ) -> Contest:
-    """Design a drive with every method from the training data, play it on the twin, and evaluate it."""
+    """Design a drive with every method, play it on the twin, and evaluate it on its beam and on others.
+
+    Parameters
+    ----------
+    preflight : Preflight
+        The protocol, examined.
+    known : TrainingData
+        The data available to each method.
+    n_beams, seed : int
+        Number of further beams on which the drives are played, and the seed of the first; the others have the following
+        seeds.
+    progress : MeasurementProgress, optional
+        Reports progress and lets the user interrupt.
+
+    Raises
+    ------
+    RigError
+        If the twin's generator does not confirm a drive.
+    """
     apparatus, stimulus = preflight.experiment.apparatus, preflight.stimulus
     centre = without_mismatch(apparatus)
     designed = design_all(known)
@@ -181,9 +178,7 @@ def run_contest(
         for own, each in zip(changed, sent, strict=True):
             own.append(assess(each.on_beam(apparatus, seed + number), preflight, everywhere=False))
         progress.show("other beams", number + 1, n_beams)
-    return Contest(
-        preflight, known, delay, identification, tuple(designed), tuple(verdicts), tuple(map(tuple, changed))
-    )
+    return Contest(preflight, known, tuple(designed), tuple(verdicts), tuple(map(tuple, changed)))
 
 
 def without_mismatch(apparatus: Apparatus) -> Apparatus:

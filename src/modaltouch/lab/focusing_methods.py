@@ -95,6 +95,8 @@ class TrainingData:
     # behaviour of the drive laws after the focusing instant; it does not affect the other methods
     release: Release = "braked"
     load_factor: float = 1.0  # fraction of the generator's open-circuit voltage that reaches the amplifier's input [1]
+    delay: float = 0.0  # delay of the recordings, already removed from `responses` [s]
+    quality: tuple[str, ...] = ()  # quality of the identified modes, a sentence each
 
     @property
     def stride(self) -> int:

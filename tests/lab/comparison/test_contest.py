@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from modaltouch.cli import app
 from modaltouch.lab.common import title_of
 from modaltouch.lab.comparison import Criterion, criteria, draw_price, draw_robustness, rows_of, write_comparison
-from modaltouch.lab.contest import run_contest, true_delay, without_mismatch
+from modaltouch.lab.contest import contest, true_delay, without_mismatch
 from modaltouch.preflight import examine
 from modaltouch.rig import Simulator
 
@@ -26,7 +26,7 @@ ABOUT = {"title": "A <title>", "protocol": "p.yaml", "apparatus": "beam", "seed"
 @pytest.fixture(scope="module")
 def found(preflight, known):
     """Return the comparison with the table's beam, played through the driver, and on two other beams."""
-    return run_contest(preflight, known, n_beams=2)
+    return contest(preflight, known, n_beams=2)
 
 
 @pytest.fixture(scope="module")
