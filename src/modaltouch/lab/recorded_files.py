@@ -10,7 +10,7 @@ A new record begins wherever the time jumps back; the file has as many records a
 the start of the burst. ``velocity_V`` is the vibrometer's output, which ``acquisition.sensitivity_mm_s_per_V`` converts
 to a velocity; a column ``velocity_m_s`` may replace it. ``drive_1_V`` is the voltage at the beam itself, with the
 probe's attenuation already taken into account. An NPZ file holds arrays of these names, (n_samples,) or
-(n_records, n_samples).
+(n_records, n_samples). Of records with n times the requested sampling rate every n-th sample is used.
 """
 
 from __future__ import annotations
@@ -154,23 +154,27 @@ class RecordedFiles(Scope):
                 raise ValueError(f"{path}:1: the column {name} is missing; found: {', '.join(table)}")
             if not np.isfinite(table[name]).all():
                 raise ValueError(f"{_place(path, ~np.isfinite(table[name]))}: {name} is not a finite number")
-        begin, step, first, n_samples = _window(path, table["time_s"], asked)
+        begin, step, kept = _window(path, table["time_s"], asked)
+        velocity, *drives = (table[name][:, kept] for name in names)
+        n_samples = velocity.shape[1]
         key = asked.start, asked.n_samples, asked.sampling_rate
-        grid = np.array([begin, begin + n_samples * step])
+        grid = np.array([begin, begin + n_samples * step, n_samples])
         if np.abs(grid - self._grids.setdefault(key, grid)).max() > LARGEST_SHIFT:
             raise ValueError(
                 f"{path}: its sampling instants differ from those of the records before; use the same sampling rate "
                 "for all, and no interpolation of the trigger"
             )
         self._refuse_former(path, table[names[0]])
-        kept = [table[name][:, first : first + n_samples] for name in names]
-        velocity = kept[0] * (self._sensitivity if names[0] == "velocity_V" else 1.0)
-        over = _is_cut(velocity) or float(np.abs(velocity).max()) > self._highest
+        velocity = velocity * (self._sensitivity if names[0] == "velocity_V" else 1.0)
+        highest = float(np.abs(velocity).max())
+        over = _is_cut(velocity) or highest > self._highest
+        if over:
+            self._progress.say(f"{path}: its velocity is clipped or out of range, with up to {highest * 1e3:.4g} mm/s")
         return Recording(
             position=position,
             time=np.asarray(begin + step * np.arange(n_samples), dtype=float),
             velocity=velocity,
-            drive=np.stack(kept[1:], axis=1) if asked.drives else np.empty((asked.n_records, 0, n_samples)),
+            drive=np.stack(drives, axis=1) if drives else np.empty((asked.n_records, 0, n_samples)),
             sampling_rate=1 / step,
             overloaded=("velocity",) if over else (),
         )
@@ -193,8 +197,8 @@ class RecordedFiles(Scope):
         self._former |= dict.fromkeys(marks, path.name)
 
 
-def _window(path: Path, time_s: FloatArray, asked: Acquisition) -> tuple[float, float, int, int]:
-    """Return the first kept instant and the time step [s], the index of that sample, and the number of samples kept."""
+def _window(path: Path, time_s: FloatArray, asked: Acquisition) -> tuple[float, float, slice]:
+    """Return the first kept instant and the time step [s], and the indices of the samples kept."""
     n_records, n = time_s.shape
     if n_records != asked.n_records or n < 2:
         raise ValueError(
@@ -218,13 +222,15 @@ def _window(path: Path, time_s: FloatArray, asked: Acquisition) -> tuple[float, 
         )
     start, length = float(time_s.mean()) - step * (n - 1) / 2, (asked.n_samples - 1) / asked.sampling_rate
     first = max(0, math.ceil((asked.start - start) / step - 0.05))
-    n_kept = int(length / step + 1e-3)
-    if start > asked.start + step or first + n_kept > n:
+    # A finer sampling than requested would show lines of the converter's steps that look like modes.
+    every = int(1 / step / asked.sampling_rate + 2e-3)
+    kept = slice(first, first + int(length / step + 1e-3), every)
+    if start > asked.start + step or kept.stop > n:
         raise ValueError(
             f"{path}: its records last from {start * 1e3:.6g} to {(start + step * (n - 1)) * 1e3:.6g} ms after the "
             f"trigger; {asked.start * 1e3:.6g} to {(asked.start + length) * 1e3:.6g} ms were requested"
         )
-    return start + step * first, step, first, n_kept
+    return start + step * first, step * every, kept
 
 
 def _place(path: Path, faulty: NDArray[np.bool_]) -> str:
@@ -236,10 +242,10 @@ def _place(path: Path, faulty: NDArray[np.bool_]) -> str:
 
 
 def _is_cut(velocity: FloatArray) -> bool:
-    """Return whether a record is clipped: far more samples sit at its extreme than at the next value."""
+    """Return whether records are clipped: far more samples sit at their extreme than at the next value."""
     for values in (velocity, -velocity):
         counts = np.unique(values, return_counts=True)[1]
-        if counts.size > 1 and counts[-1] > 4 * (counts[-2] + 1):
+        if counts.size > 1 and counts[-1] > 4 * (counts[-2] + len(velocity)):
             return True
     return False
 
@@ -286,7 +292,7 @@ def _numbers(path: Path, line: int, row: str, n_columns: int) -> list[float]:
 def _read_npz(path: Path) -> dict[str, FloatArray]:
     """Return the arrays of an NPZ file, (n_records, n_samples)."""
     try:
-        with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
+        with path.open("rb") as opened, np.lib.npyio.NpzFile(opened) as file:
             arrays = {name: np.atleast_2d(file[name].astype(float, casting="same_kind")) for name in file}
             if any(each.ndim > 2 for each in arrays.values()):
                 raise ValueError("an array has more than 2 dimensions")

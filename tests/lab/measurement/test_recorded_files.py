@@ -196,10 +196,13 @@ def test_a_wrong_file_is_refused_and_may_be_written_again(
 
 
 @contextlib.contextmanager
-def answering(apparatus: Apparatus, folder: Path) -> Iterator[Callable[..., Recording]]:
+def answering(
+    apparatus: Apparatus, folder: Path, told: Callable[[str], object] = str
+) -> Iterator[Callable[..., Recording]]:
     """Open a folder for one command, and return a function that measures once with given velocities [V]."""
 
     def hear(text: str) -> None:
+        told(text)
         name = json.loads((folder / "wanted.json").read_text(encoding="utf-8"))["file"]
         np.savez(folder / f"{name}.npz", time_s=answer[0], velocity_V=answer[1], drive_1_V=answer[1])
 
@@ -222,13 +225,39 @@ def answered(apparatus: Apparatus, tmp_path: Path) -> Iterator[Callable[..., Rec
 
 
 @pytest.mark.usefixtures("quickly")
-def test_a_clipped_record_is_overloaded(answered: Callable[..., Recording]) -> None:
-    """A sine of 8 bits is not; clipped at 0.9 of its peak, or beyond the vibrometer's range, it is."""
-    time = 1e-3 + np.arange(60) / 1e5
+def test_a_clipped_record_is_overloaded(apparatus: Apparatus, tmp_path: Path) -> None:
+    """A sine of 8 bits is not; clipped at 0.9 of its peak, or out of range, it is, and the lab is told."""
+    time, told = 1e-3 + np.arange(60) / 1e5, list[str]()
     volts = np.round(127 * np.sin(2 * np.pi * 3137 * time + [[0.0], [0.1]])) / 127 * 0.1
-    assert answered(time, volts).overloaded == ()
-    assert answered(time, np.clip(volts, -0.09, 0.09)).overloaded == ("velocity",)
-    assert answered(time, 1e3 * volts).overloaded == ("velocity",)
+    with answering(apparatus, tmp_path, told.append) as answered:
+        assert answered(time, volts).overloaded == ()
+        # Two samples at the peak of each record, and none at the next code.
+        assert answered(time, np.where(np.arange(60) // 2 == 10, 0.11, volts + [[0], [1e-3]])).overloaded == ()
+        assert answered(time, np.clip(volts, -0.09, 0.09)).overloaded == ("velocity",)
+        assert answered(time, 1e3 * volts).overloaded == ("velocity",)
+    assert told[-1].endswith("0004.npz: its velocity is clipped or out of range, with up to 5000 mm/s")
+
+
+@pytest.mark.usefixtures("quickly")
+@pytest.mark.parametrize(("factor", "rate"), [(1, 1e5), (2, 1e5), (2.5, 1.25e5), (7, 1e5)])
+def test_faster_records_are_thinned_out(answered: Callable[..., Recording], factor: float, rate: float) -> None:
+    """Every n-th sample, so that the converter's steps are no closer than at the requested rate."""
+    time = 1e-3 + np.arange(int(60 * factor)) / (1e5 * factor)
+    recording = answered(time, np.sin(3137 * time + [[0.0], [0.1]]) / 100)
+    assert recording.sampling_rate == pytest.approx(rate)
+    assert recording.velocity[0] == pytest.approx(0.05 * np.sin(3137 * recording.time) / 100, abs=1e-12)
+    assert recording.velocity.shape == recording.drive[:, 0].shape == (2, int(49e-5 * rate + 0.1))
+
+
+@pytest.mark.usefixtures("quickly")
+def test_another_sampling_rate_at_the_next_point_is_refused(
+    answered: Callable[..., Recording], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Records at two points are compared sample by sample, even if they end at the same instant."""
+    answered(1e-3 + np.arange(60) / 1e5, np.sin(np.arange(120)).reshape(2, 60) / 100)
+    monkeypatch.setattr(RecordedFiles, "slowest", 0.2)
+    with pytest.raises(RigError, match="its sampling instants differ from those of the records before"):
+        answered(1e-3 + np.arange(90) / 1.5e5, np.sin(np.arange(180)).reshape(2, 90) / 100)
 
 
 @pytest.mark.usefixtures("quickly")
