@@ -25,14 +25,7 @@ def test_amplifier_and_clock_are_found_from_the_drive(
     )
     bench = make_bench(shipped_apparatus.model_copy(update={"twin": true}), 4)
     listed = preflight.stimulus
-    burst = identifying_burst(
-        timing_voltage(listed.model, listed.timing),
-        listed.model,
-        listed.timing,
-        listed.amplifier,
-        load_factor=1.0,
-        velocity_limit=0.5,
-    )
+    burst = identifying_burst(timing_voltage(listed.model, listed.timing), listed, velocity_limit=0.5)
     commanded = burst.commanded(listed.amplifier.gain)
     taking = DecayRecorder(bench, listed.model, listed.timing, 0.5, 0.0)
     found = fit_drive(taking.drive(burst, float(np.abs(commanded).max())), commanded, listed.timing)

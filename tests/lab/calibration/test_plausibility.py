@@ -181,7 +181,10 @@ def test_too_small_a_range_is_reported(
         update={"acquisition": shipped_apparatus.acquisition.model_copy(update={"range_mm_s": 100.0})}
     )
     bench = make_bench(small, 1)
-    with pytest.raises(RigError, match=r"velocity is overloaded at .* in the widest range; choose a wider one"):
+    with pytest.raises(
+        RigError,
+        match=r"velocity is overloaded at .* in the widest range, with up to .*; the outputs are off; choose a wider",
+    ):
         CalibrationLoop(bench, small, preflight.inputs).run()
 
 

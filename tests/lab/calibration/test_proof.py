@@ -181,6 +181,31 @@ def test_late_records_at_one_point_are_not_called_drift(
     assert re.match(cause, "".join(mark["causes"]))
 
 
+@pytest.mark.parametrize("late", [-0.3e-6, 0.3e-6])
+def test_a_trigger_that_moved_since_the_identification_is_refused(
+    preflight: Preflight,
+    shipped_apparatus: Apparatus,
+    make_bench: Callable,
+    monkeypatch: pytest.MonkeyPatch,
+    late: float,
+) -> None:
+    """0.3 us, as with a scope that the drive triggers, leave an error of 0.5 mm/s that no decay reveals."""
+    bench = make_bench(shipped_apparatus, 1)
+    record = bench.record
+
+    def delayed(position: float, level: float, asked: Any) -> Any:
+        # Two records identify amplifier and clock, and eight the modes by each output.
+        shift = late if bench.n_records >= 18 else 0.0
+        taken = record(position, level, replace(asked, start=asked.start + shift))
+        return replace(taken, time=taken.time - shift)
+
+    monkeypatch.setattr(bench, "record", delayed)
+    with pytest.raises(
+        RigError, match=rf"trigger moved by {re.escape(f'{late * 1e6:+.1f}')}\d us since .*trigger output"
+    ):
+        CalibrationLoop(bench, shipped_apparatus, preflight.inputs).run()
+
+
 def test_one_bad_record_is_not_called_hysteresis(preflight: Preflight, outcome: CalibrationResult) -> None:
     """Hysteresis keeps the mode shapes; a wrong reading at one point does not."""
     half = outcome.halfway.state

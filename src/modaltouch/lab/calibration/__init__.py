@@ -46,8 +46,8 @@ from modaltouch.lab.calibration.plausibility import (
     refuse_implausible_drive,
     refuse_implausible_plant,
     refuse_odd_point,
-    refuse_saturation,
     refuse_tones,
+    refuse_wrong_drive,
 )
 from modaltouch.lab.common import COMMON_FACTORS, NORMAL_95, FloatArray
 from modaltouch.lab.laboratory import SILENT_PROGRESS, SIMULATED, Laboratory, MeasurementProgress, open_laboratory
@@ -56,7 +56,7 @@ from modaltouch.preflight import DesignInputs, Preflight, design_to_fit, examine
 from modaltouch.protocol import Apparatus, InputError, Problem, Protocol
 from modaltouch.record import prepare_file
 from modaltouch.rig import RigError
-from modaltouch.stimulus import Burst, Correction, Stimulus
+from modaltouch.stimulus import Correction, Stimulus
 
 
 def calibrate(
@@ -248,7 +248,7 @@ class CalibrationLoop:
         # The stimulus designed from the apparatus file assumes the amplifier gain given there.
         self._refuse_beyond_limit(float(self._listed.peak_voltage.max()) * max(plant.drive.gain))
         turns = [self._measure(0, self._listed, plant)]
-        refuse_saturation(*self._drives("drive before", self._listed, plant))
+        self._drives("drive before", self._listed, plant)
         corrected_target = listed_target = np.stack([self._target, np.zeros_like(self._target)])
         stimulus = self._corrected(refined, self._correction(corrected_target))
         low, high = COMMON_FACTORS
@@ -314,20 +314,9 @@ class CalibrationLoop:
         """
         listed, timing, knobs = self._listed, self._timing, self._apparatus.acquisition
         n_channels, to_beam = listed.model.n_channels, listed.amplifier.gain * listed.load_factor
-
-        def burst_of(voltage: FloatArray) -> Burst:
-            limits = (self._apparatus.safety.velocity_limit_mm_s, knobs.range_mm_s)
-            return identifying_burst(
-                voltage,
-                listed.model,
-                timing,
-                listed.amplifier,
-                load_factor=listed.load_factor,
-                velocity_limit=min(limits) * 1e-3,
-            )
-
+        highest = min(self._apparatus.safety.velocity_limit_mm_s, knobs.range_mm_s) * 1e-3
         self._recorder.begin("amplifier and clock", 2)
-        burst = burst_of(timing_voltage(listed.model, timing))
+        burst = identifying_burst(timing_voltage(listed.model, timing), listed, highest)
         commanded = burst.commanded(to_beam)
         drive = fit_drive(self._recorder.drive(burst, float(np.abs(commanded).max())), commanded, timing)
         refuse_implausible_drive(drive)
@@ -335,7 +324,7 @@ class CalibrationLoop:
         rows, voltages, time = [], [], np.zeros(0)
         for channel in range(n_channels):
             self._recorder.begin(f"modes, by output {channel + 1}", self._points.size)
-            burst = burst_of(probe_voltage(listed.model, timing, channel))
+            burst = identifying_burst(probe_voltage(listed.model, timing, channel), listed, highest)
             voltages.append(burst.commanded(to_beam))
             time, decay = self._recorder.decays(burst, burst.velocity, self._points)
             rows.append(decay)
@@ -399,7 +388,12 @@ class CalibrationLoop:
         self._recorder.begin(name, 1)
         about = float(highest.argmax()) * self._timing.hold
         taken = self._recorder.drive_from(about - SWEEP / 2, level, float(highest.max()))
-        return predicted_drive(plant.drive, commanded, taken.time, self._timing), taken.drive.mean(axis=0)
+        predicted, measured = (
+            predicted_drive(plant.drive, commanded, taken.time, self._timing),
+            taken.drive.mean(axis=0),
+        )
+        refuse_wrong_drive(predicted, measured, 1 / taken.sampling_rate)
+        return predicted, measured
 
     def _levels(
         self, plant: Plant, refined: Apparatus, correction: Correction, reached: ModalState

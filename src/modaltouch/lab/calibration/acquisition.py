@@ -11,7 +11,7 @@ from modaltouch.lab.calibration.plausibility import refuse_implausible_velocity
 from modaltouch.lab.common import FloatArray
 from modaltouch.lab.laboratory import Laboratory
 from modaltouch.rig import Acquisition, Recording, RigError
-from modaltouch.stimulus import Amplifier, BlockStates, Burst, DiagonalSystem, ModalModel, Taper, Timing
+from modaltouch.stimulus import BlockStates, Burst, DiagonalSystem, ModalModel, Stimulus, Taper, Timing
 
 SHARE = 0.6
 """Fraction of the amplifier and velocity limits used for identification [1]; the mode table may be off by a third."""
@@ -73,28 +73,19 @@ def timing_voltage(model: ModalModel, timing: Timing) -> FloatArray:
     return voltage
 
 
-def identifying_burst(
-    voltage: FloatArray,
-    model: ModalModel,
-    timing: Timing,
-    amplifier: Amplifier,
-    *,
-    load_factor: float,
-    velocity_limit: float,
-) -> Burst:
+def identifying_burst(voltage: FloatArray, listed: Stimulus, velocity_limit: float) -> Burst:
     """Return a burst of given voltages, scaled as high as the limits allow with a mode table that is off by a third.
 
     Parameters
     ----------
     voltage : (n_channels, n_samples) array
         Voltages of arbitrary scale.
-    model, timing, amplifier
-        Approximate modes, clock of the samples, and gain and voltage limit.
-    load_factor : float
-        Share of the generator's open-circuit voltage that reaches the amplifier [1].
+    listed : Stimulus
+        The stimulus designed from the apparatus file, whose modes, clock and amplifier are used.
     velocity_limit : float
         Highest velocity allowed on the beam and by the vibrometer's range [m/s].
     """
+    model, timing, amplifier = listed.model, listed.timing, listed.amplifier
     points = np.linspace(-0.5, 0.5, 4 * max(model.label) + 1) * model.length
     system = DiagonalSystem.of(model)
     speed = float(BlockStates.of(system, voltage, timing).peak(model.shapes(points).T @ system.velocity).max())
@@ -102,7 +93,7 @@ def identifying_burst(
     scale = SHARE * min(amplifier.limit / highest.max(), velocity_limit / max(speed, 1e-30))
     return Burst.holding(
         voltage * scale,
-        amplifier.gain * load_factor,
+        amplifier.gain * listed.load_factor,
         speed * scale,
         timing.converter,
         timing.duration,
@@ -279,6 +270,8 @@ class DecayRecorder:
             if len(recording.overloaded) > 1 or "velocity" not in recording.overloaded:
                 asked = replace(asked, drive_range=None)
         raise RigError(
-            f"{', '.join(recording.overloaded)} is overloaded at {point * 1e3:g} mm in the widest range; choose a "
-            "wider one at the vibrometer, or a probe with more attenuation, and enter it in the apparatus file"
+            f"{', '.join(recording.overloaded)} is overloaded at {point * 1e3:g} mm in the widest range, with up to "
+            f"{np.abs(recording.velocity).max() * 1e3:.4g} mm/s; the outputs are off; choose a wider one at the "
+            "vibrometer, or a probe with more attenuation, and enter it in the apparatus file; check the unit of a "
+            "record from a file"
         )

@@ -42,6 +42,9 @@ MOST_LACKING = 0.5
 """Largest shortfall of the measured drive's peaks for the listed stimulus [1] (see `LARGEST_SHORTFALL` for the
 calibrated one), and largest deviation of a point's velocity from that expected from the other points [1]."""
 
+MOST_MOVED = 0.1e-6
+"""Largest change of the trigger latency since the identification [s]; it changes w eta by up to 0.16 mm/s."""
+
 LARGEST_STRAIN = 0.2
 """Largest change of a natural frequency between two probes, over the mode's decay rate [1]."""
 
@@ -101,9 +104,9 @@ def refuse_changing_beam(decays: Sequence[Decay], shapes: FloatArray) -> None:
             raise RigError(
                 f"the mode near {one.pole.imag[mode] / (2 * np.pi):.0f} Hz moved by {moved[mode]:.0%} of its half "
                 f"bandwidth between the probes of two outputs: allowed {LARGEST_STRAIN:.0%}; the outputs are off; the "
-                "beam drifts, its frequencies change with the amplitude, or the records of a point are late: let beam, "
-                "patches and amplifier reach a steady temperature, check the patches, the suspension and the trigger, "
-                "and calibrate again"
+                "beam drifts, its frequencies change with the amplitude, or the records of a point are late or "
+                "clipped: let beam, patches and amplifier reach a steady temperature, check the patches, the "
+                "suspension, the trigger and the vibrometer's range, and calibrate again"
             )
 
 
@@ -228,8 +231,8 @@ def refuse_implausible_velocity(recording: Recording) -> None:
     steady = (float(np.mean(velocity.mean(axis=0) ** 2)) - power / n_records) * n_records / (n_records - 1) / power
     far = float(np.mean(np.abs(off) > FAR_OFF * max(noise, 1e-12)))
     remedy = (
-        "the outputs are off; check that the sensor is fastened, in focus and on a spot that reflects, and that "
-        "nothing touches the beam; measure again"
+        "the outputs are off; check that the sensor is fastened, in focus and on a spot that reflects, that nothing "
+        "touches the beam, and that the scope is triggered by the start of a burst; measure again"
     )
     where = f"at {recording.position * 1e3:g} mm"
     if steady < LEAST_COHERENCE and _hums(off, recording.time):
@@ -263,8 +266,11 @@ def _tone(off: FloatArray, sampling_rate: float) -> float:
     return at * sampling_rate / off.shape[1] if power[max(at - 2, 0) : at + 3].sum() > 0.5 * power.sum() else 0.0
 
 
-def refuse_saturation(predicted: FloatArray, measured: FloatArray) -> None:
-    """Refuse drives [V], (n_channels, n_samples) arrays, that are swapped between outputs or strongly saturated."""
+def refuse_wrong_drive(predicted: FloatArray, measured: FloatArray, step: float) -> None:
+    """Refuse drives [V] that are exchanged, strongly saturated, or early or late.
+
+    Predicted and measured drives are (n_channels, n_samples) arrays, with samples `step` apart [s].
+    """
     likeness = np.abs(measured @ predicted.T) / np.linalg.norm(predicted, axis=1)
     if len(predicted) > 1 and (likeness.argmax(axis=1) != np.arange(len(predicted))).all():
         raise RigError(
@@ -278,6 +284,14 @@ def refuse_saturation(predicted: FloatArray, measured: FloatArray) -> None:
             f"the amplifier saturates: the measured peaks of output {output + 1} are {lacking[output]:.0%} below the "
             f"predicted {np.abs(predicted[output]).max():.0f} V, allowed {MOST_LACKING:.0%}; the outputs are off; "
             "check its supply, set amplifier.limit_V to its true value, and lower the levels to suit"
+        )
+    slope = np.gradient(predicted, step, axis=1)
+    moved = float(np.sum(slope * (measured - predicted)) / np.sum(slope**2))
+    if abs(moved) > MOST_MOVED:
+        raise RigError(
+            f"the scope's trigger moved by {moved * 1e6:+.2f} us since the identification: allowed "
+            f"{MOST_MOVED * 1e6:g} us; the outputs are off; trigger the scope by the generator's trigger output, not "
+            "by the drive, check `acquisition.trigger_latency_us`, and calibrate again"
         )
 
 
