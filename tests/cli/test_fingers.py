@@ -6,6 +6,7 @@ import pytest
 from typer.testing import CliRunner
 
 from modaltouch.cli import app
+from modaltouch.rig import RigError
 
 FOUND = {
     "placements": [
@@ -52,13 +53,13 @@ def test_options_reach_the_lab_in_si_units(asked):
     assert [options[name] for name in ("laser", "speed", "hand", "pair")] == [-0.046, 0.005, "left", ""]
 
 
-def test_a_refused_probe_is_bad_input(monkeypatch):
-    """Exit status 2 with the message only."""
+def test_a_refused_probe_is_a_failure_of_the_rig(monkeypatch):
+    """Exit status 3 with the message only: nothing is wrong with what was given."""
 
     def refuse(*_, **options):
-        raise ValueError("the records of the probe differ")
+        raise RigError("the records of the probe differ; the outputs are off")
 
     monkeypatch.setattr("modaltouch.lab.probe_fingers", refuse)
     result = CliRunner().invoke(app, ["fingers", "probe", "demo"])
-    assert result.exit_code == 2
-    assert result.stderr.strip() == "the records of the probe differ"
+    assert result.exit_code == 3
+    assert result.stderr.strip() == "the records of the probe differ; the outputs are off"

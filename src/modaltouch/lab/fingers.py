@@ -26,10 +26,14 @@ from modaltouch.lab.probe_excitation import BurstRecord, Excitation
 from modaltouch.preflight import DesignInputs, design, examine
 from modaltouch.protocol import InputError
 from modaltouch.record import prepare_file
+from modaltouch.rig import RigError
 from modaltouch.stimulus import Finger, ModalModel, Probe, Stimulus
 
 SPEED = 15e-3
 """Default limit of the beam's speed under the fingers and at the vibrometer's spot [m/s]."""
+
+FURTHEST = 10.0
+"""Largest distance of a finger from the centre of its zone, as in a file of fingers [mm]."""
 
 FROM_END = 1e-3
 """Distance of the vibrometer's spot from the end of the beam, where every mode moves [m]."""
@@ -78,7 +82,8 @@ class Prober:
         Raises
         ------
         ValueError
-            If something moved or touches the beam, or the mode table or the vibrometer's sensitivity does not fit it.
+            If something moved or touches the beam, an input was overloaded, or the mode table or the vibrometer's
+            sensitivity does not fit the beam.
         RigError
             If the rig fails.
         """
@@ -90,9 +95,9 @@ class Prober:
         if not low <= common <= high:
             raise ValueError(
                 f"the modes move {common:.2f} times as fast as their listed gains predict: allowed {low:g} to "
-                f"{high:g}; check that the vibrometer is set to the listed `acquisition.sensitivity_mm_s_per_V` and "
-                "the amplifier to its `amplifier.gain`, or identify the beam again with `modaltouch identify --modes "
-                "all`"
+                f"{high:g}; check that the vibrometer is set to the listed `acquisition.sensitivity_mm_s_per_V`, its "
+                f"spot is {self.laser * 1e3:+g} mm from mid-beam and the amplifier is set to its `amplifier.gain`, or "
+                "identify the beam again with `modaltouch identify --modes all`"
             )
         return {"misfit": round(self._beam.misfit, 3), "modes": self._modes(self._beam.model)}
 
@@ -113,7 +118,7 @@ class Prober:
         Raises
         ------
         ValueError
-            If the fingers moved, one is not on the beam, or no impedance fits them.
+            If the fingers moved, an input was overloaded, a finger is not on its zone, or no impedance fits them.
         RigError
             If the rig fails.
         """
@@ -218,6 +223,11 @@ class Prober:
         zones, fingers = self._laboratory.apparatus.zones, {}
         for (name, zone), finger in zip(self._laid.items(), model.fingers, strict=True):
             fingers[name] = {"zone": zone, **_section(finger, zones[zone].centre_mm)}
+            if abs(offset := fingers[name]["offset_mm"]) > FURTHEST:
+                raise ValueError(
+                    f"the {name} finger lies {offset:+.1f} mm from the centre of zone {zone}: allowed at most "
+                    f"{FURTHEST:g} mm; place it there and probe again"
+                )
         return {"misfit": round(misfit, 3), "fingers": fingers, "modes": self._modes(model)}
 
     def _record(self) -> Probe:
@@ -310,11 +320,11 @@ def probe_fingers(
     Raises
     ------
     ValueError
-        If the protocol has faults, modes are missing from the table, or a probe is refused.
+        If the protocol has faults, or modes are missing from the table.
     RecordError
         If the file exists already or cannot be written.
     RigError
-        If the rig fails.
+        If the rig fails, or a probe is refused.
     """
     plan = _Plan(protocol, pair, hand, seed)
     prepare_file(out)
@@ -323,7 +333,10 @@ def probe_fingers(
         open_laboratory(plan.apparatus, rig, heard, seed=seed) as bench,
     ):
         prober = Prober(bench, plan.fingers, laser, speed)
-        return plan.carried_out(prober, bench, lay, out)
+        try:
+            return plan.carried_out(prober, bench, lay, out)
+        except ValueError as error:
+            raise RigError(f"{error}; the outputs are off") from error
 
 
 class _Plan:

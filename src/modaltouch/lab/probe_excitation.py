@@ -122,8 +122,10 @@ class Excitation:
 
         Raises
         ------
+        ValueError
+            If an input was overloaded.
         RigError
-            If the rig fails, or an input was overloaded.
+            If the rig fails.
         """
         rate = OVERSAMPLING * RATE
         asked = Acquisition(
@@ -136,9 +138,10 @@ class Excitation:
         laboratory.rig.load(self.burst, repetition="continuous")
         recording = laboratory.record(laser, self.burst.velocity, asked)
         if recording.overloaded:
-            raise RigError(
-                f"{', '.join(recording.overloaded)} is overloaded; the outputs are off; choose a wider range at the "
-                "vibrometer, and enter it in the apparatus file; or give `fingers probe` a lower --speed-mm-s"
+            raise ValueError(
+                f"{', '.join(recording.overloaded)} is overloaded; check that nothing knocks on the beam or touches it "
+                "but the fingers, choose a wider range at the vibrometer, and enter it in the apparatus file; or give "
+                "`fingers probe` a lower --speed-mm-s"
             )
         return [self._response(recording, number, bandwidth) for number in range(N_RECORDS)]
 
@@ -150,15 +153,11 @@ class Excitation:
         velocity = rfft(recording.velocity[number] * window) / n
         frequency = self.bins * recording.sampling_rate / n
         per_volt = 1 / (low_pass(frequency, bandwidth) * self.line)
-        deviation = self._noise(velocity) * np.abs(per_volt) / np.sqrt(2)
-        drive = np.eye(len(self.burst.codes))[self.channel]
-        return Probe(recording.position, frequency, drive, velocity[self.bins] * per_volt, deviation)
-
-    def _noise(self, spectrum: ComplexArray) -> FloatArray:
-        """Return the root mean square of the noise at each frequency, from the silent bins, (n_lines,) array."""
         near = self.bins[:, None] + np.arange(1 - GAP, GAP)
         silent = np.setdiff1d(np.arange(GAP, int(self.bins[-1]) + 2 * N_SILENT), near)
-        return noise_level(spectrum, silent, self.bins)
+        deviation = noise_level(velocity, silent, self.bins) * np.abs(per_volt) / np.sqrt(2)
+        drive = np.eye(len(self.burst.codes))[self.channel]
+        return Probe(recording.position, frequency, drive, velocity[self.bins] * per_volt, deviation)
 
 
 def noise_level(spectrum: ComplexArray, silent: NDArray[np.intp], places: FloatArray | NDArray[np.intp]) -> FloatArray:

@@ -242,9 +242,8 @@ class Probe:
         Raises
         ------
         ValueError
-            If the mode table lacks modes or does not describe the beam, or the probe is too weak.
+            If the mode table does not describe the beam, or the probe is too weak.
         """
-        self.check_table(model)
         noise = float(np.median(self.deviation / np.abs(self.response)))
         if noise > _WEAK:
             raise ValueError(
@@ -265,8 +264,8 @@ class Probe:
         if found.misfit > _WORST:
             raise ValueError(
                 f"the modes of the table do not describe the untouched beam: misfit {found.misfit:.1f}, at most "
-                f"{_WORST:g} is allowed; take all hands off; if that does not help, run `modaltouch identify --modes "
-                "all`"
+                f"{_WORST:g} is allowed; take all hands off, and check sign, spot and trigger of the vibrometer; if "
+                "that does not help, run `modaltouch identify --modes all`"
             )
         return found
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from ruamel.yaml import YAML
 
-from modaltouch.lab import probe_fingers
+from modaltouch.lab import Prober, probe_fingers
 from modaltouch.lab.laboratory import open_laboratory
 from modaltouch.lab.probe_excitation import BurstRecord, Excitation
 from modaltouch.preflight import design, examine
@@ -21,6 +21,7 @@ from modaltouch.stimulus import Finger
 
 TRUE = {"mass_g": 0.1, "damping_N_s_per_m": 0.7, "stiffness_N_per_mm": 0.9}
 SPEED = 15e-3
+EXPECTED = (("right index", "A", -0.04), ("right middle", "C", 0.0))
 
 
 @pytest.fixture(scope="module")
@@ -48,6 +49,16 @@ def written(protocol):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("modaltouch.lab.fingers.PLACE_ERROR", 0.0)
         return probe_fingers(protocol, protocol.parent / "mine.yaml", pair="A-C", seed=5)
+
+
+@pytest.fixture(scope="module")
+def prober(protocol):
+    """A prober on A and C, with hands off measured, and its bench."""
+    fingers = [Finger(place, 8e-5, 0.5, 500.0) for _, _, place in EXPECTED]
+    with open_laboratory(Apparatus.read(protocol.with_name("beam.yaml")), seed=5) as bench:
+        measuring = Prober(bench, [fingers])
+        measuring.hands_off()
+        yield bench, measuring
 
 
 def test_the_twins_fingers_are_found(written):
@@ -125,9 +136,35 @@ def test_a_wrong_sensitivity_is_refused(protocol, tmp_path, monkeypatch, factor)
         return replace(recording, velocity=recording.velocity * factor)
 
     monkeypatch.setattr(SimulatedScope, "measure", misread)
-    message = r"the modes move (0\.80|1\.2[45]) times as fast .*sensitivity_mm_s_per_V"
-    with pytest.raises(ValueError, match=message):
+    message = r"the modes move (0\.80|1\.2[45]) times as fast .*sensitivity_mm_s_per_V.*outputs are off"
+    with pytest.raises(RigError, match=message):
         probe_fingers(protocol, tmp_path / "mine.yaml", pair="A-C", seed=5)
+
+
+@pytest.mark.parametrize(
+    ("places", "highest", "said"),
+    [
+        ((), SPEED, r"no finger is detected at -40 mm from mid-beam"),
+        ((-0.04,), SPEED, r"no finger is detected at \+0 mm from mid-beam"),
+        (
+            (-0.04, 0.012),
+            SPEED,
+            r"the right middle finger lies \+12\.\d mm from the centre of zone C: allowed at most 10 mm",
+        ),
+        ((-0.02, 0.02), SPEED, r"no combination of mass, damper .* check that each finger lies on its zone"),
+        ((-0.04, 0.0), SPEED / 10, r"velocity is overloaded; check that nothing knocks on the beam or touches it but"),
+    ],
+    ids=["nobody", "one finger", "beside its zone", "another pair", "a knock"],
+)
+def test_a_placement_that_is_not_as_expected_is_refused(prober, places, highest, said):
+    """With its cause, so that it can be measured again."""
+    bench, measuring = prober
+    bench.simulator.touch(places)
+    expected = {name: (zone, Finger(place, 8e-5, 0.5, 500.0)) for name, zone, place in EXPECTED}
+    measuring.speed = highest
+    with pytest.raises(ValueError, match=said):
+        measuring.hands_on(expected)
+    assert bench.simulator.outputs == (False, False)
 
 
 def test_an_unknown_pair_is_refused(protocol, tmp_path):
