@@ -86,34 +86,39 @@ class RecordedFiles(Scope):
         name = f"{max(taken, default=0) + 1:04d}"
         if taken and not self._former:
             self._remember(f"{max(taken):04d}")
-        self._ask(name, position, across)
         before, refused, why = None, None, ""
         deadline = time.monotonic() + self.slowest
-        while time.monotonic() < deadline:
-            self._progress.check()
-            # Some scopes write the file extension in capitals.
-            found = [each for each in self._folder.iterdir() if each.stem == name and each.suffix.lower() in READERS]
-            seen = []
-            # A file may disappear before it is examined; the next poll looks for it again.
-            with suppress(OSError):
-                seen = [(each, each.stat().st_size, each.stat().st_mtime_ns) for each in sorted(found)]
-            if seen and seen == before != refused:
-                try:
-                    return self._recording(*sorted(found), position=position)
-                except (OSError, ValueError) as error:
-                    refused, why = seen, f" ({error})"
-                    self._progress.say(f"{error}; write it again")
-                    self._ask(name, position, across, str(error))
-            before = seen
-            time.sleep(POLL)
-        raise RigError(
-            f"no usable record arrived as {self._folder / name}.csv or .npz within {self.slowest / 60:g} min{why}; "
-            f"the outputs are off; get the scope ready and run the command again"
-        )
+        try:
+            self._ask(name, position, across)
+            while time.monotonic() < deadline:
+                self._progress.check()
+                # Some scopes write the file extension in capitals.
+                found = [
+                    each for each in self._folder.iterdir() if each.stem == name and each.suffix.lower() in READERS
+                ]
+                seen = []
+                # A file may disappear before it is examined; the next poll looks for it again.
+                with suppress(OSError):
+                    seen = [(each, each.stat().st_size, each.stat().st_mtime_ns) for each in sorted(found)]
+                if seen and seen == before != refused:
+                    try:
+                        return self._recording(*sorted(found), position=position)
+                    except (OSError, ValueError) as error:
+                        refused, why = seen, f" ({error})"
+                        self._progress.say(f"{error}; write it again")
+                        self._ask(name, position, across, str(error))
+                before = seen
+                time.sleep(POLL)
+            raise RigError(
+                f"no usable record arrived as {self._folder / name}.csv or .npz within {self.slowest / 60:g} min{why}; "
+                f"the outputs are off; get the scope ready and run the command again"
+            )
+        finally:
+            # Only then: another command, refused because the generator is in use, must not cancel this request.
+            (self._folder / "wanted.json").unlink(missing_ok=True)
 
     def close(self) -> None:
-        """Cancel the request for a record."""
-        (self._folder / "wanted.json").unlink(missing_ok=True)
+        """Do nothing, since a request ends with its record."""
 
     def _ask(self, name: str, position: float, across: float, refused: str = "") -> None:
         """Announce the awaited record on the screen and in ``wanted.json``."""

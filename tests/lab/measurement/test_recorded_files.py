@@ -203,6 +203,8 @@ def answering(
 
     def hear(text: str) -> None:
         told(text)
+        # A second command, which ends because the generator is in use, leaves the request.
+        RecordedFiles(folder, apparatus, MeasurementProgress()).close()
         name = json.loads((folder / "wanted.json").read_text(encoding="utf-8"))["file"]
         np.savez(folder / f"{name}.npz", time_s=answer[0], velocity_V=answer[1], drive_1_V=answer[1])
 
