@@ -82,7 +82,7 @@ class RecordedFiles(Scope):
 
     def measure(self, position: float, across: float = 0.0) -> Recording:
         """Request a record, and return it as soon as a valid file arrives."""
-        taken = [int(each.stem) for each in self._folder.iterdir() if each.stem.isdecimal()]
+        taken = [int(each.stem) for each in self._folder.glob("*") if each.stem.isdecimal()]
         name = f"{max(taken, default=0) + 1:04d}"
         if taken and not self._former:
             self._remember(f"{max(taken):04d}")
@@ -93,9 +93,7 @@ class RecordedFiles(Scope):
             while time.monotonic() < deadline:
                 self._progress.check()
                 # Some scopes write the file extension in capitals.
-                found = [
-                    each for each in self._folder.iterdir() if each.stem == name and each.suffix.lower() in READERS
-                ]
+                found = [each for each in self._folder.glob(f"{name}.*") if each.suffix.lower() in READERS]
                 seen = []
                 # A file may disappear before it is examined; the next poll looks for it again.
                 with suppress(OSError):
@@ -114,7 +112,7 @@ class RecordedFiles(Scope):
                 f"the outputs are off; get the scope ready and run the command again"
             )
         finally:
-            # Only then: another command, refused because the generator is in use, must not cancel this request.
+            # Not in `close`: another command, refused because the generator is in use, must not cancel the request.
             (self._folder / "wanted.json").unlink(missing_ok=True)
 
     def close(self) -> None:

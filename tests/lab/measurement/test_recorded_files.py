@@ -307,6 +307,19 @@ def test_a_trace_saved_twice_is_refused_by_the_next_command(
 
 
 @pytest.mark.usefixtures("quickly")
+def test_a_share_that_is_lost_is_waited_for(
+    apparatus: Apparatus, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A folder that cannot be read for a while is one without the record."""
+    monkeypatch.setattr(RecordedFiles, "slowest", 0.05)
+    folder, lost = tmp_path / "records", tmp_path / "lost"
+    with RecordedFiles(folder, apparatus, MeasurementProgress(say=lambda _: folder.rename(lost))) as scope:
+        scope.configure(ASKED)
+        with pytest.raises(RigError, match=r"no usable record arrived as .*0001\.csv"):
+            scope.measure(0.0)
+
+
+@pytest.mark.usefixtures("quickly")
 @pytest.mark.parametrize(
     ("endings", "shape", "said"),
     [
