@@ -264,8 +264,9 @@ class Probe:
         if found.misfit > _WORST:
             raise ValueError(
                 f"the modes of the table do not describe the untouched beam: misfit {found.misfit:.1f}, at most "
-                f"{_WORST:g} is allowed; take all hands off, and check sign, spot and trigger of the vibrometer; if "
-                "that does not help, run `modaltouch identify --modes all`"
+                f"{_WORST:g} is allowed; take all hands off, check sign, spot and trigger of the vibrometer, and enter "
+                "the corner of a slow amplifier as `amplifier.bandwidth_kHz`; if that does not help, run `modaltouch "
+                "identify --modes all`"
             )
         return found
 
@@ -367,7 +368,8 @@ class Probe:
             misfit = float((rest[: -step.size] ** 2).sum()) / (2 * int(prior.trusted.sum()))
             if found.status != 0 or misfit > _PROMISING or any(finger.maxwell for finger in prior.model.fingers):
                 break
-        covariance: FloatArray = np.linalg.inv(slope.T @ slope).astype(float) * max(misfit, 1.0)
+        # Errors of the model, unlike noise, do not average out over the lines.
+        covariance: FloatArray = np.linalg.inv(slope.T @ slope).astype(float) * max(misfit, 1.0) ** 2
         return replace(prior.moved(step), covariance=covariance, misfit=misfit)
 
     def _responses(self, beam: ProbedBeam) -> tuple[ComplexArray, ComplexArray]:
