@@ -67,6 +67,9 @@ _FELT = 3.0
 _TERMS_MUST_GAIN = 1.5
 """Smallest ratio of the misfits without and with Maxwell terms for which the terms are used [1]."""
 
+_TERMS_DOUBT = 3.0
+"""Ratio of intervals with Maxwell terms to those from the residuals [1]; the terms only approximate the true form."""
+
 _OUTLIER, _MOST_OUTLIERS = 4.0, 0.1
 """Deviation above which a line is an outlier [standard deviations], and largest fraction of outliers excluded [1]."""
 
@@ -360,16 +363,17 @@ class Probe:
                 )
             return known[key]
 
-        step, misfit = np.zeros(len(whitened)), 0.0
+        step, misfit, relaxes = np.zeros(len(whitened)), 0.0, any(finger.maxwell for finger in prior.model.fingers)
         for most in (_MOST_EVALUATIONS, _MORE_EVALUATIONS):
             found = least_squares(lambda x: at(x)[0], step, lambda x: at(x)[1], method="lm", max_nfev=most)
             step = found.x
             rest, slope = at(step)
             misfit = float((rest[: -step.size] ** 2).sum()) / (2 * int(prior.trusted.sum()))
-            if found.status != 0 or misfit > _PROMISING or any(finger.maxwell for finger in prior.model.fingers):
+            if found.status != 0 or misfit > _PROMISING or relaxes:
                 break
         # Errors of the model, unlike noise, do not average out over the lines.
-        covariance: FloatArray = np.linalg.inv(slope.T @ slope).astype(float) * max(misfit, 1.0) ** 2
+        doubt = max(misfit, 1.0) * (_TERMS_DOUBT if relaxes else 1.0)
+        covariance: FloatArray = np.linalg.inv(slope.T @ slope).astype(float) * doubt**2
         return replace(prior.moved(step), covariance=covariance, misfit=misfit)
 
     def _responses(self, beam: ProbedBeam) -> tuple[ComplexArray, ComplexArray]:
