@@ -52,10 +52,6 @@ class Criterion:
         best = max(costs) if self.best == "high" else min(costs)
         return [row for row, value in zip(known, costs, strict=True) if value == best]
 
-    def printed(self, row: Row) -> str:
-        """Return the printed value of a row."""
-        return format_number(row[self.key], decimals=self.digits)
-
 
 def criteria(rows: Sequence[Row]) -> list[Criterion]:
     """Return the criteria of the comparison, with a contrast for each pair of the protocol."""
@@ -213,7 +209,7 @@ def comparison_table(rows: Sequence[Row], level: float) -> list[dict[str, Any]]:
     lines = []
     for each in criteria(rows):
         best = each.winners(rows, level)
-        cells = [{"text": each.printed(row), "best": row in best} for row in rows]
+        cells = [{"text": format_number(row[each.key], decimals=each.digits), "best": row in best} for row in rows]
         lines.append({"key": each.key, "name": each.name, "unit": each.unit, "cells": cells})
     cells = [{"text": f"{row['computing_time_s'] * 1e3:.0f}", "best": False} for row in rows]
     name = "computing time, on this machine"
@@ -271,7 +267,13 @@ def write_comparison(found: Contest, about: dict[str, Any], folder: Path) -> dic
         table=comparison_table(rows, level),
         delay=found.known.delay * 1e6,
     )
-    tables = {"comparison.json": values, "comparison.csv": _table_rows(rows)}
+    # The computing time depends on the machine, so the file would not be reproducible.
+    flat = [
+        {key: value for key, value in row.items() if key not in ("computing_time_s", "zone_peak_mm_s")}
+        | {f"zone_peak_{zone}_mm_s": peak for zone, peak in row["zone_peak_mm_s"].items()}
+        for row in rows
+    ]
+    tables = {"comparison.json": values, "comparison.csv": rounded(flat, 4)}
     written = write_files(folder, files | tables, {"version": version()}, COMMAND)
     return {**values, "files": {name: str(path) for name, path in written.items()}}
 
@@ -315,8 +317,8 @@ def compare(
     preflight = examine(protocol).of_untouched_beam()
     experiment = preflight.experiment
     if not experiment.protocol.conditions.pairs:
-        given, remedy = "zones that are not a pair", "compare with a protocol that has pairs of zones"
-        raise InputError([preflight.findings.problem(("conditions", "zones"), given, "pairs of zones", remedy)])
+        fault = "zones that are not a pair", "pairs of zones", "compare with a protocol that has pairs of zones"
+        raise InputError([preflight.findings.problem(("conditions", "zones"), *fault)])
     folder = out or Path("comparison") / experiment.protocol.protocol
     refuse_other(folder, COMMAND)
     model = preflight.stimulus.model
@@ -336,14 +338,3 @@ def compare(
         "commit": commit(),
     }
     return write_comparison(found, about, folder)
-
-
-def _table_rows(rows: Sequence[Row]) -> Any:
-    # The computing time depends on the machine, so the file would not be reproducible.
-    left_out = ("computing_time_s", "zone_peak_mm_s")
-    flat = [
-        {key: value for key, value in row.items() if key not in left_out}
-        | {f"zone_peak_{zone}_mm_s": peak for zone, peak in row["zone_peak_mm_s"].items()}
-        for row in rows
-    ]
-    return rounded(flat, 4)

@@ -71,11 +71,6 @@ class Prober:
         corner = apparatus.acquisition.vibrometer_bandwidth_kHz
         self._bandwidth = None if corner is None else corner * 1e3
 
-    @property
-    def fingers(self) -> tuple[Finger, ...]:
-        """The identified fingers on the beam."""
-        return self._beam.model.fingers
-
     def hands_off(self) -> dict[str, Any]:
         """Measure the untouched beam, and return the misfit and the modes.
 
@@ -147,15 +142,19 @@ class Prober:
         speed, half = figures(model), NORMAL_95 * self._beam.spread(slopes)
         played, unit = replace(stimulus.touched(()), model=model), stimulus.volts_per_code(inputs.reference * 1e-3)
         intervals = np.stack([speed - half, speed + half], axis=1).tolist()
-        values = {
-            "asked_mm_s": inputs.reference,
-            "level_mm_s": float(speed[0]),
-            "interval_mm_s": intervals[0],
-            "below_1_kHz_mm_s": played.peak_below(1e3, inputs.centre_mm * 1e-3, unit) * 1e3,
-            "finger_peak_mm_s": speed[1:].tolist(),
-            "finger_interval_mm_s": intervals[1:],
-        }
-        return dict(rounded(values, 6))
+        return dict(
+            rounded(
+                {
+                    "asked_mm_s": inputs.reference,
+                    "level_mm_s": float(speed[0]),
+                    "interval_mm_s": intervals[0],
+                    "below_1_kHz_mm_s": played.peak_below(1e3, inputs.centre_mm * 1e-3, unit) * 1e3,
+                    "finger_peak_mm_s": speed[1:].tolist(),
+                    "finger_interval_mm_s": intervals[1:],
+                },
+                6,
+            )
+        )
 
     def arm(self, inputs: DesignInputs, stimulus: Stimulus, level: float) -> None:
         """Arm the scope to record the next burst, after `predict`; returns at once.
@@ -269,9 +268,6 @@ HEAD = """\
 # it to `modaltouch check --fingers`. Fingers change with every placement; probe again rather than edit it.
 """
 
-Laid = dict[str, tuple[str, Finger]]
-"""Zone and values of fingers, by name."""
-
 PLACE_ERROR = 2e-3
 """Standard deviation of the twin's fingers from their expected positions [m]."""
 
@@ -367,13 +363,17 @@ class _Plan:
         }
         self.fingers = [[finger for _, finger in expected.values()] for expected in self.conditions.values()]
 
-    def lay(self, bench: Laboratory, expected: Laid, lay: Callable[[str], None], words: str) -> None:
+    def lay(
+        self, bench: Laboratory, expected: Mapping[str, tuple[str, Finger]], lay: Callable[[str], None], words: str
+    ) -> None:
         """Have fingers placed on the beam, or lifted if none is expected."""
         if bench.simulator is None:
             lay(words)
         else:
-            places = np.array([finger.position for _, finger in expected.values()])
-            bench.simulator.touch((places + PLACE_ERROR * self.rng.standard_normal(places.size)).tolist())
+            off = PLACE_ERROR * self.rng.standard_normal(len(expected))
+            bench.simulator.touch(
+                [finger.position + by for (_, finger), by in zip(expected.values(), off, strict=True)]
+            )
 
     def carried_out(self, prober: Prober, bench: Laboratory, lay: Callable[[str], None], out: Path) -> dict[str, Any]:
         """Probe all placements and write the file; the first result counts if a finger is measured repeatedly."""
@@ -386,11 +386,11 @@ class _Plan:
             words = " and ".join(f"the {name} finger on {zone}" for name, (zone, _) in expected.items())
             self.lay(bench, expected, lay, f"Place {words} ({condition.replace('_', ' ')}) and keep still")
             found = prober.hands_on(expected)
+            own = replace(self.inputs, fingers=tuple(self.placements.measured(found["fingers"]).values()))
             for name, values in found["fingers"].items():
                 hand, which = name.split()
                 del values["zone"]
                 hands.setdefault(hand, {}).setdefault(which, values)
-            own = replace(self.inputs, fingers=prober.fingers)
             stimulus = design(own)
             level = prober.predict(own, stimulus)
             room = stimulus.amplifier.limit / float(stimulus.peak_drive(own.reference * 1e-3).max())
@@ -406,8 +406,8 @@ class _Plan:
             )
             shown.append(probes[-1] | level | {"attainable_mm_s": level["level_mm_s"] * room})
         bench.progress.show("probes", 1 + len(self.conditions), 1 + len(self.conditions))
-        about = {"description": f"Measured by `modaltouch fingers probe` for {self.placements.protocol.protocol}"}
-        file = self.placements.file.model_validate(about | {"fingers": hands, "probes": probes})
+        about = f"Measured by `modaltouch fingers probe` for {self.placements.protocol.protocol}"
+        file = self.placements.file.model_validate({"description": about, "fingers": hands, "probes": probes})
         values = file.model_dump(mode="json", exclude_defaults=True)
         write_yaml(out, HEAD, values)
         return {

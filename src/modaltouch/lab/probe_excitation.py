@@ -127,9 +127,8 @@ class Excitation:
         RigError
             If the rig fails.
         """
-        rate = OVERSAMPLING * RATE
         asked = Acquisition(
-            sampling_rate=rate,
+            sampling_rate=OVERSAMPLING * RATE,
             n_samples=int(OVERSAMPLING * N_SAMPLES),
             n_records=N_RECORDS,
             drives=(),

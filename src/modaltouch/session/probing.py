@@ -55,6 +55,7 @@ class Probing:
     ) -> None:
         self.preflight = self._expected = preflight
         self._prober, self._rig, self._window, self._log, self._clock = prober, rig, window, log, clock
+        self._settings = {"speed_mm_s": prober.speed * 1e3, "laser_mm": prober.laser * 1e3}
         self._block: int | None = None
         self._loaded: list[str] = []
         self._heard: dict[str, Any] = {}
@@ -149,10 +150,6 @@ class Probing:
             return {"delivered": {"refused": str(error)}}
         finally:
             self.busy = self._clock.now() - began
-
-    @property
-    def _settings(self) -> dict[str, float]:
-        return {"speed_mm_s": self._prober.speed * 1e3, "laser_mm": self._prober.laser * 1e3}
 
     def _measured(self, what: str, measure: Callable[[], dict[str, Any]], once_more: str) -> dict[str, Any]:
         """Return a measurement; if it is rejected, ask the participant and try again."""

@@ -177,7 +177,7 @@ class Stimulus:
         )
 
     @property
-    def _to_beam(self) -> float:
+    def to_beam(self) -> float:
         """Voltage at the beam per open-circuit voltage of the generator [V/V]."""
         return self.amplifier.gain * self.load_factor
 
@@ -185,13 +185,13 @@ class Stimulus:
     def _full_scale(self) -> tuple[float, ...]:
         """Amplitude of each channel's full scale at the reference level [V peak to peak, open circuit]."""
         shares = tuple(v / self.target_field.velocity for v in self.levels)
-        return tuple(self.timing.converter.full_scale(2 * float(v) / self._to_beam, shares) for v in self.peak_voltage)
+        return tuple(self.timing.converter.full_scale(2 * float(v) / self.to_beam, shares) for v in self.peak_voltage)
 
     @cached_property
     def _played(self) -> QuantisedStimulus:
         """The codes and the resulting motion."""
         converter = self.timing.converter
-        volts_per_code = np.asarray(self._full_scale) * (self._to_beam / 2 / converter.mid_code)
+        volts_per_code = np.asarray(self._full_scale) * (self.to_beam / 2 / converter.mid_code)
         codes = converter.round_to_codes(self.voltage, volts_per_code)
         if self.law == "exact" and self.rounding == "settled":
             states = volts_per_code @ self.system.states_by_channel(codes, self.timing, self.timing.focusing_instant)
@@ -225,7 +225,7 @@ class Stimulus:
         # Without calibrated amplitude factors, which only correct the output of the real generator at this level.
         burst = self.burst
         amplitude = burst.converter.amplitudes_at(burst.amplitude, velocity, burst.velocity, burst.shares)
-        return np.asarray(amplitude) / burst.shares * (self._to_beam / 2 / self.timing.converter.mid_code)
+        return np.asarray(amplitude) / burst.shares * (self.to_beam / 2 / self.timing.converter.mid_code)
 
     def voltage_played(self, velocity: float) -> FloatArray:
         """Return the voltages at the beam when the codes are played at a level [m/s], (n_channels, n_samples) [V]."""

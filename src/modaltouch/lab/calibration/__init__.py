@@ -150,18 +150,21 @@ def levels_between(protocol: Protocol) -> tuple[float, ...]:
 
 def _uncorrectable(preflight: Preflight) -> Iterator[Problem]:
     """Yield the reasons why the targets of a protocol's single stimulus cannot be corrected."""
-    (inputs, _), reading = preflight.sound, preflight.findings.protocol
-    if reading is None:
-        return
+    (inputs, _), problem = preflight.sound, preflight.findings.problem
     if inputs.section.law != "exact":
-        given = f"{inputs.section.law}, a law whose targets cannot be corrected"
-        yield reading.problem(("stimulus", "law"), given, "exact", "calibrate the exact law")
+        yield problem(
+            ("stimulus", "law"),
+            f"{inputs.section.law}, a law whose targets cannot be corrected",
+            "exact",
+            "calibrate the exact law",
+        )
     if inputs.section.field.file is not None:
-        given, remedy = (
+        yield problem(
+            ("stimulus", "field", "file"),
             "a file, which a calibration cannot contain",
+            "points",
             "write its points into the protocol under `points`",
         )
-        yield reading.problem(("stimulus", "field", "file"), given, "points", remedy)
 
 
 MOST_ITERATIONS = 4
@@ -313,19 +316,18 @@ class CalibrationLoop:
         Delay and lag are identified first, since an unknown delay of a few microseconds makes the loop diverge.
         """
         listed, timing, knobs = self._listed, self._timing, self._apparatus.acquisition
-        n_channels, to_beam = listed.model.n_channels, listed.amplifier.gain * listed.load_factor
         highest = min(self._apparatus.safety.velocity_limit_mm_s, knobs.range_mm_s) * 1e-3
         self._recorder.begin("amplifier and clock", 2)
         burst = identifying_burst(timing_voltage(listed.model, timing), listed, highest)
-        commanded = burst.commanded(to_beam)
+        commanded = burst.commanded(listed.to_beam)
         drive = fit_drive(self._recorder.drive(burst, float(np.abs(commanded).max())), commanded, timing)
         refuse_implausible_drive(drive)
         self._recorder.wait_for(drive)
         rows, voltages, time = [], [], np.zeros(0)
-        for channel in range(n_channels):
+        for channel in range(listed.model.n_channels):
             self._recorder.begin(f"modes, by output {channel + 1}", self._points.size)
             burst = identifying_burst(probe_voltage(listed.model, timing, channel), listed, highest)
-            voltages.append(burst.commanded(to_beam))
+            voltages.append(burst.commanded(listed.to_beam))
             time, decay = self._recorder.decays(burst, burst.velocity, self._points)
             rows.append(decay)
         since = time / (1 + drive.clock) - timing.focusing_instant
@@ -382,8 +384,8 @@ class CalibrationLoop:
 
     def _drives(self, name: str, stimulus: Stimulus, plant: Plant) -> tuple[FloatArray, FloatArray]:
         """Return predicted and measured drive of the loaded stimulus about its peak at the highest level [V]."""
-        level, listed = self._asked[-1], self._listed
-        commanded = stimulus.burst.commanded(listed.amplifier.gain * listed.load_factor, level)
+        level = self._asked[-1]
+        commanded = stimulus.burst.commanded(self._listed.to_beam, level)
         highest = np.abs(commanded).max(axis=0)
         self._recorder.begin(name, 1)
         about = float(highest.argmax()) * self._timing.hold

@@ -85,15 +85,15 @@ def identifying_burst(voltage: FloatArray, listed: Stimulus, velocity_limit: flo
     velocity_limit : float
         Highest velocity allowed on the beam and by the vibrometer's range [m/s].
     """
-    model, timing, amplifier = listed.model, listed.timing, listed.amplifier
+    model, timing = listed.model, listed.timing
     points = np.linspace(-0.5, 0.5, 4 * max(model.label) + 1) * model.length
     system = DiagonalSystem.of(model)
     speed = float(BlockStates.of(system, voltage, timing).peak(model.shapes(points).T @ system.velocity).max())
     highest = np.abs(voltage).max(axis=1)
-    scale = SHARE * min(amplifier.limit / highest.max(), velocity_limit / max(speed, 1e-30))
+    scale = SHARE * min(listed.amplifier.limit / highest.max(), velocity_limit / max(speed, 1e-30))
     return Burst.holding(
         voltage * scale,
-        amplifier.gain * listed.load_factor,
+        listed.to_beam,
         speed * scale,
         timing.converter,
         timing.duration,
