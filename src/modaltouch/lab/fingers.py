@@ -324,10 +324,7 @@ def probe_fingers(
     """
     plan = _Plan(protocol, pair, hand, seed)
     prepare_file(out)
-    with (
-        progress.interruptible() as heard,
-        open_laboratory(plan.apparatus, rig, heard, seed=seed) as bench,
-    ):
+    with progress.interruptible() as heard, open_laboratory(plan.apparatus, rig, heard, seed=seed) as bench:
         prober = Prober(bench, plan.fingers, laser, speed)
         try:
             return plan.carried_out(prober, bench, lay, out)

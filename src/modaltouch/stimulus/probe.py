@@ -58,8 +58,9 @@ _MOST_EVALUATIONS, _MORE_EVALUATIONS, _PROMISING = 40, 160, 50.0
 """Limit of the evaluations of a fit (a good one takes 5 to 15), of further ones without Maxwell terms, and of the
 misfit for which these are made [1]."""
 
-_GOOD, _FAIR, _WORST = 2.0, 5.0, 10.0
-"""Misfits up to which no Maxwell terms and no other starts are tried, and above which the fit is rejected [1]."""
+_GOOD, _FAIR, _WORST = 1.3, 5.0, 10.0
+"""Misfits up to which no Maxwell terms (relative to that of the untouched beam, if above 1) and no other starts are
+tried, and above which the fit is rejected [1]."""
 
 _FELT = 3.0
 """Ratio of the misfits without and with a finger up to which it counts as absent; 190 for 0.02 g with 0.1 N s/m."""
@@ -294,7 +295,7 @@ class Probe:
         for shift in [middle, *itertools.product((_SHIFT, -_SHIFT), repeat=len(fingers))]:
             near = [replace(each, position=each.position + by) for each, by in zip(fingers, shift, strict=True)]
             for start in (near, [replace(each, maxwell=terms) for each in near]):
-                if found.misfit > (_GOOD if shift == middle else _FAIR):
+                if found.misfit > (_GOOD * max(free.misfit, 1.0) if shift == middle else _FAIR):
                     found = min(found, self._fitted(free.under(start)), key=_rank)
         if found.misfit > _WORST:
             raise ValueError(

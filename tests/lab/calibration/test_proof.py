@@ -14,8 +14,8 @@ import pytest
 from modaltouch.lab import calibration as command
 from modaltouch.lab.calibration import CalibrationLoop
 from modaltouch.lab.calibration.file import CalibrationResult
-from modaltouch.lab.calibration.plant import VibrometerDelay
-from modaltouch.lab.calibration.plausibility import mark_of, peak_shortfall
+from modaltouch.lab.calibration.plant import VibrometerDelay, peak_shortfall
+from modaltouch.lab.calibration.plausibility import mark_of
 from modaltouch.preflight import Preflight
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.calibration import check_mark, examine_calibration

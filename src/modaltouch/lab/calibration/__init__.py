@@ -35,11 +35,17 @@ from modaltouch.lab.calibration.file import (
     significant,
     write_calibration,
 )
-from modaltouch.lab.calibration.plant import ModalState, Plant, fit_drive, identify_plant, predicted_drive
+from modaltouch.lab.calibration.plant import (
+    ModalState,
+    Plant,
+    fit_drive,
+    identify_plant,
+    peak_shortfall,
+    predicted_drive,
+)
 from modaltouch.lab.calibration.plausibility import (
     common_factor,
     mark_of,
-    peak_shortfall,
     refuse_changing_beam,
     refuse_common_factor,
     refuse_disproportion,

@@ -109,6 +109,19 @@ def predicted_drive(drive: DriveDelay, commanded: FloatArray, time: FloatArray, 
     return np.asarray(np.array(drive.gain)[:, None] * course)
 
 
+def peak_shortfall(predicted: FloatArray, measured: FloatArray) -> FloatArray:
+    """Return the relative shortfall of a drive's peaks [V] with respect to its lower half, (n_channels,) array [1]."""
+    lacking = np.zeros(len(predicted))
+    for channel, (want, have) in enumerate(zip(predicted, measured, strict=True)):
+        size = np.abs(want) / np.abs(predicted).max()
+        # Below a quarter of the range the converter's steps are too coarse.
+        if size.max() > 0.25:
+            high, low = size > 0.9 * size.max(), (size < 0.5 * size.max()) & (size > 0.1 * size.max())
+            gains = [float(have[part] @ want[part] / (want[part] @ want[part])) for part in (high, low)]
+            lacking[channel] = max(0.0, 1 - gains[0] / gains[1])
+    return lacking
+
+
 class _Lagged:
     """Held samples filtered by a first-order lag, exact at every instant."""
 

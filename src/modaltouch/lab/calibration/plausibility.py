@@ -14,7 +14,7 @@ import numpy as np
 
 from modaltouch.lab.calibration.decay import Decay
 from modaltouch.lab.calibration.file import CERTAIN, CalibrationResult, Level
-from modaltouch.lab.calibration.plant import DriveDelay, ModalState, Plant, modal_swings
+from modaltouch.lab.calibration.plant import DriveDelay, ModalState, Plant, modal_swings, peak_shortfall
 from modaltouch.lab.common import GAINS, NORMAL_95, FloatArray
 from modaltouch.protocol import Protocol
 from modaltouch.rig import Recording, RigError
@@ -303,19 +303,6 @@ def refuse_disproportion(whole: ModalState, half: ModalState) -> None:
             f"at half the level the speed of the modes differs by {off:+.1%} from half: allowed "
             f"{MOST_DISPROPORTION:.0%}; the outputs are off; {HYSTERESIS}"
         )
-
-
-def peak_shortfall(predicted: FloatArray, measured: FloatArray) -> FloatArray:
-    """Return the relative shortfall of a drive's peaks [V] with respect to its lower half, (n_channels,) array [1]."""
-    lacking = np.zeros(len(predicted))
-    for channel, (want, have) in enumerate(zip(predicted, measured, strict=True)):
-        size = np.abs(want) / np.abs(predicted).max()
-        # Below a quarter of the range the converter's steps are too coarse.
-        if size.max() > 0.25:
-            high, low = size > 0.9 * size.max(), (size < 0.5 * size.max()) & (size > 0.1 * size.max())
-            gains = [float(have[part] @ want[part] / (want[part] @ want[part])) for part in (high, low)]
-            lacking[channel] = max(0.0, 1 - gains[0] / gains[1])
-    return lacking
 
 
 LARGEST_SHORTFALL, LARGEST_CHANGE = 0.01, 0.01
