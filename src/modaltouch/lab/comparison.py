@@ -234,8 +234,7 @@ def write_comparison(found: Contest, about: dict[str, Any], folder: Path) -> dic
         If the folder holds something else, or cannot be written.
     """
     refuse_other(folder, COMMAND)
-    rows, level = rows_of(found), found.known.target_field.velocity * 1e3
-    limit = found.known.amplifier.limit
+    rows, level, limit = rows_of(found), found.known.target_field.velocity * 1e3, found.known.amplifier.limit
     values = {
         **about,
         "mode": "simulated",
@@ -273,8 +272,8 @@ def write_comparison(found: Contest, about: dict[str, Any], folder: Path) -> dic
         | {f"zone_peak_{zone}_mm_s": peak for zone, peak in row["zone_peak_mm_s"].items()}
         for row in rows
     ]
-    tables = {"comparison.json": values, "comparison.csv": rounded(flat, 4)}
-    written = write_files(folder, files | tables, {"version": version()}, COMMAND)
+    files |= {"comparison.json": values, "comparison.csv": rounded(flat, 4)}
+    written = write_files(folder, files, {"version": version()}, COMMAND)
     return {**values, "files": {name: str(path) for name, path in written.items()}}
 
 
