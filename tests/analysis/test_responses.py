@@ -250,6 +250,7 @@ def test_a_third_interval_is_not_guessed_evenly() -> None:
 def test_a_group_lists_crossed_cells_with_few_keys() -> None:
     """The section of a group has only the keys that it gives: neither stimuli nor finger conditions nor weights."""
     cells = [{"pair": [*pair], "peak_velocities_mm_s": [80, 200]} for pair in ("AC", "BD")]
-    assert are_crossed({"cells": cells})
+    assert are_crossed({"groups": {"low": {"conditions": {"cells": cells}}}})
     cells[0]["peak_velocities_mm_s"] = [80]
-    assert not are_crossed({"cells": cells})
+    assert not are_crossed({"groups": {"low": {"conditions": {"cells": cells}}}})
+    assert not are_crossed({"groups": {"low": {"conditions": {"exclude": [{"pair": ["A", "C"]}]}}}})

@@ -138,7 +138,7 @@ def test_the_words_of_a_table_are_mapped_as_by_analyse(tmp_path: Path, preflight
     words = ({"B": "both"}, ("NA",))
     fitted = fit_answers(preflight, tmp_path / "a.csv", Observer(), words=words)
     assert fitted.fit.n_answers == len(rows) - 1
-    with pytest.raises(InputError, match="answer words with recorded sessions, which contain their own"):
+    with pytest.raises(InputError, match="sessions, which contain theirs; .*; leave out --answers, --missing"):
         fit_answers(preflight, tmp_path, Observer(), words=words)
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from modaltouch.analysis.responses import are_crossed
 from modaltouch.planning.design import designs_for
 from modaltouch.planning.fitting import fit_answers
 from modaltouch.planning.observer import Observer
@@ -38,10 +39,42 @@ def test_placements_follow_the_schedule(edit: Callable[..., Path]) -> None:
     assert design.facing(9).tolist() == [1, 1, -1, -1, 1, 1, -1, -1, 1]
 
 
+@pytest.mark.parametrize(
+    ("listed", "weight", "is_crossed"),
+    [
+        ("cells: [{pair: [A, C], peak_velocities_mm_s: [100, 80], weight: 3}, "
+         "{pair: [C, E], peak_velocities_mm_s: [80, 100], weight: 3}]", 3, True),
+        ("zone_pairs: [[A, C], [B, D], [C, E]]\n  peak_velocities_mm_s: [80, 100, 200]\n"
+         "  exclude: [{pair: [B, D]}, {peak_velocity_mm_s: 200}]", 1, True),
+        ("cells: [{pair: [A, C], peak_velocities_mm_s: [80]}, {pair: [C, E], peak_velocities_mm_s: [80, 100]}]", 1,
+         False),
+    ],
+)  # fmt: skip
+def test_a_crossed_design_is_planned_however_its_cells_are_given(
+    edit: Callable[..., Path], listed: str, weight: int, is_crossed: bool
+) -> None:
+    """The analysis takes it as crossed, too; a weight counts as repetitions."""
+    usual = (
+        "zone_pairs: [[A, C], [B, D], [C, E]]\n  peak_velocities_mm_s: [80, 200]",
+        "zone_pairs: [[A, C], [C, E]]\n  peak_velocities_mm_s: [80, 100]",
+    )
+    expected = examine(edit("demo.yaml", usual)).require()
+    found = examine(edit("demo.yaml", (usual[1], listed))).require()
+    assert are_crossed(found.experiment.protocol.model_dump(mode="json")) == is_crossed
+    if not is_crossed:
+        with pytest.raises(InputError, match="conditions.cells: given cells that are not every pair at every level"):
+            designs_for(found, Observer())
+        return
+    (one,), (other,) = (designs_for(each, Observer()).values() for each in (expected, found))
+    assert np.array_equal(one.speeds, other.speeds) and one.tests == other.tests and one.pairs == other.pairs
+    assert other.n_repetitions == weight * one.n_repetitions
+
+
 def test_groups_with_the_same_cells_are_refused(edit: Callable[..., Path]) -> None:
     """The design is crossed, but one observer cannot represent differences between groups."""
     file = edit("demo.yaml", ("schedule:\n", "groups: {low: {}, high: {}}\nschedule:\n"))
-    with pytest.raises(InputError, match="groups: given groups of participants, which one observer cannot represent"):
+    said = "groups: given groups of participants, which one observer cannot represent; allowed: no groups; simulate"
+    with pytest.raises(InputError, match=said):
         designs_for(examine(file).require(), Observer())
 
 

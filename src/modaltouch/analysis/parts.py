@@ -14,7 +14,7 @@ from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.crossed import tabulate, zone_table
 from modaltouch.analysis.findings import ALPHA, Finding, correct, grouped, plain_row, to_frame
 from modaltouch.analysis.models import model_table, tidy_files, zone_files
-from modaltouch.analysis.preregistration import ALL_PARTS, RegisteredAnalysis, terms_of_tests
+from modaltouch.analysis.preregistration import ALL_PARTS, PARTS, RegisteredAnalysis, name_part, terms_of_tests
 from modaltouch.analysis.provenance import describe_record
 from modaltouch.analysis.ratings import questions_of
 from modaltouch.analysis.responses import Responses, cell_of
@@ -54,10 +54,7 @@ class CrossedPart:
     @property
     def name(self) -> str:
         """Factors, finger conditions, pairs and levels in words."""
-        levels = ", ".join(format(level, "g") for level in self.counts.levels)
-        pairs = ", ".join(pair.label for pair in self.counts.pairs)
-        words = [*filter(None, self.factors.values()), " and ".join(self.counts.finger_conditions), pairs]
-        return f"{' '.join(words)} at {levels} {self.counts.scale.unit}"
+        return name_part(self.counts, *self.factors.values())
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +87,7 @@ class PartsAnalysis(RegisteredAnalysis):
         """Return the terms fixed by a preregistration, by name."""
         return {
             "participants": int(self.responses.frame["participant"].nunique()),
-            "crossed parts, with repetitions": {part.name: part.counts.n_repetitions for part in self.parts},
+            PARTS: {part.name: part.counts.n_repetitions for part in self.parts},
             "answers": list(self.responses.answers.names),
             **terms_of_tests(tests),
         }

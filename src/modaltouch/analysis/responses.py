@@ -9,12 +9,10 @@ If levels are multiples of each participant's threshold, ``multiple_of_threshold
 
 from __future__ import annotations
 
-import math
 import shlex
 from collections import Counter
 from collections.abc import Callable, Collection, Container, Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -42,6 +40,10 @@ REQUIRED = ("participant", "finger_condition", "zone_left", "zone_right", "veloc
 CELL = ("finger_condition", "zone_left", "zone_right", "velocity_mm_s")
 
 MODES = ("real", "pilot", "simulated")
+
+CHOOSE_STIMULUS = (
+    "with `analyse`, choose one of them or leave out --stimulus; with `fit`, give the protocol that was answered"
+)
 
 _SIDES = (("zone_left", "zone_right"), ("speed_left_mm_s", "speed_right_mm_s"))
 
@@ -380,20 +382,12 @@ def kinds_of(design: Mapping[str, Any]) -> dict[str, bool]:
     return {kind["name"]: kind.get("analysed", True) for kind in listed} if isinstance(listed, (list, tuple)) else {}
 
 
-def are_crossed(conditions: Mapping[str, Any]) -> bool:
-    """Return whether the cells that a section ``conditions`` lists, if any, are every combination, equally often.
+def are_crossed(design: Mapping[str, Any]) -> bool:
+    """Return whether the cells of a protocol, given as its sections, and those that its groups give are crossed."""
+    from modaltouch.protocol import Protocol
 
-    Cells left out make the design uncrossed.
-    """
-    met = Counter[tuple[Any, ...]]()
-    for each in (listed := conditions.get("cells") or ()):
-        # The section of a group holds only the keys that it gives.
-        pair, stimuli = tuple(each["pair"]), each.get("stimuli") or ("",)
-        fingers = each.get("finger_conditions") or conditions.get("finger_conditions", ("",))
-        met.update([*product(fingers, [pair], each["peak_velocities_mm_s"], stimuli)] * each.get("weight", 1))
-    n_crossed = math.prod(len(set(part)) for part in zip(*met, strict=True))
-    is_whole = len(met) == n_crossed and len(set(met.values())) == 1
-    return not conditions.get("exclude") and (is_whole or not listed)
+    sections = [section.get("conditions") or {} for section in (design, *(design.get("groups") or {}).values())]
+    return all(Protocol.are_crossed(own, design.get("stimuli") or ()) for own in sections if own)
 
 
 def unmirror(frame: pd.DataFrame, answers: AnswerList) -> pd.DataFrame:

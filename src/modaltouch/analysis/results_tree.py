@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from modaltouch.analysis.columns import OWN_THRESHOLD, VELOCITY
 from modaltouch.analysis.provenance import SessionFacts, share, take_facts, version_notes
 from modaltouch.analysis.responses import (
+    CHOOSE_STIMULUS,
     MODES,
     AnswerSource,
     ExcludedSource,
@@ -205,7 +206,7 @@ def open_log(path: Path) -> SessionAnswers:
         },
         catches=Counter((row["finger_condition"], row["response"]) for row in caught),
         kind=session.occasion,
-        is_crossed=are_crossed(design.get("conditions", {})),
+        is_crossed=are_crossed({**design, "groups": {}}),
         names=tuple(_names(design)),
     )
 
@@ -443,7 +444,6 @@ def _surplus(item: SessionAnswers, fewest: int, seen: Counter[object]) -> str:
 def _choose_stimulus(place: Path, frame: pd.DataFrame, stimulus: str) -> pd.DataFrame:
     names = [name for name in frame["stimulus"].unique().tolist() if name]
     if stimulus not in names:
-        remedy = "choose one of them, or leave the option out; a fit needs the protocol that was answered"
         allowed = ", ".join(names) or "the sessions have only one"
-        raise InputError.of(place, f"stimulus {stimulus!r}", allowed, remedy)
+        raise InputError.of(place, f"stimulus {stimulus!r}", allowed, CHOOSE_STIMULUS)
     return frame[frame["stimulus"] == stimulus].reset_index(drop=True)

@@ -15,6 +15,7 @@ from modaltouch.analysis.balance import check_balance, check_doubling, check_uni
 from modaltouch.analysis.columns import OWN_THRESHOLD, VELOCITY, zones_of
 from modaltouch.analysis.csv_table import Table, TableFormat, list_faults, read_table
 from modaltouch.analysis.responses import (
+    CHOOSE_STIMULUS,
     MODES,
     REQUIRED,
     AnswerSource,
@@ -83,7 +84,7 @@ def read_csv(
     columns.problems += check_unit(table, frame[counts], table_format.design)
     if not columns.problems:
         asked = unmirror(frame[counts], answers)
-        is_whole, parts = _is_crossed(table_format.design), _parts(asked, table_format.design)
+        is_whole, parts = are_crossed(table_format.design), _parts(asked, table_format.design)
         checked = [check_balance(table, part, is_crossed=is_whole) for part in parts]
         doubled, noted = check_doubling(table, asked, table_format.most)
         columns.problems += [problem for problems, _ in checked for problem in problems] or doubled
@@ -161,12 +162,6 @@ def _parts(asked: pd.DataFrame, design: Mapping[str, Any]) -> list[pd.DataFrame]
     return [part for _, part in named.groupby(by, sort=False)] or [named]
 
 
-def _is_crossed(design: Mapping[str, Any]) -> bool:
-    """Return whether each participant of a group has the same number of trials in every cell of a stimulus."""
-    own = [section.get("conditions") or {} for section in (design, *(design.get("groups") or {}).values())]
-    return all(map(are_crossed, own))
-
-
 def _foci(frame: pd.DataFrame, design: Mapping[str, Any]) -> list[str]:
     """Return the focus of each answer's stimulus; empty if not given by a protocol."""
     focal, own = (design.get("stimulus") or {}).get("focus", ""), design.get("stimuli") or {}
@@ -237,8 +232,7 @@ def choose_rows(table: Table, name: str, chosen: str | None) -> Table:
         given, remedy = f"rows of several words under {name} ({listed})", f"choose one with --{name}"
         raise InputError.of(Path(table.file), given, f"rows of one {name}", remedy)
     if chosen is not None and chosen not in words:
-        remedy = "choose one of them, or leave the option out"
-        remedy += "; a fit needs the protocol that was answered" * (name == "stimulus")
+        remedy = CHOOSE_STIMULUS if name == "stimulus" else f"choose one of them, or leave out --{name}"
         raise InputError.of(Path(table.file), f"{name} {chosen!r} with a CSV file", listed, remedy)
     if name == "mode" and words and not words <= set(MODES):
         given, remedy = f"a column mode with {listed}", "correct it, or rename the column if it means something else"

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -154,8 +155,12 @@ def designs_for(preflight: Preflight, observer: Observer) -> dict[str, Design]:
     )
     refuse_own_levels(preflight)
     refuse_unlike(preflight)
-    placements = _placements(protocol)
-    return {name: _design(name, part, observer, placements) for name, part in preflight.parts.items()}
+    placements, listed = _placements(protocol), Counter(protocol.cells(protocol.conditions.finger_conditions[0]))
+    designs = {}
+    for name, part in preflight.parts.items():
+        if cells := {(pair, level): weight for (pair, level, own), weight in listed.items() if own == name}:
+            designs[name] = _design(name, part, observer, placements, cells)
+    return designs
 
 
 def of_analysed_kind(preflight: Preflight) -> Preflight:
@@ -190,9 +195,9 @@ def refuse_own_levels(preflight: Preflight, remedy: str = "plan with the peak ve
 
 
 _UNCROSSED = {
-    "conditions": "cells that are listed or left out, which an observer's design has no place for",
-    "groups": "groups of participants, which one observer cannot represent",
-    "schedule": "several analysed kinds of session, whose tests are corrected together",
+    "conditions": ("cells that are not every pair at every level equally often", "cells of a crossed design"),
+    "groups": ("groups of participants, which one observer cannot represent", "no groups"),
+    "schedule": ("several analysed kinds of session, whose tests are corrected together", "one analysed kind"),
 }
 
 
@@ -201,15 +206,14 @@ def refuse_unlike(preflight: Preflight, remedy: str = _SIMULATE) -> None:
     protocol = preflight.experiment.protocol
     offered, n_intervals = protocol.answers.offered, 1 if protocol.intervals is None else protocol.intervals.number
     unknown = next((name for name in protocol.conditions.finger_conditions if name not in _KNOWN), "")
-    odd = any(answer.fingers is None for answer in offered)
+    odd, uncrossed_by = any(answer.fingers is None for answer in offered), protocol.uncrossed_by
     _refuse(
         preflight,
         (
-            protocol.uncrossed_by,
-            protocol.uncrossed_by,
-            _UNCROSSED.get("".join(protocol.uncrossed_by[:1]), ""),
-            "every pair of zone_pairs at every one of peak_velocities_mm_s, in every finger condition, for all",
-            f"{remedy}, or give a protocol of a part of the design that these two keys describe",
+            uncrossed_by,
+            uncrossed_by,
+            *_UNCROSSED["".join(uncrossed_by[:1]) or "groups"],
+            f"{remedy}, or give the protocol of a crossed part of the design",
         ),
         (
             n_intervals > 1,
@@ -243,13 +247,20 @@ def _refuse(preflight: Preflight, *known: tuple[object, tuple[str, ...], str, st
             raise InputError([preflight.findings.problem(path, given, allowed, remedy)])
 
 
-def _design(name: str, preflight: Preflight, observer: Observer, placements: tuple[bool, ...]) -> Design:
+def _design(
+    name: str,
+    preflight: Preflight,
+    observer: Observer,
+    placements: tuple[bool, ...],
+    weights: Mapping[tuple[tuple[str, ...], float], int],
+) -> Design:
+    """Return the design of a stimulus; `weights` has its pairs and levels, and how often each is in a repetition."""
     protocol = preflight.experiment.protocol
     felt = felt_speeds(preflight, observer.front_end)
-    conditions = protocol.conditions
-    fingers = tuple(sorted(conditions.finger_conditions))
-    pairs = tuple(Pair.of(left, right, protocol.stimulus.focus) for left, right in sorted(conditions.pairs))
-    levels = tuple(sorted(conditions.peak_velocities_mm_s))
+    fingers = tuple(sorted(protocol.conditions.finger_conditions))
+    zones = sorted({pair for pair, _ in weights})
+    pairs = tuple(Pair.of(left, right, protocol.stimulus.focus) for left, right, *_ in zones)
+    levels = tuple(sorted({level for _, level in weights}))
     speeds = [
         [[felt(condition, pair.left, pair.right, level * 1e-3) for level in levels] for pair in pairs]
         for condition in fingers
@@ -264,7 +275,7 @@ def _design(name: str, preflight: Preflight, observer: Observer, placements: tup
         name,
         protocol.analysis.equivalence_margin,
         protocol.answers.offered,
-        protocol.schedule.all_repetitions,
+        protocol.schedule.all_repetitions * max(weights.values()),
     )
 
 

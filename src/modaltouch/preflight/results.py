@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -335,8 +334,7 @@ def design_warnings(protocol: Protocol) -> Iterator[str]:
     pairs, levels, _ = map(set, zip(*protocol.cells(conditions.finger_conditions[0]), strict=True))
     n_pairs, n_fingers = len(pairs), len(conditions.finger_conditions)
     is_fixed = is_analysed and protocol.adaptive is None  # runs are compared with each other, and have no parts
-    by = () if protocol.uncrossed_by[:1] == ("conditions",) and _is_crossed(protocol) else protocol.uncrossed_by
-    if is_fixed and by:
+    if is_fixed and (by := protocol.uncrossed_by):
         yield _PARTS[by[0]].format(".".join(by))
     elif is_fixed and not kinds:  # the protocol may be that of a training
         numbers = {"level": len(levels), "finger condition": n_fingers, "pair of zones": n_pairs}
@@ -355,13 +353,6 @@ def design_warnings(protocol: Protocol) -> Iterator[str]:
         yield (
             f"a session takes about {minutes:.0f} min, longer than an hour: use fewer repetitions, or several sessions"
         )
-
-
-def _is_crossed(protocol: Protocol) -> bool:
-    """Test whether the listed cells, without those left out, are every pair at every level, all equally often."""
-    first, *others = (Counter(protocol.cells(name)) for name in protocol.conditions.finger_conditions)
-    n_crossed = math.prod(len(set(parts)) for parts in zip(*first, strict=True))
-    return len(first) == n_crossed and len(set(first.values())) == 1 and all(each == first for each in others)
 
 
 def answer_warnings(protocol: Protocol) -> Iterator[str]:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from itertools import product
 from typing import Any
@@ -219,6 +220,35 @@ def check_excluded(reading: Reading[Any]) -> Iterator[Problem]:
                 "finger conditions with cells",
                 "leave it out, or give it cells",
             )
+
+
+def are_crossed(conditions: Mapping[str, Any], stimuli: Iterable[str] = ()) -> bool:
+    """Test whether the cells of a design, without those left out, are every combination of its factors, equally often.
+
+    Parameters
+    ----------
+    conditions : mapping
+        A section ``conditions`` as plain values; that of a group holds only the keys that it gives.
+    stimuli : iterable of str
+        Names of the stimuli.
+    """
+    fingers, names = conditions.get("finger_conditions"), tuple(stimuli) or ("",)
+    contacts, levels = conditions.get("zones") or conditions.get("zone_pairs"), conditions.get("peak_velocities_mm_s")
+    listed, excluded = conditions.get("cells"), conditions.get("exclude")
+    if not listed and not (excluded and contacts and levels and fingers):
+        return not excluded  # which cells a group leaves out is unknown if it gives nothing else
+    met = Counter[tuple[Any, ...]]()
+    for each in listed or [{"pair": pair, "peak_velocities_mm_s": levels} for pair in contacts or ()]:
+        own = each.get("finger_conditions") or fingers or ("",), [tuple(each["pair"])]
+        met.update([*product(*own, each["peak_velocities_mm_s"], each.get("stimuli") or names)] * each.get("weight", 1))
+    for each in excluded or ():
+        pair = tuple(each.get("pair") or ()) or None
+        left_out = each.get("finger_condition"), pair, each.get("peak_velocity_mm_s"), each.get("stimulus")
+        for cell in [*met]:
+            if all(want in (None, own) for want, own in zip(left_out, cell, strict=True)):
+                del met[cell]
+    n_crossed = math.prod(len(set(part)) for part in zip(*met, strict=True))
+    return len(met) == n_crossed and len(set(met.values())) == 1
 
 
 def read_points(source: Source) -> tuple[Points, list[Problem]]:

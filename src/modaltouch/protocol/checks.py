@@ -33,7 +33,7 @@ def _check_schedule(reading: Reading[Protocol]) -> Iterator[Problem]:
         return
     n_driven = n_pairs * n_in_run * (len(reading.sound("stimuli") or ()) or 1)
     n_all = n_driven * max(n_blocks, 1)
-    if reading.value is not None and reading.value.uncrossed_by:
+    if reading.value is not None:
         conditions = reading.value.conditions.finger_conditions
         each = [len(reading.value.cells(name)) * reading.value.scheduled_repetitions for name in conditions]
         n_driven, n_all = min(each), sum(each)

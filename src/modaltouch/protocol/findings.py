@@ -368,7 +368,7 @@ class Findings:
         others = any(
             each.path.startswith(("conditions", "adaptive", "stimuli")) for each in (*found.problems, *problems)
         )
-        if protocol.value is not None and protocol.value.uncrossed_by[:1] == ("conditions",) and not others:
+        if protocol.value is not None and not others:
             from modaltouch.protocol.cell_table import check_excluded
 
             problems += check_excluded(protocol)

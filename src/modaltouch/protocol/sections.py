@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
+from modaltouch.protocol.cell_table import are_crossed
 from modaltouch.protocol.conditions import AdaptiveSection, Cell, CellsSection, ConditionsSection, FingerCondition
 from modaltouch.protocol.people import PersonField, read_people
 from modaltouch.protocol.questions import AskedSection, KeyName, QuestionSection
@@ -317,14 +318,13 @@ class Protocol(Section):
     def uncrossed_by(self) -> tuple[str, ...]:
         """Path of the first key that makes the design uncrossed; empty for a crossed design."""
         conditions, kinds = self.conditions, self.schedule.session_kinds
-        known: tuple[tuple[tuple[str, ...], object], ...] = (
-            (("conditions", "table"), conditions.table),
-            (("conditions", "cells"), conditions.cells),
-            (("conditions", "exclude"), conditions.exclude),
-            (("groups",), self.groups),
-            (("schedule", "sessions"), kinds and len({kind.name for kind in kinds if kind.analysed}) != 1),
-        )
-        return next((path for path, value in known if value), ())
+        if not are_crossed(conditions.model_dump(), self.stimuli):
+            return ("conditions", next(key for key in ("table", "cells", "exclude") if getattr(conditions, key)))
+        if self.groups:
+            return ("groups",)
+        return ("schedule", "sessions") if kinds and len({kind.name for kind in kinds if kind.analysed}) != 1 else ()
+
+    are_crossed: ClassVar = staticmethod(are_crossed)
 
     def cells(self, finger_condition: str, *, excluded: bool = False) -> list[Cell]:
         """Return the cells of a finger condition in order, each as often as its weight.
@@ -433,7 +433,7 @@ class Protocol(Section):
         fits = standard is not None and standard.stimulus in (None, *alike)
         at_every_level = standard is not None and standard.velocity_mm_s is None and standard.stimulus in alike
         # Catch trials use the settings of the lowest level.
-        if self.uncrossed_by[:1] == ("conditions",) and not (self.schedule.catch_trials or at_every_level):
+        if (self.conditions.cells or self.conditions.exclude) and not (self.schedule.catch_trials or at_every_level):
             cells = [cell for fingers in self.conditions.finger_conditions for cell in self.cells(fingers)]
             own_levels = {level for _, level, stimulus in cells if stimulus in alike}
             levels = tuple(level for level in levels if level in own_levels)
