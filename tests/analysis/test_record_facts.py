@@ -1,11 +1,19 @@
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 
-from modaltouch.analysis.provenance import describe_record, form_files, summarise_form, take_facts
+from modaltouch.analysis.provenance import (
+    describe_record,
+    form_files,
+    summarise_form,
+    take_facts,
+    version_notes,
+)
 from modaltouch.record.session import Session
 
 
@@ -51,6 +59,29 @@ def test_settings_that_differ_are_listed() -> None:
     settings = facts(session("p01"), session("p02"))["settings"]
     assert settings["protocol"] == "touch"
     assert settings["rig"] == "AFG of p01 (sessions: 1); AFG of p02 (sessions: 1)"
+
+
+@pytest.mark.parametrize(
+    ("key", "given", "said"),
+    [
+        (
+            "schedule",
+            {"order": "random", "repetitions": 2, "catch_trials": 2},
+            ["schedule.catch_trials", "schedule.order"],
+        ),
+        ("schedule", {"repetitions": 2, "catch_trials": 0}, []),
+        ("groups", {"low": {}}, ["groups.low"]),
+        ("intervals", {"number": 2}, ["intervals"]),
+        ("masking", None, []),
+    ],
+)
+def test_a_key_of_one_version_alone_differs_unless_it_is_at_its_default(key: str, given, said: list[str]) -> None:
+    """Older programs recorded fewer keys, and keys that a protocol leaves out are not recorded."""
+    facts = [take_facts(session(who)) for who in ("p01", "p02")]
+    designs = [{"schedule": {"repetitions": 2}}, {"schedule": {"repetitions": 2}, key: given}]
+    both = [replace(each, design=("", "", json.dumps(own))) for each, own in zip(facts, designs, strict=True)]
+    expected = f"Versions of the protocol that differ in {', '.join(said)} are analysed together (1 and 1 sessions)"
+    assert [*version_notes(both)] == [*version_notes(both[::-1])] == [expected] * bool(said)
 
 
 def test_settings_of_some_sessions_are_not_attributed_to_all() -> None:

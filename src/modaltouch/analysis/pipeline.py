@@ -65,8 +65,9 @@ def read_responses(
             raise InputError.of(each, "a file among several sources", "folders alone", remedy)
     if place.is_dir() or place.suffix == ".jsonl":
         if table_format is not None:
-            given = "a protocol or answer words with recorded sessions, which contain their own"
-            raise InputError.of(place, given, "these only with a CSV file", "leave the option out")
+            given = "the meaning of words in a CSV with recorded sessions, which contain theirs"
+            remedy = "leave out --answers, --missing and, with `analyse`, --protocol"
+            raise InputError.of(place, given, "a CSV file", remedy)
         from modaltouch.analysis.results_tree import read_tree
 
         return _refuse_none(place, read_tree(place, *further, mode=mode, stimulus=stimulus))

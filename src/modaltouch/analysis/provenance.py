@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from itertools import groupby
 from statistics import fmean, quantiles
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar, get_args
 
 from modaltouch.protocol import TIME_OUT
 
@@ -171,13 +171,30 @@ def version_notes(sessions: Sequence[SessionFacts]) -> Iterator[str]:
 
 
 def _differing(first: dict[str, Any], other: dict[str, Any]) -> Iterator[str]:
-    """Yield the keys in both versions with different values; older programs record fewer keys."""
-    for name in sorted(first.keys() & other.keys()):
-        one, two = first[name], other[name]
+    """Yield the keys with different values; one that a version lacks, as older programs record fewer, is at default."""
+    for name in sorted(first.keys() | other.keys()):
+        one, two = (_value(version, name) for version in (first, other))
         if isinstance(one, dict) and isinstance(two, dict):
-            yield from (f"{name}.{key}" for key in sorted(one.keys() & two.keys()) if one[key] != two[key])
+            keys = sorted(one.keys() | two.keys())
+            yield from (f"{name}.{key}" for key in keys if _value(one, name, key) != _value(two, name, key))
         elif one != two:
             yield name
+
+
+def _value(section: dict[str, Any], *path: str) -> Any:
+    """Return the value at the last key of a path in a recorded section; the default of the protocol if it lacks it."""
+    if path[-1] in section:
+        return section[path[-1]]
+    from pydantic_core import to_jsonable_python
+
+    from modaltouch.protocol import Protocol
+
+    model: Any = Protocol
+    for name in path[:-1]:
+        annotation = model.model_fields[name].annotation
+        model = next((each for each in (annotation, *get_args(annotation)) if hasattr(each, "model_fields")), None)
+    asked = model.model_fields.get(path[-1]) if model else None
+    return to_jsonable_python(asked.get_default()) if asked and not asked.is_required() else None
 
 
 def _describe_people(sessions: Sequence[SessionFacts]) -> Iterator[str]:
