@@ -701,10 +701,14 @@ def test_repetitions_that_never_vary_within_participants_are_refused(write_csv, 
     assert len(read_responses(write_csv(numbered)).frame) == 480
 
 
-def test_repetitions_in_another_order_are_no_copies(write_csv, paper_rows) -> None:
-    """People who always answer a cell alike, each repetition in an order of its own: read, with a note."""
-    again = [*paper_rows[:-2], *paper_rows[:-3:-1]]
-    found = read_responses(write_csv([*paper_rows, *again]))
+@pytest.mark.parametrize("is_sorted", [False, True])
+def test_repetitions_in_another_order_are_no_copies(write_csv, paper_rows, is_sorted: bool) -> None:
+    """People who always answer a cell alike, each repetition in an order of its own: read, with a note.
+
+    So is a table sorted by every column, in which the repetitions of a cell stand one below the other.
+    """
+    rows = [*paper_rows, *paper_rows[:-2], *paper_rows[:-3:-1]]
+    found = read_responses(write_csv(sorted(rows, key=lambda row: [*row.values()]) if is_sorted else rows))
     assert (len(found.frame), "every row occurs 2 times, taken as repetitions" in found.notes[0]) == (480, True)
 
 

@@ -96,7 +96,8 @@ def _measured_levels(table: Table, frame: pd.DataFrame, column: str) -> Problem:
 def check_doubling(table: Table, frame: pd.DataFrame, most: int | None) -> tuple[list[Problem], list[str]]:
     """Refuse a table whose every row is duplicated, unless these may be repetitions with the same answer; note those.
 
-    Copies keep their order, even if the table is then sorted; repetitions may be told from them by another order.
+    Copies keep their order, even if the table is then sorted by a column; repetitions may be told from them by another
+    order, but not in a table sorted by every column, which is read.
 
     Parameters
     ----------
@@ -127,9 +128,11 @@ def check_doubling(table: Table, frame: pd.DataFrame, most: int | None) -> tuple
 
 
 def _recurs_in_order(fields: pd.DataFrame, times: int) -> bool:
-    """Return whether the first, second, ... occurrences of all rows stand in the same order."""
+    """Return whether the first, second, ... occurrences of all rows stand in the same order, but not all together."""
     rows = pd.util.hash_pandas_object(fields, index=False)
     same = rows.groupby(rows)
+    if (rows != rows.shift()).sum() == same.ngroups:
+        return False  # in a table sorted by every column, honest repetitions stand together, too
     nth, n_each = same.cumcount(), same.transform("size") // times
     # Of a row that occurs several times in each copy, the copies may stand one below the other, or row by row.
     ways = ([rows[copy == number].tolist() for number in range(times)] for copy in (nth // n_each, nth % times))
