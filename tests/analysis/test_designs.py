@@ -491,7 +491,7 @@ def test_magnitudes_have_the_exponent_of_their_power_law(magnitudes, tmp_path: P
         rows = list(csv.DictReader(file))
     assert {row["measure"] for row in rows} == {"magnitude", "exponent of magnitude"}
     page = done.files["report.html"].read_text(encoding="utf-8")
-    assert "What do ratings and further answers say?" in page and "exponent of magnitude is not zero" in page
+    assert "What do ratings and further answers say?" in page and "exponent of magnitude differs from zero" in page
     assert not {"fig_10.svg", "fig_10.csv"} & set(done.files)
 
 

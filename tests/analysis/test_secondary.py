@@ -98,7 +98,7 @@ def test_the_first_finger_condition_is_compared_with_the_second(build) -> None:
     finding = list(order_findings(count_answers(frame), frame))[1]
     assert finding.p == sign_flip_test([12] * 4).p
     assert finding.estimate == 1
-    assert "2 began with one hand, 2 began with two hands" in finding.note
+    assert "sessions: 2 began with one hand, 2 with two hands" in finding.note
 
 
 def test_sessions_with_their_own_trial_numbers_are_kept_separate(build) -> None:
@@ -112,7 +112,7 @@ def test_sessions_with_their_own_trial_numbers_are_kept_separate(build) -> None:
         sessions.append(own)
     both = pd.concat(sessions, ignore_index=True)
     drift, first = order_findings(count_answers(both), both)
-    assert (first.estimate, first.note[-45:]) == (1, "4 began with one hand, 4 began with two hands")
+    assert (first.estimate, first.note[-49:]) == (1, "sessions: 4 began with one hand, 4 with two hands")
     mixed = both.sample(frac=1, random_state=1)
     assert next(iter(order_findings(count_answers(mixed), mixed))).estimate == drift.estimate
 

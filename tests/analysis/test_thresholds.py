@@ -249,7 +249,7 @@ def test_a_session_recovers_the_observers_thresholds(preflight: Preflight, resul
         assert (tmp_path / "out" / name).stat().st_size > 500
     report = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "SIMULATED DATA" in report
-    assert "<p><strong>The mean threshold is " in report
+    assert "<p><strong>The mean threshold ranges from " in report
     for name in ("run of one, felt, QUEST+", "mean of runs, felt, QUEST+"):
         assert certificates_in_words([name]) in report, "the certificates are those of the method"
     assert "http://" not in report.replace("http://www.w3.org", "")
@@ -281,7 +281,7 @@ def test_thresholds_of_several_labs_are_reported_by_lab(results: Path, tmp_path:
     report = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert (tmp_path / "out" / "runs_sub-north-p01_ses-1.svg").is_file()
     assert "<p>Groups are labs: north, south.</p>" in report and '<td class="word">south</td>' in report
-    assert re.search(r"<strong>The mean threshold is .* \((north|south) one hand [AC]-[CE]\)", report)
+    assert re.search(r"<strong>The mean threshold ranges from .* \((north|south) one hand [AC]-[CE]\)", report)
     assert f"<code>modaltouch analyse {labs[0]} {labs[1]} --out FOLDER --mode simulated</code>" in report
 
 

@@ -183,11 +183,13 @@ class TestFaults:
         assert "give the requested levels" in problem and "add the missing rows" not in problem
 
     def test_a_missing_column_is_reported_with_those_found(self, write_csv, paper_rows) -> None:
-        """The most similar name is suggested."""
+        """The most similar name is suggested, also if all names are capitalised."""
         rows = [{("velocity" if k == "velocity_mm_s" else k): v for k, v in row.items()} for row in paper_rows]
         (problem,) = fails(write_csv(rows))
         assert "velocity_mm_s: given columns participant" in problem
         assert "rename 'velocity'" in problem
+        capitals = fails(write_csv([{key.title(): value for key, value in row.items()} for row in paper_rows]))
+        assert (len(capitals), "rename 'Finger_Condition'" in capitals[0]) == (6, True)
 
     def test_a_table_without_a_header_shows_its_first_line(self, write_csv, paper_rows) -> None:
         """The first line of data is not a header."""

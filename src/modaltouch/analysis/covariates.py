@@ -115,8 +115,9 @@ def order_findings(answers: AnswerCounts, frame: pd.DataFrame) -> Iterator[Findi
     if not any(led):
         return
     score = (lead.where(lead != 0) * (shares.iloc[:, 0] - shares.iloc[:, 1])).groupby("participant").mean()
+    first, second = (name.replace("_", " ") for name in starts.columns)
     notes = [
-        ", ".join(f"{n} began with {name.replace('_', ' ')}" for n, name in zip(led, starts.columns, strict=True)),
+        f"sessions: {led[0]} began with {first}, {led[1]} with {second}",
         "" if all(led) else "the effect of order cannot be separated from that of the finger condition",
     ]
     yield _mean_finding(

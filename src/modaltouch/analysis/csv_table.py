@@ -249,7 +249,7 @@ def _check_header(file: str, line: int, header: list[str], required: Sequence[st
     found = ", ".join(name or "(no name)" for name in header)
     missing = [name for name in required if name not in header]
     problems = []
-    if len(missing) == len(required):
+    if len(missing) == len(required) and not any(suggest(name, header) for name in required):
         given = f"a first line {text.split(chr(10))[line - 1][:80]!r}"
         raise InputError([Problem(file, line, 1, "", given, _form(required), "name the columns in the first line")])
     for name in missing:

@@ -152,7 +152,7 @@ def design_limits(analysis: Analysis) -> list[str]:
         (
             len(answers.finger_conditions) > 1,
             f"With n = {n}, finger conditions can be shown to be alike on average within {1 - 0.05 ** (1 / n):.2f} at "
-            "best, if no participant's answers differ: participants who differ may be missing by chance.",
+            "best, if no participant's answers differ: the sample may lack participants who differ.",
         ),
         (
             "trial" not in analysis.responses.frame.columns and len(answers.finger_conditions) > 1,

@@ -132,8 +132,8 @@ _CLAIMS = {
     " together": "{claim} for at least one participant, in any of the answers",
     " over levels": "ratings or further answers change with the level",
     "groups": "{claim}",
-    "PSE": "the PSE is not the standard",
-    "": "{family} is not zero",
+    "PSE": "the PSE differs from the standard",
+    "": "{family} differs from zero",
 }
 
 
@@ -219,8 +219,8 @@ def state_families(findings: Sequence[Finding]) -> str:
         together = f" Families are corrected separately: over all {n}, that probability is {at_most:g} % at most."
     return (
         f"Confirmatory tests, by family: {named}. Holm's correction keeps the probability of any false claim within a "
-        f"family at {level:g} % at most.{together} All other tests are exploratory: their p are not corrected and "
-        "support no claim."
+        f"family at {level:g} % at most.{together} All other tests are exploratory: their p values are not corrected "
+        "and support no claim."
     )
 
 
