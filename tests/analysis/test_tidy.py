@@ -230,7 +230,7 @@ class TestFaults:
 
     def test_a_mode_is_refused_for_a_table_without_one(self, write_csv, paper_rows) -> None:
         """A CSV need not state whether it is simulated."""
-        with pytest.raises(InputError, match="given mode 'real' with a CSV file; allowed: no column mode with a word"):
+        with pytest.raises(InputError, match="given mode 'real' with a CSV file; allowed: a table with a column mode"):
             read_responses(write_csv(paper_rows), mode="real")
 
 

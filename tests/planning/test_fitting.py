@@ -10,7 +10,7 @@ import pytest
 
 from modaltouch.planning.design import designs_for
 from modaltouch.planning.experiments import Job, answer_shares, simulate
-from modaltouch.planning.fitting import RecordedAnswers, _grid, fit_answers, fit_observer
+from modaltouch.planning.fitting import RecordedAnswers, _grid, _of_everybody, fit_answers, fit_observer
 from modaltouch.planning.observer import Observer
 from modaltouch.planning.participant import Participant
 from modaltouch.preflight import Preflight, examine
@@ -104,28 +104,30 @@ def test_the_observer_is_recovered_from_two_stimuli() -> None:
 
 
 def test_answers_without_their_stimulus_are_refused(tmp_path: Path, preflight: Preflight) -> None:
-    """For several stimuli a CSV needs their column; other participants and adaptive runs are refused too."""
+    """For several stimuli a CSV needs their column; adaptive runs are refused, too."""
     (tmp_path / "a.csv").write_text(f"{HEADER}\np1,one_hand,A,C,80,left,1\n", encoding="utf-8")
     with pytest.raises(InputError, match="add the column stimulus"):
         fit_answers(examine(TWO_FIELDS).require(), tmp_path / "a.csv", Observer())
-    one = RecordedAnswers(np.ones((1, 1, 3), dtype=int), np.ones((1, 2)), ("one_hand",), np.ones(1))
-    two = RecordedAnswers(np.ones((2, 1, 3), dtype=int), np.ones((1, 2)), ("one_hand",), np.ones(2))
-    with pytest.raises(ValueError, match="answers of 1, 2 participants"):
-        RecordedAnswers.joined([one, two])
     with pytest.raises(InputError, match="adaptive sessions, which have no table of counts"):
         fit_answers(examine(TWO_FIELDS.with_name("threshold.yaml")).require(), tmp_path / "a.csv", Observer())
 
 
 def test_a_table_with_its_stimuli_is_fitted(tmp_path: Path) -> None:
-    """One answer in each cell of both stimuli counts once, with the speeds of its stimulus."""
+    """One answer in each cell of both stimuli counts once, with the speeds of its stimulus.
+
+    A participant without answers to one of them counts with the others, as that participant.
+    """
     preflight = examine(TWO_FIELDS).require()
-    rows = [f"{HEADER},stimulus"]
-    for stimulus, design in designs_for(preflight, TRUTH).items():
+    rows, people = [f"{HEADER},stimulus"], (("p1", "p2"), ("p3", "p1"))
+    for (stimulus, design), met in zip(designs_for(preflight, TRUTH).items(), people, strict=True):
         for condition, pair, level in product(design.finger_conditions, design.pairs, design.levels):
-            rows.append(f"p1,{condition},{pair.left},{pair.right},{level:g},both,1,{stimulus}")
+            rows += [f"{who},{condition},{pair.left},{pair.right},{level:g},both,1,{stimulus}" for who in met]
     (tmp_path / "a.csv").write_text("\n".join(rows), encoding="utf-8")
     fitted = fit_answers(preflight, tmp_path / "a.csv", Observer())
-    assert (fitted.n_participants, fitted.fit.n_answers, len(fitted.responses)) == (1, len(rows) - 1, 2)
+    assert (fitted.n_participants, fitted.fit.n_answers, len(fitted.responses)) == (3, len(rows) - 1, 2)
+    counted = [each.count("C") for each in fitted.responses]
+    whose = [(each.participants, each.counts.sum(axis=(1, 2, 3, 4)).tolist()) for each in _of_everybody(counted)]
+    assert whose == [(("p1", "p2", "p3"), [8, 8, 0]), (("p1", "p2", "p3"), [8, 0, 8])]
 
 
 def test_the_words_of_a_table_are_mapped_as_by_analyse(tmp_path: Path, preflight: Preflight) -> None:

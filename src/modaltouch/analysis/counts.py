@@ -408,7 +408,7 @@ def _natural(name: str) -> tuple[tuple[int, int, str], ...]:
 
 
 def _codes(column: pd.Series, words: Sequence[str]) -> NDArray[np.int64]:
-    return np.asarray(pd.Categorical(column, categories=list(words)).codes, dtype=np.int64)
+    return np.asarray(column.astype("category").cat.set_categories(list(words)).cat.codes, dtype=np.int64)
 
 
 def _mirrored(frame: pd.DataFrame) -> frozenset[str]:

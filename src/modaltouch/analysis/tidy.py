@@ -227,7 +227,7 @@ def choose_rows(table: Table, name: str, chosen: str | None) -> Table:
         If the column has several values and none is given, lacks the given value, or contains unknown modes.
     """
     words = set(table.fields[name]) - set(_EMPTY) if name in table.fields else set()
-    listed = ", ".join(sorted(map(str, words))) or f"no column {name} with a word"
+    listed = ", ".join(sorted(map(str, words))) or f"a table with a column {name}"
     if chosen is None and len(words) > 1:
         given, remedy = f"rows of several words under {name} ({listed})", f"choose one with --{name}"
         raise InputError.of(Path(table.file), given, f"rows of one {name}", remedy)

@@ -382,7 +382,7 @@ def fit(
             tied = ", scale by the prior" if estimate.tied_to_scale else ""
             print(
                 f"{estimate.name:44} {estimate.value:8.4g}  95 % interval {estimate.low:.4g} to {estimate.high:.4g}, "
-                f"learned {estimate.learned:.0%}{tied}"
+                f"learned {100 * estimate.learned:.0f} %{tied}"
             )
         print(fitted.not_identifiable)
         if not fitted.fit.converged:

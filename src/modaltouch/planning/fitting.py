@@ -26,7 +26,7 @@ Moscatelli, Mezzetti, Lacquaniti, J. Vision 12(11):26 (2012) (populations of psy
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -75,11 +75,6 @@ class RecordedAnswers:
     @classmethod
     def joined(cls, parts: Sequence[Self]) -> Self:
         """Concatenate the answers of the same participants to several stimuli along the cells."""
-        if any(not np.array_equal(part.facing, parts[0].facing) for part in parts):
-            raise ValueError(
-                f"answers of {', '.join(str(part.facing.size) for part in parts)} participants, or of different "
-                "people, cannot be combined: give the answers of the same people to each stimulus"
-            )
         return cls(
             counts=np.concatenate([part.counts for part in parts], axis=1),
             speeds=np.concatenate([part.speeds for part in parts]),
@@ -396,11 +391,9 @@ def fit_answers(
         name: read_responses(path, mode=mode, stimulus=name or None, table_format=table_format)
         for name in preflight.parts
     }
-    recorded = [
-        _record(_count(part, path, taken[name]), felt_speeds(part, prior.front_end))
-        for name, part in preflight.parts.items()
-    ]
-    # Every session presents all stimuli, so the participants are the same for each.
+    counted = _of_everybody([_count(part, path, taken[name]) for name, part in preflight.parts.items()])
+    felt = (felt_speeds(part, prior.front_end) for part in preflight.parts.values())
+    recorded = [*map(_record, counted, felt)]
     return Fitted(fit_observer(RecordedAnswers.joined(recorded), prior), tuple(taken.values()), len(recorded[0].facing))
 
 
@@ -426,6 +419,16 @@ def _count(preflight: Preflight, path: Path, responses: Responses) -> AnswerCoun
         if zone not in zones:
             raise InputError.of(path, f"answers about the zone {zone!r}", ", ".join(zones), remedy)
     return answers
+
+
+def _of_everybody(counted: Sequence[AnswerCounts]) -> Iterator[AnswerCounts]:
+    """Yield counts with the same participants for each stimulus; in a table, some may lack answers to one."""
+    people = tuple(dict.fromkeys(who for answers in counted for who in answers.participants))
+    mirrored = frozenset(who for answers in counted for who in answers.mirrored)
+    for answers in counted:
+        counts = np.zeros((len(people), *answers.counts.shape[1:]), dtype=np.int64)
+        counts[[people.index(who) for who in answers.participants]] = answers.counts
+        yield replace(answers, participants=people, counts=counts, mirrored=mirrored)
 
 
 def _record(answers: AnswerCounts, felt: Callable[[str, str, str, float], tuple[float, float]]) -> RecordedAnswers:
