@@ -170,6 +170,17 @@ def to_frame(findings: Iterable[Finding]) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=list(COLUMNS))
 
 
+def test_files(tests: pd.DataFrame) -> dict[str, list[dict[str, Any]]]:
+    """Return the rows of ``tests.csv`` and ``tests.json``."""
+    rows = rows_of(tests)
+    return {"tests.csv": rows, "tests.json": [*map(plain_row, rows)]}
+
+
+def rows_of(table: pd.DataFrame) -> list[dict[str, Any]]:
+    """Return the rows of a table by the names of its columns."""
+    return [{str(key): value for key, value in row.items()} for row in table.to_dict("records")]
+
+
 def grouped(pairs: Iterable[tuple[Key, Value]]) -> dict[Key, list[Value]]:
     """Return the values of each key, in the order of the keys' first occurrence."""
     groups: dict[Key, list[Value]] = {}

@@ -12,7 +12,7 @@ import pandas as pd
 
 from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.crossed import tabulate, zone_table
-from modaltouch.analysis.findings import ALPHA, Finding, correct, grouped, plain_row, to_frame
+from modaltouch.analysis.findings import ALPHA, Finding, correct, grouped, plain_row, test_files, to_frame
 from modaltouch.analysis.models import model_table, tidy_files, zone_files
 from modaltouch.analysis.preregistration import ALL_PARTS, PARTS, RegisteredAnalysis, name_part, terms_of_tests
 from modaltouch.analysis.provenance import describe_record
@@ -288,11 +288,9 @@ def render_parts(analysis: PartsAnalysis) -> dict[str, Any]:
         alpha=ALPHA,
         record=describe_record(responses.sessions),
     )
-    tests = [{str(key): value for key, value in row.items()} for row in analysis.tests.to_dict("records")]
     return {
         "counts.csv": analysis.counts.to_dict("records"),
-        "tests.csv": tests,
-        "tests.json": [plain_row(row) for row in tests],
+        **test_files(analysis.tests),
         **({"measures.csv": values} if values else {}),
         **_models(analysis),
         "report.html": page.pop("parts.html"),

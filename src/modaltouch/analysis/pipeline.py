@@ -14,8 +14,6 @@ from modaltouch.report import write_files
 from modaltouch.system import version
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from modaltouch.analysis.crossed import Analysis
     from modaltouch.analysis.csv_table import TableFormat
     from modaltouch.analysis.parts import PartsAnalysis
@@ -237,20 +235,19 @@ def _figures(asked: Collection[str]) -> Collection[str]:
 def render_files(analysis: Analysis, figures: Collection[str] = ()) -> dict[str, Any]:
     """Render all files of an analysis, by name, for `write_files`."""
     from modaltouch.analysis.crossed import figure_names, zone_table
-    from modaltouch.analysis.findings import plain_row
+    from modaltouch.analysis.findings import rows_of, test_files
     from modaltouch.analysis.models import model_files, tidy_files
     from modaltouch.analysis.report import report_files
 
-    tests = _rows(analysis.tests)
-    files: dict[str, Any] = {"counts.csv": _rows(analysis.counts)}
+    files: dict[str, Any] = {"counts.csv": rows_of(analysis.counts)}
     chosen = analysis.answers if len(analysis.answers.answers) > 1 else None
     for condition, name in figure_names(chosen.finger_conditions if chosen else ()).items():
         table = zone_table(analysis.answers, condition)
         table.columns = table.columns.map("{:g}".format)
-        files[f"{name}.csv"] = _rows(table.reset_index())
+        files[f"{name}.csv"] = rows_of(table.reset_index())
     if analysis.design and analysis.design.rows:
         files["measures.csv"] = analysis.design.rows
-    files |= {"tests.csv": tests, "tests.json": [plain_row(row) for row in tests]}
+    files |= test_files(analysis.tests)
     files |= (
         model_files(analysis.answers, analysis.responses)
         if analysis.answers.compares
@@ -269,7 +266,3 @@ def render_files(analysis: Analysis, figures: Collection[str] = ()) -> dict[str,
 
         pictures += draw_design(analysis.design)
     return files | report_files(analysis, pictures)
-
-
-def _rows(table: pd.DataFrame) -> list[dict[str, Any]]:
-    return [{str(key): value for key, value in row.items()} for row in table.to_dict("records")]

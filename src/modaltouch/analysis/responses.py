@@ -382,6 +382,12 @@ def kinds_of(design: Mapping[str, Any]) -> dict[str, bool]:
     return {kind["name"]: kind.get("analysed", True) for kind in listed} if isinstance(listed, (list, tuple)) else {}
 
 
+def names_in(design: Mapping[str, Any]) -> dict[str, tuple[str, ...]]:
+    """Return the stimuli, groups and kinds of session that a protocol defines, in its order, by column."""
+    own = {"stimulus": design.get("stimuli"), "group": design.get("groups"), "session_kind": kinds_of(design)}
+    return {column: tuple(names or ()) for column, names in own.items()}
+
+
 def are_crossed(design: Mapping[str, Any]) -> bool:
     """Return whether the cells of a protocol, given as its sections, and those that its groups give are crossed."""
     from modaltouch.protocol import Protocol

@@ -9,7 +9,7 @@ import gc
 import hashlib
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from itertools import chain
@@ -30,8 +30,8 @@ from modaltouch.analysis.responses import (
     Responses,
     answers_per_cell,
     are_crossed,
-    kinds_of,
     missing_answer_notes,
+    names_in,
     refuse_unequal,
     sum_catches,
     unmirror,
@@ -207,13 +207,8 @@ def open_log(path: Path) -> SessionAnswers:
         catches=Counter((row["finger_condition"], row["response"]) for row in caught),
         kind=session.occasion,
         is_crossed=are_crossed({**design, "groups": {}}),
-        names=tuple(_names(design)),
+        names=tuple(chain(*names_in(design).values())),
     )
-
-
-def _names(design: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the names of stimuli, groups and kinds of session, in the order of the protocol."""
-    yield from (*design.get("stimuli", ()), *(design.get("groups") or ()), *kinds_of(design))
 
 
 def _in_time(whole: pd.DataFrame, answers: AnswerList, *, keep: bool) -> pd.DataFrame:

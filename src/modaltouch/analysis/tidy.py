@@ -25,6 +25,7 @@ from modaltouch.analysis.responses import (
     are_crossed,
     kinds_of,
     missing_answer_notes,
+    names_in,
     sum_catches,
     unmirror,
 )
@@ -132,18 +133,12 @@ def _with_missing(part: pd.DataFrame, usual: int) -> pd.DataFrame:
 
 def _in_order(frame: pd.DataFrame, design: Mapping[str, Any]) -> pd.DataFrame:
     """Order stimuli, groups and kinds of session as in the protocol, followed by any others."""
-    for column, names in _names(design).items():
+    for column, names in names_in(design).items():
         if column in frame:
             named = [name for name in names if (frame[column] == name).any()]
             order = [*named, *sorted({*frame[column]} - {*named})]
             frame = frame.assign(**{column: pd.Categorical(frame[column], order)})
     return frame
-
-
-def _names(design: Mapping[str, Any]) -> dict[str, Sequence[str]]:
-    """Return the stimuli, groups and kinds of session defined by the protocol, by column."""
-    own = {"stimulus": design.get("stimuli"), "group": design.get("groups"), "session_kind": kinds_of(design)}
-    return {column: tuple(names or ()) for column, names in own.items()}
 
 
 def _joined_parts(parts: Sequence[pd.DataFrame], usual: Sequence[int], design: Mapping[str, Any]) -> pd.DataFrame:
@@ -410,7 +405,7 @@ class _Columns:
     def check_names(self, where: pd.Series, design: Mapping[str, Any]) -> None:
         """Refuse stimuli, groups and kinds of session unknown to the protocol, and participants in several groups."""
         table, fields = self._table, self._table.fields
-        for column, names in _names(design).items():
+        for column, names in names_in(design).items():
             if column in fields and names:
                 self.problems += table.check_words(
                     fields.loc[where, column], names.__contains__, ", ".join(names),

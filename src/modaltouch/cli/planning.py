@@ -221,8 +221,8 @@ def tell(found: planning.Power, target: float) -> None:
     alone += ": without it the correction is over all stimuli, as `prereg` simulates" * bool(name)
     say(
         f"[bold]{what}[/] {study.design.title} with observer {observer}: share of {_done(found)} in "
-        f"which at least one test of a family is significant at {study.alpha:g} after Holm's correction, in per cent "
-        f"with a 95 % interval{alone}"
+        f"which at least one test of a family is significant at {analysis.ALPHA:g} after Holm's correction, in per "
+        f"cent with a 95 % interval{alone}"
     )
     for n_repetitions, own in groupby(found.families, key=lambda row: row["n_repetitions"]):
         rows = [(str(n), *map(_cell, of_size)) for n, of_size in groupby(own, key=lambda row: row["n_participants"])]

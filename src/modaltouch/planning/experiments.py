@@ -48,8 +48,6 @@ class Study:
         Whether to simulate no effect, so that significant tests are false alarms.
     seed : int
         Seed of all jobs.
-    alpha : float
-        Significance level [1].
     """
 
     design: Design
@@ -57,7 +55,6 @@ class Study:
     families: tuple[str, ...]
     null: bool
     seed: int
-    alpha: float = ALPHA
 
     @cached_property
     def simulated(self) -> tuple[Design, Observer]:
@@ -150,7 +147,7 @@ def run_job(study: Study, job: Job) -> Tallies:
     for family in study.families:
         guesses = study.null and STATISTICS[family].against_guessing
         asked = simulate(design, Observer(Participant(lapse_rate=1.0)), job, guessed) if guesses else answers
-        tallies[family] = count_significant(asked, family, study.alpha)
+        tallies[family] = count_significant(asked, family)
     return tallies
 
 
@@ -182,12 +179,12 @@ def simulate(design: Design, observer: Observer, job: Job, rng: np.random.Genera
     return design.count(np.moveaxis(counts.reshape(shape), 0, -1), job.n_repetitions)
 
 
-def count_significant(answers: AnswerCounts, family: str, alpha: float = ALPHA) -> Tally:
+def count_significant(answers: AnswerCounts, family: str) -> Tally:
     """Count the simulated experiments in which a family of tests is significant."""
     found = STATISTICS[family].compute(answers)
     if found is None:
         raise ValueError(f"no tests of {family} for {len(answers.finger_conditions)} finger conditions and these pairs")
-    single, corrected = found.test.quick_p <= alpha * _TIES, found.quick_p_holm <= alpha * _TIES
+    single, corrected = found.test.quick_p <= ALPHA * _TIES, found.quick_p_holm <= ALPHA * _TIES
     return Tally(
         len(single),
         single.sum(axis=0),

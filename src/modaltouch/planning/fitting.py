@@ -251,10 +251,9 @@ def _observer_at(prior: Observer, fitted: Sequence[_Quantity], point: ArrayLike)
     values = np.asarray(point, dtype=float).tolist()
     natural = {q.name: max(_FROM_FIT[q.scale](x), 0.0) if q.scale == "log1p" else _FROM_FIT[q.scale](x)
                for q, x in zip(fitted, values, strict=True)}  # fmt: skip
-    of_typical = {q.name: natural[q.name] for q in fitted if q.of_typical}
-    of_observer = {q.name: natural[q.name] for q in fitted if not q.of_typical}
-    values = prior.as_dict()
-    return Observer.from_dict({**values, **of_observer, "typical": values["typical"] | of_typical})
+    of_typical: dict[str, Any] = {q.name: natural[q.name] for q in fitted if q.of_typical}
+    of_observer: dict[str, Any] = {q.name: natural[q.name] for q in fitted if not q.of_typical}
+    return replace(prior, typical=replace(prior.typical, **of_typical), **of_observer)
 
 
 def _covariance(cost: Callable[[FloatArray], float], point: FloatArray, deviation: FloatArray) -> FloatArray:

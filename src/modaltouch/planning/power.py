@@ -47,11 +47,11 @@ class Floor:
     least_participants: int | None
 
 
-def find_floor(design: Design, family: str, n_repetitions: int, alpha: float = ALPHA) -> Floor:
+def find_floor(design: Design, family: str, n_repetitions: int) -> Floor:
     """Return the minimum number of participants for a family's tests to reach significance."""
     n_tests, smallest_p = len(design.scopes(family)), STATISTICS[family].smallest_p
     levels, margin = design.levels, design.margin
-    reach = (n for n in range(1, _MOST) if smallest_p(levels, n, n_repetitions, margin) * n_tests <= alpha)
+    reach = (n for n in range(1, _MOST) if smallest_p(levels, n, n_repetitions, margin) * n_tests <= ALPHA)
     least = next(reach, None) if len(levels) > 1 or family != "b" else None
     return Floor(family, n_tests, n_repetitions, least)
 
@@ -92,8 +92,8 @@ class Power:
     def floors(self) -> tuple[Floor, ...]:
         """Minimum number of participants for each family's tests, by number of repetitions."""
         repetitions = sorted({n_repetitions for _, n_repetitions in self.sizes})
-        design, alpha = self.study.design, self.study.alpha
-        return tuple(find_floor(design, family, r, alpha) for family in self.study.families for r in repetitions)
+        design = self.study.design
+        return tuple(find_floor(design, family, r) for family in self.study.families for r in repetitions)
 
     @cached_property
     def families(self) -> list[dict[str, Any]]:
@@ -126,7 +126,7 @@ class Power:
             **_shares("power_every_test", "power_every_test_", tally.every_test, tally.n_experiments),
             "p_min": p_min,
             "p_min_holm": min(1.0, p_min * n_tests),
-            "reachable": p_min * n_tests <= self.study.alpha,
+            "reachable": p_min * n_tests <= ALPHA,
         }
 
     def _test_rows(self, size: Size, family: str) -> Iterator[dict[str, Any]]:
@@ -179,7 +179,7 @@ class Power:
             **({"stimulus": study.design.stimulus} if study.design.stimulus else {}),
             "observer": study.observer.as_dict(),
             "null": study.null,
-            "alpha": study.alpha,
+            "alpha": ALPHA,
             "seed": study.seed,
             "n_experiments": self.n_experiments,
             "complete": self.complete,
@@ -325,7 +325,7 @@ def draw_power(power: Power, target: float = 0.8) -> Figure:
                 place.set_axis_off()
                 continue
             rows = [row for row in power.families if row["family"] == panel]
-            _draw_curves(place, rows, power.study.alpha if power.study.null else target)
+            _draw_curves(place, rows, ALPHA if power.study.null else target)
             place.set_title(textwrap.fill(f"{panel}: {STATISTICS[panel].asks}?", 38), fontsize=8.5)
             place.set_xlabel("participants")
         figure.suptitle(_headline(power), fontsize=9, color=report.INK)
@@ -361,6 +361,6 @@ def _headline(power: Power) -> str:
     kind = "false alarms where nothing is to be found" if study.null else "power"
     return (
         f"{study.design.title}, observer {study.observer.name or 'made in code'}: {kind}, at least one test of the "
-        f"family significant at {study.alpha:g} after Holm\n"
+        f"family significant at {ALPHA:g} after Holm\n"
         f"{done} simulated experiments of each size, seed {study.seed}"
     )
