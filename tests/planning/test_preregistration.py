@@ -165,7 +165,7 @@ def test_designs_beyond_two_fingers_are_simulated_in_sessions(
     done = run("prereg", protocol, "-n", 2, "--experiments", 1, "--out", file)
     assert done.exit_code == 0, done.stderr
     text = file.read_text(encoding="utf-8")
-    assert "| rating over levels | ratings or further answers change with the level? | " in text
+    assert "| rating over levels | is it true that ratings or further answers change with the level? | " in text
     assert "share of 1 simulated experiment with" in text
     assert "--experiments 1 --observer" in text
     assert read_preregistration(file)["tests by family"] == families

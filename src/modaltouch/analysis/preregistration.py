@@ -101,7 +101,7 @@ class RegisteredAnalysis(ABC):
                     "name": name,
                     "asks": STATISTICS[name].asks
                     if name in STATISTICS
-                    else claim_of(name, headings(counts)[first.question][1]),
+                    else f"is it true that {claim_of(name, headings(counts)[first.question][1])}",
                     "test": "; ".join(dict.fromkeys(row.name for *_, row in rows)),
                     "scopes": [": ".join(filter(None, scope)) for scope in scopes],
                     "significant": any(row.p_holm <= ALPHA for *_, row in rows),

@@ -237,18 +237,26 @@ def are_crossed(conditions: Mapping[str, Any], stimuli: Iterable[str] = ()) -> b
     listed, excluded = conditions.get("cells"), conditions.get("exclude")
     if not listed and not (excluded and contacts and levels and fingers):
         return not excluded  # which cells a group leaves out is unknown if it gives nothing else
-    met = Counter[tuple[Any, ...]]()
-    for each in listed or [{"pair": pair, "peak_velocities_mm_s": levels} for pair in contacts or ()]:
-        own = each.get("finger_conditions") or fingers or ("",), [tuple(each["pair"])]
-        met.update([*product(*own, each["peak_velocities_mm_s"], each.get("stimuli") or names)] * each.get("weight", 1))
-    for each in excluded or ():
-        pair = tuple(each.get("pair") or ()) or None
-        left_out = each.get("finger_condition"), pair, each.get("peak_velocity_mm_s"), each.get("stimulus")
-        for cell in [*met]:
-            if all(want in (None, own) for want, own in zip(left_out, cell, strict=True)):
-                del met[cell]
-    n_crossed = math.prod(len(set(part)) for part in zip(*met, strict=True))
-    return len(met) == n_crossed and len(set(met.values())) == 1
+    met = Counter(
+        (finger_condition, tuple(each["pair"]), level, stimulus)
+        for each in listed or [{"pair": pair, "peak_velocities_mm_s": levels} for pair in contacts or ()]
+        for finger_condition in each.get("finger_conditions") or fingers or ("",)
+        for level in each["peak_velocities_mm_s"]
+        for stimulus in each.get("stimuli") or names
+        for _ in range(each.get("weight", 1))
+    )
+    left_out = [
+        (each.get("finger_condition"), tuple(each.get("pair") or ()) or None, each.get("peak_velocity_mm_s"),
+         each.get("stimulus"))
+        for each in excluded or ()
+    ]  # fmt: skip
+    kept = {
+        cell: n
+        for cell, n in met.items()
+        if not any(all(want in (None, own) for want, own in zip(each, cell, strict=True)) for each in left_out)
+    }
+    n_crossed = math.prod(len(set(part)) for part in zip(*kept, strict=True))
+    return len(kept) == n_crossed and len(set(kept.values())) == 1
 
 
 def read_points(source: Source) -> tuple[Points, list[Problem]]:
