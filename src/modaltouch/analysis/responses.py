@@ -390,10 +390,13 @@ def names_in(design: Mapping[str, Any]) -> dict[str, tuple[str, ...]]:
 
 def are_crossed(design: Mapping[str, Any]) -> bool:
     """Return whether the cells of a protocol, given as its sections, and those that its groups give are crossed."""
+    sections = [section.get("conditions") or {} for section in (design, *(design.get("groups") or {}).values())]
+    listed = [own for own in sections if own.get("cells") or own.get("exclude")]
+    if not listed:
+        return True
     from modaltouch.protocol import Protocol
 
-    sections = [section.get("conditions") or {} for section in (design, *(design.get("groups") or {}).values())]
-    return all(Protocol.are_crossed(own, design.get("stimuli") or ()) for own in sections if own)
+    return all(Protocol.are_crossed(own, design.get("stimuli") or ()) for own in listed)
 
 
 def unmirror(frame: pd.DataFrame, answers: AnswerList) -> pd.DataFrame:

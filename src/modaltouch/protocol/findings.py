@@ -368,7 +368,8 @@ class Findings:
         others = any(
             each.path.startswith(("conditions", "adaptive", "stimuli")) for each in (*found.problems, *problems)
         )
-        if protocol.value is not None and not others:
+        listed = protocol.value and (protocol.value.conditions.cells or protocol.value.conditions.exclude)
+        if listed and not others:
             from modaltouch.protocol.cell_table import check_excluded
 
             problems += check_excluded(protocol)

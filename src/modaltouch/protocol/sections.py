@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from modaltouch.protocol.cell_table import are_crossed
 from modaltouch.protocol.conditions import AdaptiveSection, Cell, CellsSection, ConditionsSection, FingerCondition
 from modaltouch.protocol.people import PersonField, read_people
 from modaltouch.protocol.questions import AskedSection, KeyName, QuestionSection
@@ -317,14 +316,17 @@ class Protocol(Section):
     @property
     def uncrossed_by(self) -> tuple[str, ...]:
         """Path of the first key that makes the design uncrossed; empty for a crossed design."""
-        conditions, kinds = self.conditions, self.schedule.session_kinds
-        if not are_crossed(conditions.model_dump(), self.stimuli):
-            return ("conditions", next(key for key in ("table", "cells", "exclude") if getattr(conditions, key)))
-        if self.groups:
-            return ("groups",)
-        return ("schedule", "sessions") if kinds and len({kind.name for kind in kinds if kind.analysed}) != 1 else ()
+        if ((own := self.conditions).cells or own.exclude) and not self.are_crossed(own.model_dump(), self.stimuli):
+            return ("conditions", next(key for key in ("table", "cells", "exclude") if getattr(own, key)))
+        kinds = {kind.name: kind.analysed for kind in self.schedule.session_kinds}
+        return ("groups",) if self.groups else ("schedule", "sessions") if kinds and sum(kinds.values()) != 1 else ()
 
-    are_crossed: ClassVar = staticmethod(are_crossed)
+    @staticmethod
+    def are_crossed(conditions: Mapping[str, Any], stimuli: Iterable[str]) -> bool:
+        """Test whether a section ``conditions`` gives a crossed design, as by `cell_table.are_crossed`."""
+        from modaltouch.protocol.cell_table import are_crossed
+
+        return are_crossed(conditions, stimuli)
 
     def cells(self, finger_condition: str, *, excluded: bool = False) -> list[Cell]:
         """Return the cells of a finger condition in order, each as often as its weight.
