@@ -21,6 +21,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from statistics import NormalDist
 
 import numpy as np
@@ -31,7 +32,7 @@ from modaltouch.analysis.columns import LevelScale, scale_of
 from modaltouch.analysis.intervals import DROP, REGION, Interval
 from modaltouch.analysis.measures import Cell, IndividualValue, Measure, cells, kind_of
 from modaltouch.analysis.responses import Responses
-from modaltouch.analysis.sums import FloatArray
+from modaltouch.analysis.sums import FloatArray, IntArray
 from modaltouch.analysis.task import TrialTask
 
 STEP = 0.25
@@ -47,8 +48,8 @@ _SPREADS = np.geomspace(0.5, 20.0, 28)
 # Grids of spreads [dB] and, if there are catch trials, of guess rates [1].
 _GUESSES = np.array([0.0, 0.01, 0.025, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5])
 
-# Maximum size of temporary arrays of likelihoods.
-_AT_ONCE = 4_000_000
+# Maximum size of temporary arrays of likelihoods, which fit into the cache of a processor.
+_AT_ONCE = 100_000
 
 
 @dataclass(frozen=True)
@@ -195,7 +196,7 @@ def fit_counts(
     guess_rate: ArrayLike,
     most_lapse: float,
     n_catch: int = 0,
-    n_false: int = 0,
+    n_false: int | IntArray = 0,
     flat_rate: float | None = None,
 ) -> Fits:
     """Fit the psychometric functions of a batch of runs on a common set of levels.
@@ -208,27 +209,22 @@ def fit_counts(
         Number of successes and trials of each run.
     guess_rate, most_lapse, flat_rate
         As for `fit_psychometric`.
-    n_catch, n_false : int
-        Number of catch trials of each run, and of successes among them.
+    n_catch : int
+        Number of catch trials of each run.
+    n_false : int or (n_runs,) array
+        Number of successes among them.
     """
     thresholds = np.arange(levels[0] - BEYOND, levels[-1] + BEYOND + STEP / 2, STEP)
     guesses = _GUESSES if n_catch else np.atleast_1d(np.asarray(guess_rate, dtype=float))
     lapses = np.linspace(0.0, most_lapse, 4) if most_lapse else np.zeros(1)
-    step = max(1, _AT_ONCE // (thresholds.size * _SPREADS.size))
-    parts = [
-        _profiles(levels, hits[k : k + step], tries[k : k + step], thresholds, lapses, guesses)
-        for k in range(0, len(hits), step)
-    ]
-    by_threshold, by_spread, asymptotes = (
-        np.concatenate(each, axis=1) + _log_chance(n_false, n_catch, guesses)[:, None, None]
-        for each in zip(*parts, strict=True)
-    )
+    p = np.clip(guesses, _LEAST, 1 - _LEAST)[:, None]
+    of_catches = np.broadcast_to(n_false * np.log(p) + (n_catch - n_false) * np.log1p(-p), (guesses.size, len(hits)))
+    by_threshold, by_spread, asymptotes = _profiles(levels, hits, tries, thresholds, lapses, guesses, of_catches)
     best = asymptotes.max(axis=(0, 2))
     n_hits, n = hits.sum(axis=-1), tries.sum(axis=-1)
-    flat = _log_constant(n_hits, n) + _log_constant(np.array(float(n_false)), np.array(float(n_catch)))
+    flat = _log_constant(n_hits, n) + _log_constant(np.asarray(n_false, dtype=float), np.array(float(n_catch)))
     known = 0.0 if flat_rate is None else flat - n_hits * math.log(flat_rate) - (n - n_hits) * math.log1p(-flat_rate)
-    of_spreads = by_spread.max(axis=0)
-    threshold, spread = _located(thresholds, by_threshold.max(axis=0)), _located(_SPREADS, of_spreads)
+    threshold, spread = _located(thresholds, by_threshold), _located(_SPREADS, by_spread)
     lowest = np.where(tries > 0, levels, np.inf).min(axis=-1)
     highest = np.where(tries > 0, levels, -np.inf).max(axis=-1)
     is_within = (lowest <= threshold.estimate) & (threshold.estimate <= highest)
@@ -241,7 +237,7 @@ def fit_counts(
         best - flat,
         settled,
         (n_hits > 0) & (n_hits < n) & (settled >= DROP) & is_within,
-        of_spreads[:, 0] >= best - DROP,
+        by_spread[:, 0] >= best - DROP,
     )
 
 
@@ -252,34 +248,37 @@ def _profiles(
     thresholds: FloatArray,
     lapses: FloatArray,
     guesses: FloatArray,
+    of_catches: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the profile log likelihoods of threshold, spread and lapse rate, by guess rate and run."""
+    """Return the profile log likelihoods of threshold and spread by run, and of both asymptotes by guess rate and run.
+
+    The log likelihoods `of_catches` of the catch trials, by guess rate and run, are included.
+    """
     from scipy.special import ndtr
 
-    rising = ndtr((levels - thresholds[:, None, None]) / _SPREADS[:, None])
+    rising = ndtr((levels[:, None, None] - thresholds) / _SPREADS[:, None]).reshape(levels.size, -1)
     # Restrict the threshold of a run to the vicinity of its levels.
     lowest, highest = (np.where(tries > 0, levels, end) for end in (np.inf, -np.inf))
-    inside = thresholds >= lowest.min(axis=-1)[:, None] - BEYOND - STEP / 4
-    inside &= thresholds <= highest.max(axis=-1)[:, None] + BEYOND + STEP / 2
-    by_threshold = np.full((guesses.size, len(hits), thresholds.size), -np.inf)
-    by_spread = np.full((guesses.size, len(hits), _SPREADS.size), -np.inf)
+    outside = thresholds < lowest.min(axis=-1)[:, None] - BEYOND - STEP / 4
+    outside |= thresholds > highest.max(axis=-1)[:, None] + BEYOND + STEP / 2
+    misses = tries - hits
+    by_threshold = np.full((len(hits), thresholds.size), -np.inf)
+    by_spread = np.full((len(hits), _SPREADS.size), -np.inf)
     asymptotes = np.empty((guesses.size, len(hits), lapses.size))
-    for i, guess in enumerate(guesses):
-        for j, lapse in enumerate(lapses):
-            p = np.clip(guess + (1 - guess - lapse) * rising, _LEAST, 1 - _LEAST).reshape(-1, levels.size).T
-            found = (hits @ np.log(p) + (tries - hits) @ np.log1p(-p)).reshape(len(hits), -1, _SPREADS.size)
-            found[~inside] = -np.inf
-            of_spreads = found.max(axis=1)
-            np.maximum(by_threshold[i], found.max(axis=2), out=by_threshold[i])
-            np.maximum(by_spread[i], of_spreads, out=by_spread[i])
-            asymptotes[i, :, j] = of_spreads.max(axis=1)
+    step = max(1, _AT_ONCE // rising[0].size)
+    for (i, guess), (j, lapse) in product(enumerate(guesses), enumerate(lapses)):
+        p = np.clip(guess + (1 - guess - lapse) * rising, _LEAST, 1 - _LEAST)
+        of_hit, of_miss = np.log(p), np.log1p(-p)
+        for some in (slice(start, start + step) for start in range(0, len(hits), step)):
+            found = (hits[some] @ of_hit + misses[some] @ of_miss).reshape(-1, _SPREADS.size, thresholds.size)
+            if outside[some].any():
+                np.copyto(found, -np.inf, where=outside[some, None])
+            added = of_catches[i, some, None]
+            of_spreads = found.max(axis=2) + added
+            np.maximum(by_threshold[some], found.max(axis=1) + added, out=by_threshold[some])
+            np.maximum(by_spread[some], of_spreads, out=by_spread[some])
+            asymptotes[i, some, j] = of_spreads.max(axis=1)
     return by_threshold, by_spread, asymptotes
-
-
-def _log_chance(n_false: int, n_catch: int, guesses: FloatArray) -> FloatArray:
-    """Return the log likelihood of the catch trials for each guess rate."""
-    p = np.clip(guesses, _LEAST, 1 - _LEAST)
-    return np.asarray(n_false * np.log(p) + (n_catch - n_false) * np.log1p(-p))
 
 
 def counted(levels: ArrayLike, successes: ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
