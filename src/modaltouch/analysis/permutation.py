@@ -127,7 +127,7 @@ def by_ranks(values: FloatArray) -> Located:
 _MOST_ORDERS = 20_000
 
 # Maximum size of temporary arrays.
-_AT_ONCE = 4_000_000
+_AT_ONCE = 400_000
 
 
 def group_test(first: FloatArray, second: FloatArray) -> Located:
@@ -160,18 +160,9 @@ def shuffle_test(first: FloatArray, second: FloatArray) -> ExactTest:
     first, second : (..., n) arrays
         As for `group_test`.
     """
-    values, n = np.concatenate([first, second], axis=-1), first.shape[-1]
-    size = values.shape[-1]
-    weights = _weights(n, size)
-    observed = first.mean(axis=-1) - second.mean(axis=-1)
-    rows, tails = values.reshape(-1, size), list[FloatArray]()
-    step = max(1, _AT_ONCE // len(weights))
-    for start in range(0, len(rows), step):
-        far = np.abs(rows[start : start + step] @ weights.T)
-        ends = np.stack([far[:, 0], far.max(axis=-1)])  # the first permutation is the identity
-        tails.append((far >= ends[..., np.newaxis] - 1e-9).mean(axis=-1))
-    p, p_min = (each.reshape(observed.shape)[()] for each in np.concatenate(tails, axis=-1))
-    return ExactTest(observed, p, p_min, np.where(np.ptp(values, axis=-1) > 0, size, 0))
+    values, observed = np.concatenate([first, second], axis=-1), first.mean(axis=-1) - second.mean(axis=-1)
+    p, p_min = _tails(values.reshape(-1, values.shape[-1]), first.shape[-1], np.abs).reshape(2, *observed.shape)
+    return ExactTest(observed, p, p_min, np.where(np.ptp(values, axis=-1) > 0, values.shape[-1], 0))
 
 
 def shuffle_together(first: FloatArray, second: FloatArray) -> ExactTest:
@@ -181,16 +172,43 @@ def shuffle_together(first: FloatArray, second: FloatArray) -> ExactTest:
 
     Parameters
     ----------
-    first, second : (n, n_shares) arrays
+    first, second : (..., n, n_shares) arrays
         Shares of each participant.
     """
-    values, n = np.concatenate([first, second]), len(first)
-    values = values[:, values.any(axis=0)]
     # The order within a group makes the sample independent of that of the participants.
-    values[:n], values[n:] = (own[np.lexsort(own.T)] if own.size else own for own in (values[:n], values[n:]))
-    statistic = ((_weights(n, len(values)) @ values) ** 2 / values.mean(axis=0)).sum(axis=-1)
-    p, p_min = ((statistic >= least - 1e-9).mean() for least in (statistic[0], statistic.max()))
-    return ExactTest(statistic[0], p, p_min, len(values) if np.ptp(values, axis=0).any() else 0)
+    groups = [
+        np.take_along_axis(own, np.lexsort(np.moveaxis(own, -1, 0))[..., np.newaxis], axis=-2)
+        for own in (first, second)
+    ]
+    values, n = np.moveaxis(np.concatenate(groups, axis=-2), -1, -2), first.shape[-2]
+    size, mean = values.shape[-1], values.mean(axis=-1, keepdims=True)
+    rows = np.divide(values, np.sqrt(mean), out=np.zeros(values.shape), where=mean > 0)
+    observed = ((rows[..., :n].mean(axis=-1) - rows[..., n:].mean(axis=-1)) ** 2).sum(axis=-1)
+    tails = _tails(rows.reshape(-1, *rows.shape[-2:]), n, lambda each: np.einsum("tvs,tvs->ts", each, each))
+    p, p_min = tails.reshape(2, *observed.shape)
+    return ExactTest(observed, p, p_min, np.where((np.ptp(values, axis=-1) > 0).any(axis=-1), size, 0))
+
+
+def _tails(rows: FloatArray, n: int, statistic: Callable[[FloatArray], FloatArray]) -> FloatArray:
+    """Return p and the smallest attainable p of permutation tests.
+
+    Parameters
+    ----------
+    rows : (n_tests, ..., size) array
+        Values of the participants.
+    n : int
+        Size of the first group.
+    statistic : callable
+        Maps differences of means, (n_tests, ..., n_permutations), to the statistic, (n_tests, n_permutations).
+    """
+    weights, tails = _weights(n, rows.shape[-1]), list[FloatArray]()
+    step = max(1, _AT_ONCE // len(weights))
+    for start in range(0, len(rows), step):
+        some = rows[start : start + step]
+        far = statistic((some.reshape(-1, rows.shape[-1]) @ weights.T).reshape(*some.shape[:-1], -1))
+        ends = np.stack([far[:, 0], far.max(axis=-1)])  # the first permutation is the identity
+        tails.append((far >= ends[..., np.newaxis] - 1e-9).mean(axis=-1))
+    return np.concatenate(tails, axis=-1)
 
 
 @lru_cache(maxsize=4)
@@ -249,11 +267,14 @@ def shuffle_conditions(values: NDArray[Any]) -> ExactTest:
     order = np.lexsort(np.moveaxis(rows.reshape(-1, n, k * n_values), -1, 0))  # independent of participant order
     rows = np.take_along_axis(rows, order[..., np.newaxis, np.newaxis], axis=1)
     observed = (rows.sum(axis=1, dtype=float) ** 2).sum(axis=(-2, -1))
-    flat, reached = np.moveaxis(rows, -1, 1).reshape(-1, n * k), np.zeros(len(rows))
+    flat, total = np.moveaxis(rows, -1, 1).reshape(-1, n * k), rows.sum(axis=(1, 2), dtype=float)[..., np.newaxis]
+    least, reached = (observed - 1e-9 * np.maximum(observed, 1.0))[:, np.newaxis], np.zeros(len(rows))
     for shuffles in _shuffles(n, k, 1_000_000 // (k * max(len(flat), n * k))):
-        sums = (flat @ shuffles).astype(float).reshape(len(rows), n_values, -1, k)
-        least = observed - 1e-9 * np.maximum(observed, 1.0)  # tolerance for rounding
-        reached += ((sums**2).sum(axis=(1, 3)) >= least[:, np.newaxis]).sum(axis=-1)
+        sums = np.tensordot(flat, shuffles.astype(rows.dtype), 1).astype(float)
+        sums = sums.reshape(len(rows), n_values, *shuffles.shape[1:])
+        last = total - sums.sum(axis=2)
+        statistic = np.einsum("tvks,tvks->ts", sums, sums) + np.einsum("tvs,tvs->ts", last, last)
+        reached += (statistic >= least).sum(axis=-1)
     # Relabelling the conditions for all participants leaves the statistic unchanged, so the most extreme arrangement is
     # reached in at least as many ways as the participant with the most distinct arrangements has.
     alike = (rows[:, :, :, np.newaxis] == rows[:, :, np.newaxis]).all(axis=-1)
@@ -263,15 +284,17 @@ def shuffle_conditions(values: NDArray[Any]) -> ExactTest:
     return ExactTest(*(each.reshape(shape)[()] for each in (observed, p, p_min, (ways > 1e-9).sum(axis=-1))))
 
 
-def _shuffles(n: int, k: int, at_once: int) -> Iterator[NDArray[np.float32]]:
-    """Yield batches of permutations within n participants, as matrices that map values to their sums by condition."""
+def _shuffles(n: int, k: int, at_once: int) -> Iterator[NDArray[np.bool_]]:
+    """Yield batches of permutations within n participants, as tables that map values to their sums by condition.
+
+    They are (n * k, k - 1, n_permutations) arrays; the last condition is left out.
+    """
     rng = np.random.default_rng(1)
     for start in range(0, _SHUFFLES, max(at_once, 1)):
         size = min(max(at_once, 1), _SHUFFLES - start)
-        places = rng.permuted(np.broadcast_to(np.arange(k), (size, n, k)), axis=2)
-        picked = np.zeros((n, k, size, k), dtype=np.float32)
-        picked[np.arange(n)[:, np.newaxis], places, np.arange(size)[:, np.newaxis, np.newaxis], np.arange(k)] = 1
-        yield picked.reshape(n * k, size * k)
+        places = rng.permuted(np.broadcast_to(np.arange(k, dtype=np.uint8), (size, n, k)), axis=2)
+        picked = places[..., :-1].transpose(1, 2, 0)[:, np.newaxis] == np.arange(k)[:, np.newaxis, np.newaxis]
+        yield picked.reshape(n * k, k - 1, size)
 
 
 def friedman(rows: FloatArray) -> tuple[ExactTest, Any]:
