@@ -19,12 +19,12 @@ from itertools import combinations, product
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from modaltouch.analysis.contrasts import Shares, mean_of_known
+from modaltouch.analysis.contrasts import Shares
 from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.exact import sign_flip_test
 from modaltouch.analysis.findings import ALPHA, Finding, finding_of
 from modaltouch.analysis.intervals import CONFIDENCE, BoundedMean, Interval, clopper_pearson, matched_odds_ratio
-from modaltouch.analysis.sums import FloatArray, IntArray
+from modaltouch.analysis.sums import FloatArray, IntArray, distinct_rows
 
 AGREEMENT = "agreement between participants"
 SHARE = "share of answers over levels, interval of a bounded mean over participants"
@@ -106,8 +106,9 @@ def _paired_cells(answers: AnswerCounts) -> Iterator[Finding]:
 
 def shows_dominance(first: IntArray, second: IntArray) -> NDArray[np.bool_]:
     """Return which participants choose the first zone significantly more often, by a sign test of their answers."""
-    pairs, which = np.unique(np.stack([first, second], axis=-1).reshape(-1, 2), axis=0, return_inverse=True)
-    own = [a > b and bool(sign_flip_test([1] * a + [-1] * b).p <= ALPHA) for a, b in pairs.tolist()]
+    pairs = np.stack([first, second], axis=-1).reshape(-1, 2)
+    some, which = distinct_rows(pairs)
+    own = [a > b and bool(sign_flip_test([1] * a + [-1] * b).p <= ALPHA) for a, b in pairs[some].tolist()]
     return np.array(own)[which].reshape(first.shape)
 
 
@@ -184,16 +185,19 @@ def agreement_between(answers: ArrayLike, weights: ArrayLike) -> tuple[FloatArra
     table, weight = np.asarray(answers, dtype=float), np.asarray(weights, dtype=float)
     n_given = table.sum(axis=-1, keepdims=True)
     shares, known = table / np.maximum(n_given, 1), (n_given[..., 0] > 0).astype(float)
-    flat = shares.reshape(*shares.shape[:-2], -1)
-    chosen = (weight @ flat).reshape(*flat.shape[:-2], len(weight), *shares.shape[-2:])
-    total, own = weight @ known, weight**2 @ known
-    same = np.einsum("...k,...k->...", chosen, chosen) - weight**2 @ (shares**2).sum(axis=-1)
-    pairs, mass = total**2 - own, np.maximum(total, 1e-300)[..., np.newaxis]
-    alike = np.divide(same, pairs, out=np.full(same.shape, math.nan), where=pairs > 1e-12)
-    agreement = mean_of_known(alike)
-    rated = np.where((total > 0)[..., np.newaxis], chosen / mass, math.nan)
-    popular = mean_of_known(np.moveaxis(rated, -2, -1))
-    chance = np.einsum("...k,...k->...", popular, 1 - popular) / (table.shape[-1] - 1)
+    # Weightings are on the last axis, since all sums have few terms.
+    chosen = np.tensordot(shares, weight, (-3, -1))
+    total, own = np.tensordot(known, weight, (-2, -1)), np.tensordot(known, weight**2, (-2, -1))
+    same = np.einsum("...ikw,...ikw->...iw", chosen, chosen)
+    same -= np.tensordot((shares**2).sum(axis=-1), weight**2, (-2, -1))
+    pairs = total**2 - own
+    is_rated = pairs > 1e-12
+    n_rated, n_known = is_rated.sum(axis=-2), (total > 0).sum(axis=-2, keepdims=True)
+    alike = np.divide(same, pairs, out=np.zeros(same.shape), where=is_rated).sum(axis=-2)
+    agreement = np.divide(alike, n_rated, out=np.full(alike.shape, math.nan), where=n_rated > 0)
+    each = np.divide(1.0, total, out=np.zeros(total.shape), where=total > 0)
+    popular = np.einsum("...ikw,...iw->...kw", chosen, each) / np.maximum(n_known, 1)
+    chance = (popular * (1 - popular)).sum(axis=-2) / (table.shape[-1] - 1)
     return agreement, (agreement - chance) / (1 - chance)
 
 

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from modaltouch.analysis.sums import LEAST_P, FloatArray, IntArray, Law, Sums
+from modaltouch.analysis.sums import LEAST_P, FloatArray, IntArray, Law, Sums, distinct_rows
 
 # Maximum number of participants for which p is rounded to its exact steps.
 _EXACT_UP_TO = 40
@@ -288,8 +288,9 @@ def trend_test(chosen: ArrayLike, levels: Sequence[float], n_repetitions: ArrayL
         raise ValueError(f"chosen runs from {counts.min()} to {counts.max()}, allowed: 0 to {answered.max()}")
     if counts.size and answered.sum(axis=-1).max() > MOST_EXACT:
         return _normal_trend(counts, answered, scores)
-    patterns, which = np.unique(answered.reshape(-1, len(scores)), axis=0, return_inverse=True)
-    which, totals = which.reshape(counts.shape[:-1]), counts.sum(axis=-1)
+    rows, totals = answered.reshape(-1, len(scores)), counts.sum(axis=-1)
+    first, inverse = distinct_rows(rows)
+    patterns, which = rows[first], inverse.reshape(counts.shape[:-1])
     scale = int(np.lcm.reduce(np.maximum(patterns.sum(axis=1), 1)))
     laws: list[Law] = []
     means: list[int] = []

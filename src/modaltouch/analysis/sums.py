@@ -110,7 +110,7 @@ class Sums:
         """Approximate `tails` to within 1e-13, clipped at `LEAST_P`, for thousands of sums."""
         if not distance.any():
             return np.ones(len(distance))
-        first, inverse = _different_rows(self.counts, distance)
+        first, inverse = distinct_rows(np.column_stack([self.counts, distance]))
         some = Sums(self.laws, self.means, self.scale, self.counts[first])
         return np.asarray(some._transformed(distance[first])[inverse])
 
@@ -144,15 +144,21 @@ class Sums:
         return np.where(distance == 0, 1.0, np.clip(p, LEAST_P, 1.0))
 
 
-def _different_rows(counts: IntArray, distance: IntArray) -> tuple[IntArray, IntArray]:
-    """Return the indices of unique tests, and the inverse indices; all tests if rows do not fit into an integer key."""
-    n_participants, farthest = int(counts.sum(axis=1).max()), int(distance.max())
-    if counts.shape[1] * np.log2(n_participants + 1) + np.log2(farthest + 1) >= 62:
-        every = np.arange(len(counts))
-        return every, every
-    code = distance.copy()
-    for column in counts.T:
-        code = code * (n_participants + 1) + column
+def distinct_rows(table: IntArray) -> tuple[IntArray, IntArray]:
+    """Return the index of each distinct row, in lexicographic order, and the inverse indices.
+
+    Parameters
+    ----------
+    table : (n_rows, n_columns) array of int
+        Values from 0.
+    """
+    code, size = np.zeros(len(table), dtype=np.int64), 1
+    for column in table.T:
+        n_values = int(column.max(initial=0)) + 1
+        if size * n_values >= 2**62:
+            known, code = np.unique(code, return_inverse=True)
+            size = known.size
+        code, size = code * n_values + column, size * n_values
     _, first, inverse = np.unique(code, return_index=True, return_inverse=True)
     return first, inverse
 
