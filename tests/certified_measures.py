@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from itertools import islice
 
@@ -148,8 +148,7 @@ def _of_tests(task: Task, rng: np.random.Generator, shape: tuple[int, int]) -> E
     yield "group", shuffle_test(skewed[:, :half], skewed[:, half:]).p <= ALPHA * TIES
     ratings = np.sort(rng.integers(1, 8, (*shape, 4)), axis=-1)
     rated = rng.permuted(ratings + rng.normal(0, 0.3, ratings.shape).round(), axis=-1)
-    parts = (friedman(rated[start : start + 200])[0].p for start in range(0, len(rated), 200))
-    yield "friedman", np.concatenate([*parts]) <= ALPHA * TIES
+    yield "friedman", friedman(rated)[0].p <= ALPHA * TIES
 
 
 def _of_sensitivity(task: Task, rng: np.random.Generator, shape: tuple[int, int]) -> Errors:
@@ -251,22 +250,9 @@ def _felt(task: Task, rng: np.random.Generator, own: np.ndarray, spread: np.ndar
     false = rng.binomial(n, guess)
     rising = ndtr((FIXED_DB - own[:, None]) / spread[:, None])
     hits = rng.binomial(task.tries, guess[:, None] + (1 - guess[:, None] - task.lapse) * rising).astype(float)
-    parts = {
-        k: fit_counts(
-            FIXED_DB, hits[false == k], np.full_like(hits[false == k], task.tries), guess_rate=0.0,
-            most_lapse=MOST_LAPSE, n_catch=n, n_false=k,
-        )
-        for k in np.unique(false).tolist()
-    }  # fmt: skip
-    order = np.argsort(np.concatenate([np.flatnonzero(false == k) for k in parts]))
-
-    def joined(values):
-        return np.concatenate(list(values))[order]
-
-    bounds = (joined(getattr(part.threshold, name) for part in parts.values()) for name in ("estimate", "low", "high"))
-    first = next(iter(parts.values()))
-    return replace(first, threshold=Interval(*bounds, own.size),
-                   is_determined=joined(part.is_determined for part in parts.values()))  # fmt: skip
+    return fit_counts(
+        FIXED_DB, hits, np.full_like(hits, task.tries), guess_rate=0.0, most_lapse=MOST_LAPSE, n_catch=n, n_false=false
+    )
 
 
 def _of_exponents_compared(rng: np.random.Generator, shape: tuple[int, int]) -> Errors:
@@ -354,16 +340,18 @@ def _of_groups_together(task: Task, rng: np.random.Generator, shape: tuple[int, 
     """Yield the joint test of three unordered answers between two groups that do not differ."""
     shares = rng.multinomial(task.signals, rng.dirichlet((1.0, 2.0, 0.5), shape)) / task.signals
     half = shape[1] // 2
-    p = [shuffle_together(each[:half], each[half:]).p for each in shares]
-    yield "group together", np.array(p) <= ALPHA * TIES
+    yield "group together", shuffle_together(shares[:, :half], shares[:, half:]).p <= ALPHA * TIES
 
 
 def _each(model, rng, task, chances):
     """Return the estimates of a model for each of some people, whose counts are drawn."""
-    counts = list(zip(*(rng.binomial(n, chance).tolist() for n, chance in zip(
-        (task.signals, task.noises), chances, strict=True)), strict=True))  # fmt: skip
-    told = {pair: model((pair[0], task.signals), (pair[1], task.noises)) for pair in set(counts)}
-    return [told[pair] for pair in counts]
+    counts = (rng.binomial(n, chance).tolist() for n, chance in zip((task.signals, task.noises), chances, strict=True))
+    return [_told(model, (hits, task.signals), (alarms, task.noises)) for hits, alarms in zip(*counts, strict=True)]
+
+
+@lru_cache(maxsize=20_000)
+def _told(model, signal, noise):
+    return model(signal, noise)
 
 
 def _of_fixed_levels(task: Task, rng: np.random.Generator, shape: tuple[int, int]) -> Errors:
