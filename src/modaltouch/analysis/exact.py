@@ -89,11 +89,12 @@ def _sum_test(sums: Sums, observed: ArrayLike) -> ExactTest:
     )
 
 
-def _count_each(values: IntArray, kinds: ArrayLike) -> IntArray:
-    """Count the participants with each of some values, test by test: an array of shape (n_tests, n_kinds)."""
-    rows = values.reshape(math.prod(values.shape[:-1]), values.shape[-1])
-    counts = [(rows == kind).sum(axis=1) for kind in np.asarray(kinds).tolist()]
-    return np.stack(counts, axis=1) if counts else np.zeros((len(rows), 0), dtype=np.int64)
+def _count_each(places: IntArray, n_kinds: int) -> IntArray:
+    """Count the participants of each kind, test by test, (n_tests, n_kinds) array; those of kind -1 are left out."""
+    rows = places.reshape(math.prod(places.shape[:-1]), places.shape[-1])
+    counts = np.zeros((len(rows), n_kinds + 1), dtype=np.int64)
+    np.add.at(counts, (np.arange(len(rows))[:, np.newaxis], rows), 1)
+    return counts[:, :-1]
 
 
 def sign_flip_test(scores: ArrayLike) -> ExactTest:
@@ -113,11 +114,11 @@ def sign_flip_test(scores: ArrayLike) -> ExactTest:
     """
     values = _whole_numbers(scores, "scores")
     sizes = np.abs(values)
-    kinds = np.unique(sizes)
-    kinds = kinds[kinds > 0]
+    kinds, places = np.unique(np.append(sizes, 0), return_inverse=True)
     coin = np.array([0.5, 0.5])
-    laws = [(np.array([-size, size]), coin) for size in kinds]
-    sums = Sums(laws, np.zeros(len(laws), dtype=np.int64), 1, _count_each(sizes, kinds))
+    laws = [(np.array([-size, size]), coin) for size in kinds[1:]]
+    counts = _count_each(places[:-1].reshape(sizes.shape) - 1, len(laws))
+    sums = Sums(laws, np.zeros(len(laws), dtype=np.int64), 1, counts)
     test = _sum_test(sums, values.sum(axis=-1))
     return ExactTest(test.statistic, lambda: test.p, lambda: test.p_min, test.n_informative, lambda: _stepped(test))
 
@@ -294,17 +295,15 @@ def trend_test(chosen: ArrayLike, levels: Sequence[float], n_repetitions: ArrayL
     scale = int(np.lcm.reduce(np.maximum(patterns.sum(axis=1), 1)))
     laws: list[Law] = []
     means: list[int] = []
-    columns, observed = [], np.zeros(counts.shape[:-2], dtype=np.int64)
+    law = np.full(totals.shape, -1)
     for place, pattern in enumerate(patterns):
         own = _draws_without_replacement(scores, pattern)[1:-1] if (scores * (pattern > 0)).any() else []
-        drawn = np.arange(1, len(own) + 1)
-        here = np.where(which == place, totals, 0)
-        moving = (here > 0) & (here <= len(own))
-        observed = observed + np.where(moving, counts @ scores, 0).sum(axis=-1)
+        moving = (which == place) & (totals > 0) & (totals <= len(own))
+        law[moving] = len(laws) + totals[moving] - 1
         laws += own
-        means += [scale // (len(own) + 1) * k * int(pattern @ scores) for k in drawn.tolist()]
-        columns.append(_count_each(here, drawn))
-    return _sum_test(Sums(laws, np.array(means, dtype=np.int64), scale, np.concatenate(columns, axis=1)), observed)
+        means += [scale // (len(own) + 1) * k * int(pattern @ scores) for k in range(1, len(own) + 1)]
+    observed = np.where(law >= 0, counts @ scores, 0).sum(axis=-1)
+    return _sum_test(Sums(laws, np.array(means, dtype=np.int64), scale, _count_each(law, len(laws))), observed)
 
 
 def _normal_trend(counts: IntArray, answered: IntArray, scores: IntArray) -> ExactTest:

@@ -115,6 +115,8 @@ class Sums:
         return np.asarray(some._transformed(distance[first])[inverse])
 
     def _transformed(self, distance: IntArray) -> FloatArray:
+        from scipy.sparse import csr_array
+
         # Count in steps from the lowest value, so that a sum has values from 0 to width.
         unit = int(np.gcd.reduce(np.concatenate([values - values[0] for values, _ in self.laws])))
         width = (self.highest - self.lowest) // unit
@@ -131,10 +133,10 @@ class Sums:
         log_size, turn = np.log(np.maximum(np.abs(waves), 1e-300)), -np.angle(waves)
 
         def between(rows: slice) -> FloatArray:
-            counts, n_values = self.counts[rows].astype(float), last[rows] - first[rows] + 1
-            # einsum runs in a single thread, so that its rounding is reproducible.
-            phase = np.einsum("ts,sk->tk", counts, turn) - (first[rows] + last[rows])[:, None] * angles
-            product = np.exp(np.einsum("ts,sk->tk", counts, log_size)) * np.cos(phase)
+            # The product of a sparse matrix runs in a single thread, so that its rounding is reproducible.
+            counts, n_values = csr_array(self.counts[rows].astype(float)), last[rows] - first[rows] + 1
+            phase = counts @ turn - (first[rows] + last[rows])[:, None] * angles
+            product = np.exp(counts @ log_size) * np.cos(phase)
             sine = sines[(n_values[:, None] * place) % (2 * period)]
             inner = np.einsum("tk,tk,k->t", product, sine, 1 / np.sin(angles))
             return np.asarray((n_values + 2 * inner) / period)
