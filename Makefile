@@ -149,7 +149,7 @@ soak-calibration: install
 	  $(PYTHON) -m pytest --timeout 600 tests/lab/calibration/test_through_the_driver.py tests/lab/calibration/test_seeded_beams.py
 	$(PYTHON) tests/lab/intervals.py --twins 200 --out results/benchmarks/intervals.json
 
-## certify: error rate of each test and interval of the report in 210 populations; results in results/benchmarks; half an hour on two cores
+## certify: error rate of each test and interval of the report in 210 populations; results in results/benchmarks; within half an hour on two cores
 .PHONY: certify
 certify: install
 	$(PYTHON) tests/certify.py

@@ -24,7 +24,7 @@ from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.exact import sign_flip_test
 from modaltouch.analysis.findings import ALPHA, Finding, finding_of
 from modaltouch.analysis.intervals import CONFIDENCE, BoundedMean, Interval, clopper_pearson, matched_odds_ratio
-from modaltouch.analysis.sums import FloatArray, IntArray, distinct_rows
+from modaltouch.analysis.sums import FloatArray, IntArray
 
 AGREEMENT = "agreement between participants"
 SHARE = "share of answers over levels, interval of a bounded mean over participants"
@@ -106,9 +106,8 @@ def _paired_cells(answers: AnswerCounts) -> Iterator[Finding]:
 
 def shows_dominance(first: IntArray, second: IntArray) -> NDArray[np.bool_]:
     """Return which participants choose the first zone significantly more often, by a sign test of their answers."""
-    pairs = np.stack([first, second], axis=-1).reshape(-1, 2)
-    some, which = distinct_rows(pairs)
-    own = [a > b and bool(sign_flip_test([1] * a + [-1] * b).p <= ALPHA) for a, b in pairs[some].tolist()]
+    pairs, which = np.unique(np.stack([first, second], axis=-1).reshape(-1, 2), axis=0, return_inverse=True)
+    own = [a > b and bool(sign_flip_test([1] * a + [-1] * b).p <= ALPHA) for a, b in pairs.tolist()]
     return np.array(own)[which].reshape(first.shape)
 
 
@@ -188,12 +187,10 @@ def agreement_between(answers: ArrayLike, weights: ArrayLike) -> tuple[FloatArra
     # Weightings are on the last axis, since all sums have few terms.
     chosen = np.tensordot(shares, weight, (-3, -1))
     total, own = np.tensordot(known, weight, (-2, -1)), np.tensordot(known, weight**2, (-2, -1))
-    same = np.einsum("...ikw,...ikw->...iw", chosen, chosen)
-    same -= np.tensordot((shares**2).sum(axis=-1), weight**2, (-2, -1))
-    pairs = total**2 - own
-    is_rated = pairs > 1e-12
-    n_rated, n_known = is_rated.sum(axis=-2), (total > 0).sum(axis=-2, keepdims=True)
-    alike = np.divide(same, pairs, out=np.zeros(same.shape), where=is_rated).sum(axis=-2)
+    squares = np.tensordot((shares**2).sum(axis=-1), weight**2, (-2, -1))
+    same, pairs = np.einsum("...ikw,...ikw->...iw", chosen, chosen) - squares, total**2 - own
+    alike = np.divide(same, pairs, out=np.zeros(same.shape), where=pairs > 1e-12).sum(axis=-2)
+    n_rated, n_known = (pairs > 1e-12).sum(axis=-2), (total > 0).sum(axis=-2, keepdims=True)
     agreement = np.divide(alike, n_rated, out=np.full(alike.shape, math.nan), where=n_rated > 0)
     each = np.divide(1.0, total, out=np.zeros(total.shape), where=total > 0)
     popular = np.einsum("...ikw,...iw->...kw", chosen, each) / np.maximum(n_known, 1)

@@ -113,11 +113,10 @@ def sign_flip_test(scores: ArrayLike) -> ExactTest:
     True
     """
     values = _whole_numbers(scores, "scores")
-    sizes = np.abs(values)
-    kinds, places = np.unique(np.append(sizes, 0), return_inverse=True)
+    kinds, places = np.unique(np.append(np.abs(values), 0), return_inverse=True)
     coin = np.array([0.5, 0.5])
     laws = [(np.array([-size, size]), coin) for size in kinds[1:]]
-    counts = _count_each(places[:-1].reshape(sizes.shape) - 1, len(laws))
+    counts = _count_each(places[:-1].reshape(values.shape) - 1, len(laws))
     sums = Sums(laws, np.zeros(len(laws), dtype=np.int64), 1, counts)
     test = _sum_test(sums, values.sum(axis=-1))
     return ExactTest(test.statistic, lambda: test.p, lambda: test.p_min, test.n_informative, lambda: _stepped(test))
@@ -187,8 +186,7 @@ def multinomial_test(counts: ArrayLike) -> ExactTest:
         else:
             chances = sum((value >= least[:, np.newaxis]) @ mass for value, mass in _weighed_outcomes(n, k))
         p[here], p_min[here] = chances[:-1], chances[-1]
-    shape = observed.shape[:-1]
-    found: list[Any] = [each.reshape(shape)[()] for each in (statistic, p, p_min, totals)]
+    found: list[Any] = [each.reshape(observed.shape[:-1])[()] for each in (statistic, p, p_min, totals)]
     return ExactTest(*found)
 
 

@@ -184,8 +184,9 @@ def shuffle_together(first: FloatArray, second: FloatArray) -> ExactTest:
     size, mean = values.shape[-1], values.mean(axis=-1, keepdims=True)
     rows = np.divide(values, np.sqrt(mean), out=np.zeros(values.shape), where=mean > 0)
     observed = ((rows[..., :n].mean(axis=-1) - rows[..., n:].mean(axis=-1)) ** 2).sum(axis=-1)
-    tails = _tails(rows.reshape(-1, *rows.shape[-2:]), n, lambda each: np.einsum("tvs,tvs->ts", each, each))
-    p, p_min = tails.reshape(2, *observed.shape)
+    p, p_min = _tails(rows.reshape(-1, *rows.shape[-2:]), n, lambda each: np.einsum("tvs,tvs->ts", each, each)).reshape(
+        2, *observed.shape
+    )
     return ExactTest(observed, p, p_min, np.where((np.ptp(values, axis=-1) > 0).any(axis=-1), size, 0))
 
 
@@ -270,8 +271,11 @@ def shuffle_conditions(values: NDArray[Any]) -> ExactTest:
     flat, total = np.moveaxis(rows, -1, 1).reshape(-1, n * k), rows.sum(axis=(1, 2), dtype=float)[..., np.newaxis]
     least, reached = (observed - 1e-9 * np.maximum(observed, 1.0))[:, np.newaxis], np.zeros(len(rows))
     for shuffles in _shuffles(n, k, 1_000_000 // (k * max(len(flat), n * k))):
-        sums = np.tensordot(flat, shuffles.astype(rows.dtype), 1).astype(float)
-        sums = sums.reshape(len(rows), n_values, *shuffles.shape[1:])
+        sums = (
+            np.tensordot(flat, shuffles.astype(rows.dtype), 1)
+            .reshape(len(rows), n_values, *shuffles.shape[1:])
+            .astype(float)
+        )
         last = total - sums.sum(axis=2)
         statistic = np.einsum("tvks,tvks->ts", sums, sums) + np.einsum("tvs,tvs->ts", last, last)
         reached += (statistic >= least).sum(axis=-1)

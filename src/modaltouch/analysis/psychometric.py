@@ -219,14 +219,16 @@ def fit_counts(
     lapses = np.linspace(0.0, most_lapse, 4) if most_lapse else np.zeros(1)
     p = np.clip(guesses, _LEAST, 1 - _LEAST)[:, None]
     of_catches = np.broadcast_to(n_false * np.log(p) + (n_catch - n_false) * np.log1p(-p), (guesses.size, len(hits)))
-    by_threshold, by_spread, asymptotes = _profiles(levels, hits, tries, thresholds, lapses, guesses, of_catches)
+    lowest = np.where(tries > 0, levels, np.inf).min(axis=-1)
+    highest = np.where(tries > 0, levels, -np.inf).max(axis=-1)
+    by_threshold, by_spread, asymptotes = _profiles(
+        levels, hits, tries, (lowest, highest), thresholds, lapses, guesses, of_catches[..., None]
+    )
     best = asymptotes.max(axis=(0, 2))
     n_hits, n = hits.sum(axis=-1), tries.sum(axis=-1)
     flat = _log_constant(n_hits, n) + _log_constant(np.asarray(n_false, dtype=float), np.array(float(n_catch)))
     known = 0.0 if flat_rate is None else flat - n_hits * math.log(flat_rate) - (n - n_hits) * math.log1p(-flat_rate)
     threshold, spread = _located(thresholds, by_threshold), _located(_SPREADS, by_spread)
-    lowest = np.where(tries > 0, levels, np.inf).min(axis=-1)
-    highest = np.where(tries > 0, levels, -np.inf).max(axis=-1)
     is_within = (lowest <= threshold.estimate) & (threshold.estimate <= highest)
     settled = best - flat + known
     return Fits(
@@ -245,6 +247,7 @@ def _profiles(
     levels: FloatArray,
     hits: FloatArray,
     tries: FloatArray,
+    ends: tuple[FloatArray, FloatArray],
     thresholds: FloatArray,
     lapses: FloatArray,
     guesses: FloatArray,
@@ -252,18 +255,17 @@ def _profiles(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the profile log likelihoods of threshold and spread by run, and of both asymptotes by guess rate and run.
 
-    The log likelihoods `of_catches` of the catch trials, by guess rate and run, are included.
+    The `ends` are the lowest and highest level of each run. The log likelihoods `of_catches` of the catch trials,
+    (n_guesses, n_runs, 1), are included.
     """
     from scipy.special import ndtr
 
     rising = ndtr((levels[:, None, None] - thresholds) / _SPREADS[:, None]).reshape(levels.size, -1)
     # Restrict the threshold of a run to the vicinity of its levels.
-    lowest, highest = (np.where(tries > 0, levels, end) for end in (np.inf, -np.inf))
-    outside = thresholds < lowest.min(axis=-1)[:, None] - BEYOND - STEP / 4
-    outside |= thresholds > highest.max(axis=-1)[:, None] + BEYOND + STEP / 2
+    lowest, highest = (end[:, None] for end in ends)
+    outside = (thresholds < lowest - BEYOND - STEP / 4) | (thresholds > highest + BEYOND + STEP / 2)
     misses = tries - hits
-    by_threshold = np.full((len(hits), thresholds.size), -np.inf)
-    by_spread = np.full((len(hits), _SPREADS.size), -np.inf)
+    by_threshold, by_spread = (np.full((len(hits), each.size), -np.inf) for each in (thresholds, _SPREADS))
     asymptotes = np.empty((guesses.size, len(hits), lapses.size))
     step = max(1, _AT_ONCE // rising[0].size)
     for (i, guess), (j, lapse) in product(enumerate(guesses), enumerate(lapses)):
@@ -273,9 +275,8 @@ def _profiles(
             found = (hits[some] @ of_hit + misses[some] @ of_miss).reshape(-1, _SPREADS.size, thresholds.size)
             if outside[some].any():
                 np.copyto(found, -np.inf, where=outside[some, None])
-            added = of_catches[i, some, None]
-            of_spreads = found.max(axis=2) + added
-            np.maximum(by_threshold[some], found.max(axis=1) + added, out=by_threshold[some])
+            of_spreads = found.max(axis=2) + of_catches[i, some]
+            np.maximum(by_threshold[some], found.max(axis=1) + of_catches[i, some], out=by_threshold[some])
             np.maximum(by_spread[some], of_spreads, out=by_spread[some])
             asymptotes[i, some, j] = of_spreads.max(axis=1)
     return by_threshold, by_spread, asymptotes
