@@ -8,7 +8,7 @@ import json
 import math
 import re
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -240,18 +240,7 @@ class Schedule:
         """
         decided = given or Turn.of(participant, seed, session, protocol.groups)
         finger_conditions, placement = decided.order(protocol)
-        blocks: list[Block] = []
         chance = partial(Stream, seed, participant, session)
-        for number, name in enumerate(finger_conditions, start=1):
-            cells = order_cells(protocol, name, decided.number, chance(_ORDER + name), effort, algorithm)
-            if protocol.schedule.catch_trials:
-                from modaltouch.protocol.catch_trials import insert_catches
-
-                cells = insert_catches(protocol, cells, chance(_CATCHES + name))
-            conditions = _place(name, cells, placement)
-            first = sum(len(block.trials) for block in blocks) + 1
-            trials = _number(protocol, conditions, chance(_INTERVALS + name), block=number, first=first)
-            blocks.append(Block(number, name, trials))
         practised = _place(
             finger_conditions[0], _draw_practice(protocol, finger_conditions[0], chance("practice")), placement
         )
@@ -260,7 +249,7 @@ class Schedule:
             session=session,
             seed=seed,
             practice=_number(protocol, practised, chance(_INTERVALS + "practice"), block=0, first=1),
-            blocks=tuple(blocks),
+            blocks=_draw_blocks(protocol, decided, chance, effort, algorithm),
             is_adaptive=protocol.adaptive is not None,
             finger_conditions_by=decided.reason if len(_orders_of_finger_conditions(protocol)) > 1 else "protocol",
             turn=given,
@@ -350,6 +339,25 @@ def _place(finger_condition: str, cells: Iterable[Cell], placement: Placement) -
     """Return the conditions of cells in a placement; left and right are exchanged on a beam turned end to end."""
     way = -1 if placement.startswith("mirrored") else 1
     return [Condition.on(zones[::way], finger_condition, level, placement, name) for zones, level, name in cells]
+
+
+def _draw_blocks(
+    protocol: Protocol, turn: Turn, chance: Callable[[str], Stream], effort: float, algorithm: str
+) -> tuple[Block, ...]:
+    """Draw the blocks of a session, in the order of finger conditions of the turn."""
+    finger_conditions, placement = turn.order(protocol)
+    blocks: list[Block] = []
+    for number, name in enumerate(finger_conditions, start=1):
+        cells = order_cells(protocol, name, turn.number, chance(_ORDER + name), effort, algorithm)
+        if protocol.schedule.catch_trials:
+            from modaltouch.protocol.catch_trials import insert_catches
+
+            cells = insert_catches(protocol, cells, chance(_CATCHES + name))
+        conditions = _place(name, cells, placement)
+        first = sum(len(block.trials) for block in blocks) + 1
+        trials = _number(protocol, conditions, chance(_INTERVALS + name), block=number, first=first)
+        blocks.append(Block(number, name, trials))
+    return tuple(blocks)
 
 
 def _draw_practice(protocol: Protocol, finger_condition: str, stream: Stream) -> list[Cell]:

@@ -188,6 +188,14 @@ def part_of(
     if n_double:
         words = "were left out: double impacts, or cut off by the end of the record"
         marks.append(f"{n_double} of {n_hits} hits of {path.name} {words}")
+    axis, responses = _on_one_axis(path, found)
+    return Part(axis, responses, quantity, tuple(dict.fromkeys(marks)), per)
+
+
+def _on_one_axis(
+    path: Path, found: Sequence[tuple[Key, FloatArray, ComplexArray, FloatArray | None]]
+) -> tuple[FloatArray, list[MeasuredResponse]]:
+    """Return the frequencies up to the highest that all responses have [Hz], and the responses at these."""
     n_bins = min(frequency.size for _, frequency, _, _ in found)
     axis = found[0][1][:n_bins]  # spectra of equal records differ in how far their drive reaches
     if not all(np.allclose(frequency[:n_bins], axis) for _, frequency, _, _ in found):
@@ -195,10 +203,9 @@ def part_of(
             f"{path}: its records differ in length or sampling rate, or not all of them end at rest; export them all "
             "the same way"
         )
-    responses = [
+    return axis, [
         MeasuredResponse(key, values[:n_bins], None if c is None else c[:n_bins]) for key, _, values, c in found
     ]
-    return Part(axis, responses, quantity, tuple(dict.fromkeys(marks)), per)
 
 
 def _spoilt(name: str, drive: FloatArray, motion: FloatArray) -> list[str]:
