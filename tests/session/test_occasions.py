@@ -250,7 +250,7 @@ def test_a_given_group_is_kept(preflight: Preflight, tmp_path: Path) -> None:
 
 def test_power_refuses_a_design_of_listed_cells(preflight: Preflight) -> None:
     """An observer's design has every pair at every level."""
-    with pytest.raises(InputError, match="given cells that are listed or left out"):
+    with pytest.raises(InputError, match="given cells that are not every pair at every level equally often"):
         designs_for(preflight, Observer.read("paper"))
 
 
