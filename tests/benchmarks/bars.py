@@ -13,24 +13,16 @@ from typing import Any
 RESULTS = Path(__file__).resolve().parents[2] / "results" / "benchmarks"
 
 
-def at_least(what: str, measured: float, bar: float, unit: str = "times") -> dict[str, Any]:
-    """Return the promise that a figure reaches a bar."""
-    return {
-        "what": f"{what} [{unit or 1}], at least",
-        "bar": bar,
-        "measured": float(measured),
-        "met": bool(measured >= bar),
-    }
+def at_least(what: str, measured: float, bar: float, unit: str = "x") -> dict[str, Any]:
+    """Return the promise that a figure reaches a bar; a ratio has the unit `x`."""
+    met = bool(measured >= bar)
+    return {"what": what, "unit": unit, "measured": float(measured), "allowed": "at least", "bar": bar, "met": met}
 
 
-def at_most(what: str, measured: float, bar: float, unit: str = "times") -> dict[str, Any]:
-    """Return the promise that a figure does not exceed a bar."""
-    return {
-        "what": f"{what} [{unit or 1}], at most",
-        "bar": bar,
-        "measured": float(measured),
-        "met": bool(measured <= bar),
-    }
+def at_most(what: str, measured: float, bar: float, unit: str = "x") -> dict[str, Any]:
+    """Return the promise that a figure does not exceed a bar; a ratio has the unit `x`."""
+    met = bool(measured <= bar)
+    return {"what": what, "unit": unit, "measured": float(measured), "allowed": "at most", "bar": bar, "met": met}
 
 
 def machine() -> dict[str, Any]:
@@ -73,7 +65,8 @@ def show(bars: list[dict[str, Any]]) -> None:
     """Print one promise per line: whether it is met, the measured value, the bar and the subject."""
     for each in bars:
         verdict = "met    " if each["met"] else "NOT MET"
-        print(f"  {verdict} {each['measured']:10.3g} {each['bar']:>10}  {each['what']}")
+        figures = f"{each['measured']:.3g} ({each['allowed']} {each['bar']:.4g}) {each['unit']}"
+        print(f"  {verdict} {figures:34} {each['what']}")
 
 
 def main() -> int:
@@ -82,7 +75,7 @@ def main() -> int:
     for path in sorted(RESULTS.glob("*.json")):
         bars = json.loads(path.read_text(encoding="utf-8")).get("bars", [])
         if isinstance(bars, list) and bars:
-            print(f"{path.name}: {'':{max(0, 18 - len(path.name))}}measured and bar")
+            print(path.name)
             show(bars)
             unmet += sum(not each["met"] for each in bars)
     print(f"{unmet} not met" if unmet else "all met")

@@ -109,21 +109,21 @@ def main() -> int:
             best[name] = min(run(arguments)[0] for arguments in again)
     times = {name: value / best["import_numpy"] for name, value in best.items()}
     bars = [
-        at_most("modaltouch --help: times import numpy", times["help"], 1.5),
-        at_most("modaltouch check --help: times import numpy", times["check_help"], 1.5),
-        at_most("check of a file that is not there: times import numpy", times["check_of_no_file"], 1.5),
-        at_most("analyse of a file that is not there: times import numpy", times["analyse_of_no_file"], 1.5),
-        at_most("check of the paper's protocol: times import numpy", times["check"], 4),
-        at_most("analyse of ten participants: times import numpy", times["analyse_ten"], 20),
-        at_most("check of 2,400 trials, at most two of a pair running", best["check_of_2400_trials"], 2, "s"),
+        at_most("modaltouch --help", times["help"], 1.5, "imports of NumPy"),
+        at_most("modaltouch check --help", times["check_help"], 1.5, "imports of NumPy"),
+        at_most("check of a missing file", times["check_of_no_file"], 1.5, "imports of NumPy"),
+        at_most("analyse of a missing file", times["analyse_of_no_file"], 1.5, "imports of NumPy"),
+        at_most("check of the paper's protocol", times["check"], 4, "imports of NumPy"),
+        at_most("analyse of ten participants", times["analyse_ten"], 20, "imports of NumPy"),
+        at_most("check of 2,400 trials with max_same_pair_running: 2", best["check_of_2400_trials"], 2, "s"),
         at_most("refusal of 24,000 trials", best["check_of_24000_trials"], 20, "s"),
-        at_most("a trial after 800 others, of one after 50", late, 1.1),
-        at_most("imports of psychopy in check", float("psychopy" in heavy), 0, ""),
+        at_most("a trial after 800 others, relative to one after 50", late, 1.1),
+        at_most("imports of PsychoPy by check", float("psychopy" in heavy), 0, ""),
     ]
     for name, most in (("identify", 20), ("validate", 15), ("calibrate", 5), ("compare", 25)):
-        bars.append(at_most(f"{name} on the twin, processor time", best[name], most, "s"))
+        bars.append(at_most(f"processor time of {name} on the twin", best[name], most, "s"))
     own = best["session_of_24_trials"] - best["check"]
-    bars.append(at_most("a simulated session of 24 trials, preflight apart, processor time", own, 0.5, "s"))
+    bars.append(at_most("processor time of a simulated session of 24 trials, without preflight", own, 0.5, "s"))
     results = {"processor_time_s": best, "times_import_numpy": times, "heavy_imports_of_check": heavy}
     return write("commands", results, bars)
 

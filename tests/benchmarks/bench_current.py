@@ -175,7 +175,7 @@ def main() -> int:
     return write(
         "current",
         {"bound_of_level_median_percent": found},
-        [at_most("bound of the level by the velocity, median of placements", velocity, 0.25, "%")],
+        [at_most("half-width of the level by the vibrometer, median over placements", velocity, 0.25, "%")],
     )
 
 

@@ -186,12 +186,21 @@ def main() -> int:
     plain = [row for name, row in exact.items() if row["eigenvectors"]]
     known = [each for by_name in rows.values() for each in by_name["known, level first"]]
     bars = [
-        at_most("float miss of the loaded plant's target", max(r["float_miss"] for r in exact.values()), 1e-12, ""),
-        at_most("miss of its codes", max(r["codes_miss"] for r in exact.values()), 1e-6, ""),
-        at_most("a loaded design, in free designs", max(r["free_designs"] for r in plain), 3.0),
-        at_most("one where eigenvectors are lost", exact["critically damped"]["free_designs"], 8.0),
-        at_most("level first, known fingers: miss of the level", max(abs(r["at_C"] - 1) for r in known), 1e-3, ""),
-        at_most("level first, known fingers: peak", max(r["peak_V"] for r in known), LIMIT * (1 + 1e-9), "V"),
+        at_most(
+            "deviation from the target with fingers on the beam, before rounding",
+            max(r["float_miss"] for r in exact.values()),
+            1e-12,
+            "",
+        ),
+        at_most("the same for the rounded codes", max(r["codes_miss"] for r in exact.values()), 1e-6, ""),
+        at_most("time of a design with fingers, relative to one without", max(r["free_designs"] for r in plain), 3.0),
+        at_most("the same where the eigenvectors are nearly parallel", exact["critically damped"]["free_designs"], 8.0),
+        at_most(
+            "priority: level with known fingers, error of the level", max(abs(r["at_C"] - 1) for r in known), 1e-3, ""
+        ),
+        at_most(
+            "priority: level with known fingers, peak voltage", max(r["peak_V"] for r in known), LIMIT * (1 + 1e-9), "V"
+        ),
     ]
     from fingers_figure import draw
 

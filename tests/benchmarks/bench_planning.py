@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import scipy
+from bars import at_least, at_most
 from scipy.stats import permutation_test
 from statsmodels.stats.multitest import multipletests
 from threadpoolctl import threadpool_limits
@@ -154,10 +155,9 @@ def main() -> None:
         "largest_difference_of_sign_flip_p": largest_difference(answers, by_libraries),
     }  # fmt: skip
     figures["bars"] = [
-        {"what": "CPU time of 1,000 experiments [s]", "bar": 0.25, "measured": cpu, "met": cpu <= 0.25},
-        {"what": "times faster", "bar": 1000, "measured": each * N_EXPERIMENTS / cpu,
-         "met": each * N_EXPERIMENTS / cpu >= 1000},
-    ]  # fmt: skip
+        at_most("processor time of 1,000 experiments", cpu, 0.25, "s"),
+        at_least("speed relative to the libraries", each * N_EXPERIMENTS / cpu, 1000),
+    ]
     target = ROOT / "results" / "benchmarks" / "planning.json"
     target.parent.mkdir(parents=True, exist_ok=True)
     target.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")

@@ -264,13 +264,13 @@ def main() -> int:
     found = {kind: summary(rows) for kind, rows in kinds.items()}
     plain, pot, two = found.values()
     bars = [
-        at_most("miss of the level at C after a probe, 95 % of placements", plain["missed_p95_percent"], 0.5, "%"),
-        at_most("the same, fingers that are spring-pots", pot["missed_p95_percent"], 5.0, "%"),
-        at_most("the same, a second mass, where not refused", two["missed_p95_percent"], 5.0, "%"),
-        at_most("the same, values 20 % off by then", plain["missed_later_p95_percent"], 15.0, "%"),
-        at_least("placements that the 95 % interval covers", plain["covered"], 0.9, ""),
-        at_most("median width of the interval", plain["width_median_percent"], 1.0, "%"),
-        at_most("placements refused", plain["refused"], 0.01, ""),
+        at_most("error of the level at C after a probe, 95th percentile", plain["missed_p95_percent"], 0.5, "%"),
+        at_most("the same for fingers that are spring-pots", pot["missed_p95_percent"], 5.0, "%"),
+        at_most("the same for fingers with a second mass, if not refused", two["missed_p95_percent"], 5.0, "%"),
+        at_most("the same after the fingers changed by 20 %", plain["missed_later_p95_percent"], 15.0, "%"),
+        at_least("coverage of the 95 % interval over placements", plain["covered"], 0.9, ""),
+        at_most("width of the interval, median over placements", plain["width_median_percent"], 1.0, "%"),
+        at_most("share of placements refused", plain["refused"], 0.01, ""),
         at_most("probe, fit, design and upload on the twin", steps["together_s"], 2.0, "s"),
     ]
     pairs = {pair: {kind: summary(rows) for kind, rows in own.items()} for pair, own in by_pair.items()}

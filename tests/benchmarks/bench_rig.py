@@ -183,7 +183,7 @@ def main() -> None:
         print(f"{name:76} {median:9.4f} {high:9.4f}")
     table = [{"what": name, "median_ms": median, "p95_ms": high} for name, (median, high) in rows.items()]
     promises = [
-        bars.at_most(f"{name}, of {peer}", rows[name][0] / rows[peer][0], bound)
+        bars.at_most(f"{name}, relative to {peer.replace(name, 'the same')}", rows[name][0] / rows[peer][0], bound)
         for (name, peer), bound in BOUNDS.items()
     ]
     bars.write("rig", {"pyvisa": pyvisa.__version__, "rows": table}, promises)

@@ -139,7 +139,7 @@ def main() -> int:
     bars = [
         at_least("highest contrast on the beam as modelled", contrast["untouched"]["contrast"]["as modelled"], 9.0),
         at_most(
-            "of the spread below 1 kHz, what a robust design takes away",
+            "share of the spread below 1 kHz that a robust design removes",
             1
             - pair["robust, slow part kept"]["peak_below_1_kHz_spread_percent"]
             / pair["typical"]["peak_below_1_kHz_spread_percent"],

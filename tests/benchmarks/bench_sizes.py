@@ -118,11 +118,11 @@ def main() -> int:
     for what, each in fitted.items():
         print("  " + ", ".join(f"{name} grows with {what}^{value:.2f}" for name, value in each.items()))
     for name, (small, large) in taken["samples"].items():
-        bars.append(at_most(f"{name}: memory for 2^22 samples over that for 2^17", large / small, 1.05))
+        bars.append(at_most(f"{name}: memory for 2^22 samples, relative to 2^17", large / small, 1.05))
     (small, large) = taken["positions"]["field_at_focus"]
-    bars.append(at_most("field_at_focus: memory for 1e5 positions over that for 1e4", large / small, 1.05))
+    bars.append(at_most("field_at_focus: memory for 1e5 positions, relative to 1e4", large / small, 1.05))
     peaks = taken["places"]["peaks"][1] / 1e6
-    bars.append(at_most("peaks of a burst: memory for 1e4 places", peaks, 20, "MB"))
+    bars.append(at_most("peaks of a burst: memory for 1e4 positions", peaks, 20, "MB"))
     return write("sizes", {"run_time": rows, "exponents": fitted, "memory_bytes": taken}, bars)
 
 

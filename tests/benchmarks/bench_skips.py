@@ -133,9 +133,9 @@ def main() -> int:
     bars = []
     for name, row in rows.items():
         row["times_faster"] = row["without_ms"] / row["with_ms"]
-        bars.append(at_least(f"skipping {name}: faster", row["times_faster"], 1.1))
+        bars.append(at_least(f"skipping {name}: speed-up", row["times_faster"], 1.1))
         if name != few:
-            bars.append(at_most(f"skipping {name}: change", row["difference"], 1e-12, ""))
+            bars.append(at_most(f"skipping {name}: change of the result", row["difference"], 1e-12, ""))
     return write("skips", {"skips": rows, "cheapest_samples": str(economy)}, bars)
 
 

@@ -121,16 +121,16 @@ def main() -> int:
     for n, copies in COPIES.items():
         for name, what in (("exact_law", "exact law"), ("every_mode_on_both", "every mode on both channels")):
             faster, in_copies = rows[n][f"{name}_times_faster_than_plain"], rows[n][f"{name}_in_copies"]
-            bars.append(at_least(f"synthesis of 2 x {n}, {what}: faster than plain NumPy", faster, 40))
+            bars.append(at_least(f"synthesis of 2 x {n}, {what}: speed relative to plain NumPy", faster, 40))
             # If a processor takes longer for the bare matrix product of this size, that is the bar.
             most = max(copies, rows[n]["bare_product_in_copies"])
-            bars.append(at_most(f"synthesis of 2 x {n}, {what}: in copies of the output", in_copies, most))
+            bars.append(at_most(f"synthesis of 2 x {n}, {what}: time relative to copying the output", in_copies, most))
     table_i = max(error for name, error in wrong.items() if name != "ten_seconds_over_eps_b_t")
-    bars.append(at_most("synthesis, Table I: error over the peak, against mpmath", table_i, 1e-14, ""))
+    bars.append(at_most("synthesis, Table I: error relative to the peak, against mpmath", table_i, 1e-14, ""))
     long = wrong["ten_seconds_over_eps_b_t"]
-    bars.append(at_most("synthesis over 10 s at damping 1e-6: error in eps b t, against mpmath", long, 4, ""))
+    bars.append(at_most("synthesis over 10 s at damping ratio 1e-6: error in eps b t, against mpmath", long, 4, ""))
     growth = taken[2**22] / taken[2**17]
-    bars.append(at_most("synthesis: memory for 2^22 samples over that for 2^17", growth, 1.05))
+    bars.append(at_most("synthesis: memory for 2^22 samples, relative to 2^17", growth, 1.05))
     return write("synthesis", {"speed": rows, "error": wrong, "memory_bytes": taken}, bars)
 
 

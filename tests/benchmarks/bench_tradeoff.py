@@ -178,10 +178,15 @@ def main() -> int:
 
     bars = [
         at_most(
-            "exact law before rounding: error over the peak", worst("making", law="exact", bits=BITS[4]), 1e-13, ""
+            "exact law before rounding: error relative to the peak",
+            worst("making", law="exact", bits=BITS[4]),
+            1e-13,
+            "",
         ),
-        at_most("exact law, settled codes: error over the peak", worst("making", law="exact", bits=BITS[3]), 1e-6, ""),
-        at_most("state at t_F: error over the peak", worst("predicting", who="engine, state at t_F"), 1e-14, ""),
+        at_most(
+            "exact law, settled codes: error relative to the peak", worst("making", law="exact", bits=BITS[3]), 1e-6, ""
+        ),
+        at_most("state at t_F: error relative to the peak", worst("predicting", who="engine, state at t_F"), 1e-14, ""),
     ]
     return write("tradeoff", {"points": points}, bars)
 

@@ -201,11 +201,16 @@ def main() -> int:
     first = summarise(alone["start_to_first_burst"] - reading)["median_ms"]
     beside = summarise(watched["time_uncertainty"])
     bars = [
-        at_most("window start, from the interpreter's to the first screen, median", start["median_ms"], 3000, "ms"),
-        at_most("from the start of a session, its window included, to the first burst, but reading", first, 3000, "ms"),
-        at_most("from an answer to the next burst armed, beyond the pause, p95", overhead["p95_ms"], 5, "ms"),
-        at_most(f"frames drawn in {IDLE - SETTLED:g} s in which nothing changes", idle, 0, "frames"),
-        at_most("longest wait of a key for its time stamp, beside the live console, p95", beside["p95_ms"], 5, "ms"),
+        at_most("from the start of the interpreter to the first screen, median", start["median_ms"], 3000, "ms"),
+        at_most("from the start of a session to its first burst, without reading time", first, 3000, "ms"),
+        at_most("from the pause after an answer to the next armed burst, 95th percentile", overhead["p95_ms"], 5, "ms"),
+        at_most(f"frames drawn in {IDLE - SETTLED:g} s without any change", idle, 0, "frames"),
+        at_most(
+            "longest wait of a key for its time stamp beside the live console, 95th percentile",
+            beside["p95_ms"],
+            5,
+            "ms",
+        ),
     ]
     figures = {
         "display": where.split(" (")[0],
