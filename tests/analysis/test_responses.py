@@ -254,3 +254,15 @@ def test_a_group_lists_crossed_cells_with_few_keys() -> None:
     cells[0]["peak_velocities_mm_s"] = [80]
     assert not are_crossed({"groups": {"low": {"conditions": {"cells": cells}}}})
     assert not are_crossed({"groups": {"low": {"conditions": {"exclude": [{"pair": ["A", "C"]}]}}}})
+
+
+@pytest.mark.parametrize("place", ["groups", "kinds", "training"])
+def test_cells_left_out_are_those_of_each_group_and_kind(place: str) -> None:
+    """A level of its own keeps a pair that is left out at all other levels; a training is not analysed."""
+    left_out = [{"pair": ["A", "C"], "peak_velocity_mm_s": level} for level in (80, 200)]
+    whole = {"zone_pairs": [["A", "C"], ["B", "D"]], "peak_velocities_mm_s": [80, 200], "exclude": left_out}
+    own = {"conditions": {"peak_velocities_mm_s": [80, 200, 300]}}
+    kind = {"name": "long", "analysed": place != "training", **own}
+    assert are_crossed({"conditions": whole})
+    more = {"groups": {"low": {}, "high": own}} if place == "groups" else {"schedule": {"sessions": [kind]}}
+    assert are_crossed({"conditions": whole, **more}) == (place == "training")

@@ -13,6 +13,7 @@ import shlex
 from collections import Counter
 from collections.abc import Callable, Collection, Container, Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -389,8 +390,11 @@ def names_in(design: Mapping[str, Any]) -> dict[str, tuple[str, ...]]:
 
 
 def are_crossed(design: Mapping[str, Any]) -> bool:
-    """Return whether the cells of a protocol, given as its sections, and those that its groups give are crossed."""
-    sections = [section.get("conditions") or {} for section in (design, *(design.get("groups") or {}).values())]
+    """Return whether the cells of a protocol, given as its sections, are crossed in every group and analysed kind."""
+    whole, kinds = design.get("conditions") or {}, (design.get("schedule") or {}).get("sessions")
+    analysed = [kind for kind in kinds if kind.get("analysed", True)] if isinstance(kinds, (list, tuple)) else []
+    occasions = product((design.get("groups") or {"": {}}).values(), analysed or [{}])
+    sections = [whole | (group.get("conditions") or {}) | (kind.get("conditions") or {}) for group, kind in occasions]
     listed = [own for own in sections if own.get("cells") or own.get("exclude")]
     if not listed:
         return True

@@ -206,7 +206,7 @@ def open_log(path: Path) -> SessionAnswers:
         },
         catches=Counter((row["finger_condition"], row["response"]) for row in caught),
         kind=session.occasion,
-        is_crossed=are_crossed({**design, "groups": {}}),
+        is_crossed=are_crossed({**design, "groups": {}, "schedule": {}}),
         names=tuple(chain(*names_in(design).values())),
     )
 

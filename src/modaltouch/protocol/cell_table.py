@@ -228,18 +228,18 @@ def are_crossed(conditions: Mapping[str, Any], stimuli: Iterable[str] = ()) -> b
     Parameters
     ----------
     conditions : mapping
-        A section ``conditions`` as plain values; that of a group holds only the keys that it gives.
+        A section ``conditions`` as plain values.
     stimuli : iterable of str
         Names of the stimuli.
     """
     fingers, names = conditions.get("finger_conditions"), tuple(stimuli) or ("",)
     contacts, levels = conditions.get("zones") or conditions.get("zone_pairs"), conditions.get("peak_velocities_mm_s")
     listed, excluded = conditions.get("cells"), conditions.get("exclude")
-    if not listed and not (excluded and contacts and levels and fingers):
-        return not excluded  # which cells a group leaves out is unknown if it gives nothing else
+    if not (listed or excluded):
+        return True
     met = Counter(
         (finger_condition, tuple(each["pair"]), level, stimulus)
-        for each in listed or [{"pair": pair, "peak_velocities_mm_s": levels} for pair in contacts or ()]
+        for each in listed or [{"pair": pair, "peak_velocities_mm_s": levels or ()} for pair in contacts or ()]
         for finger_condition in each.get("finger_conditions") or fingers or ("",)
         for level in each["peak_velocities_mm_s"]
         for stimulus in each.get("stimuli") or names
