@@ -191,7 +191,7 @@ def check_cells(reading: Reading[Any]) -> Iterator[Problem]:
 
 
 def check_excluded(reading: Reading[Any]) -> Iterator[Problem]:
-    """Yield excluded cells that are not in the design, and finger conditions without cells, if all else is valid."""
+    """Yield excluded cells not in the design, and finger conditions and stimuli without cells, if all else is valid."""
     protocol = reading.require()
     conditions = protocol.conditions
     every = [(name, cell) for name in conditions.finger_conditions for cell in protocol.cells(name, excluded=True)]
@@ -212,6 +212,15 @@ def check_excluded(reading: Reading[Any]) -> Iterator[Problem]:
             "leave out one of the entries",
         )
         return
+    for name in protocol.stimuli:
+        if not protocol.with_stimulus(name).conditions.peak_velocities_mm_s:
+            yield reading.problem(
+                ("stimuli", name),
+                f"{name}, which is in no cell",
+                "stimuli with cells",
+                "leave it out, or give it cells",
+                at_key=True,
+            )
     for index, name in enumerate(conditions.finger_conditions):
         if name in empty:
             yield reading.problem(

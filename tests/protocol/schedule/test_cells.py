@@ -173,6 +173,10 @@ def test_a_fault_in_a_table_has_its_line_and_column(folder: Path, table: str, to
             "given every cell of the design; allowed: some of them",
         ),
         (CROSSED + "  exclude: [{stimulus: wide}]\n", "given 'wide', which is not a stimulus of the protocol"),
+        (
+            CROSSED + "  exclude: [{stimulus: wide}]\nstimuli: {narrow: {}, wide: {field: {base_mm: 80}}}\n",
+            "given wide, which is in no cell; allowed: stimuli with cells; leave it out, or give it cells",
+        ),
     ],
 )
 def test_contradictory_conditions_are_refused(folder: Path, conditions: str, told: str) -> None:
