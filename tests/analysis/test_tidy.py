@@ -697,8 +697,10 @@ def test_repetitions_that_never_vary_within_participants_are_refused(write_csv, 
     for key in ("participant", "velocity_mm_s", "response"):
         with pytest.raises(InputError, match=said):
             read_responses(write_csv(sorted(paper_rows * 2, key=lambda row, key=key: row[key])))
-    with pytest.raises(InputError, match=said):
-        read_responses(write_csv(paper_rows * 2))
+    mixed = [paper_rows[place * 7 % len(paper_rows)] for place in range(len(paper_rows))]
+    for copied in (paper_rows * 2, [row for row in mixed for _ in range(2)]):  # the second as a join of tables does
+        with pytest.raises(InputError, match=said):
+            read_responses(write_csv(copied))
     numbered = [{**row, "repetition": number} for number in (1, 2) for row in paper_rows]
     assert len(read_responses(write_csv(numbered)).frame) == 480
 

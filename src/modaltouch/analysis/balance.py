@@ -128,15 +128,31 @@ def check_doubling(table: Table, frame: pd.DataFrame, most: int | None) -> tuple
 
 
 def _recurs_in_order(fields: pd.DataFrame, times: int) -> bool:
-    """Return whether the first, second, ... occurrences of all rows stand in the same order, but not all together."""
+    """Return whether the first, second, ... occurrences of all rows stand in an order, other than that of a sort."""
+    if _is_sorted(fields):
+        return False  # honest repetitions stand together, too
     rows = pd.util.hash_pandas_object(fields, index=False)
     same = rows.groupby(rows)
-    if (rows != rows.shift()).sum() == same.ngroups:
-        return False  # in a table sorted by every column, honest repetitions stand together, too
     nth, n_each = same.cumcount(), same.transform("size") // times
     # Of a row that occurs several times in each copy, the copies may stand one below the other, or row by row.
     ways = ([rows[copy == number].tolist() for number in range(times)] for copy in (nth // n_each, nth % times))
     return any(orders == orders[:1] * times for orders in ways)
+
+
+def _is_sorted(fields: pd.DataFrame) -> bool:
+    """Return whether a table may be sorted by every column: by one after the other, rows alike stand together."""
+    block, left = fields.index.to_series() * 0, [*fields]
+    while left:
+        for name in left:
+            rows = pd.DataFrame({"block": block, "field": fields[name]})
+            begins = (rows != rows.shift()).any(axis=1)
+            if begins.sum() == len(rows.drop_duplicates()):
+                break
+        else:
+            return False
+        block = begins.cumsum()
+        left.remove(name)
+    return True
 
 
 def _log_chance(frame: pd.DataFrame, by: list[str], times: int) -> float:
