@@ -73,12 +73,14 @@ def test_settings_that_differ_are_listed() -> None:
         ("groups", {"low": {}}, ["groups.low"]),
         ("intervals", {"number": 2}, ["intervals"]),
         ("masking", None, []),
+        ("later", {"key": 1}, ["later.key"]),
     ],
 )
 def test_a_key_of_one_version_alone_differs_unless_it_is_at_its_default(key: str, given, said: list[str]) -> None:
     """Older programs recorded fewer keys, and keys that a protocol leaves out are not recorded."""
     facts = [take_facts(session(who)) for who in ("p01", "p02")]
-    designs = [{"schedule": {"repetitions": 2}}, {"schedule": {"repetitions": 2}, key: given}]
+    usual = {"schedule": {"repetitions": 2}, "later": {}}  # a section that only a later program knows
+    designs = [usual, usual | {key: given}]
     both = [replace(each, design=("", "", json.dumps(own))) for each, own in zip(facts, designs, strict=True)]
     expected = f"Versions of the protocol that differ in {', '.join(said)} are analysed together (1 and 1 sessions)"
     assert [*version_notes(both)] == [*version_notes(both[::-1])] == [expected] * bool(said)

@@ -191,7 +191,7 @@ def _value(section: dict[str, Any], *path: str) -> Any:
 
     model: Any = Protocol
     for name in path[:-1]:
-        annotation = model.model_fields[name].annotation
+        annotation = getattr(model.model_fields.get(name), "annotation", None)  # of a later program
         model = next((each for each in (annotation, *get_args(annotation)) if hasattr(each, "model_fields")), None)
     asked = model.model_fields.get(path[-1]) if model else None
     return to_jsonable_python(asked.get_default()) if asked and not asked.is_required() else None
