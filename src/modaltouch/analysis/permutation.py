@@ -260,7 +260,7 @@ def shuffle_conditions(values: NDArray[Any]) -> ExactTest:
 
     Parameters
     ----------
-    values : (..., n_participants, n_conditions, n_values) array
+    values : (..., n_participants, n_conditions, n_values) array of float
         Values to permute. The statistic is the sum of squares of their sums over participants.
     """
     shape, (n, k, n_values) = values.shape[:-3], values.shape[-3:]
