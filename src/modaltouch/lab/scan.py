@@ -299,7 +299,8 @@ def take_scan(
             recording = laboratory.record(float(places[index]), plan.velocity, plan.acquisition, plan.across)
             kept.append(_arrays(recording, reduction))
             _refuse_unusable(float(places[index]), kept[-1], kept[0])
-            refuse_wrong_drive(recording.drive, plan.peak_drive, recording.position)
+            # At an output that is not driven, single records show the converter's steps.
+            refuse_wrong_drive(recording.drive.mean(axis=0, keepdims=True), plan.peak_drive, recording.position)
             if folder is not None:
                 save_arrays(position_file(folder, index), kept[-1])
             laboratory.progress.show(step, len(kept), len(places))

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from modaltouch.lab.laboratory import open_laboratory
-from modaltouch.lab.validation import read_laws, record_laws
+from modaltouch.lab.scan import take_scan
+from modaltouch.lab.validation import plans, read_laws, record_laws
 from modaltouch.lab.validation.evidence import Observation, Prediction
 from modaltouch.lab.validation.key_figures import key_figures
 from modaltouch.lab.validation.plausibility import evaluate
@@ -127,25 +128,40 @@ def test_a_missing_drive_is_refused(evidences):
             evaluate([changed(observation, "drive", times)])
 
 
+class Misread:
+    """A scope whose drives are changed by a function."""
+
+    def __init__(self, scope, change):
+        self.scope, self.change = scope, change
+
+    def __getattr__(self, name):
+        return getattr(self.scope, name)
+
+    def measure(self, position, across=0.0):
+        recording = self.scope.measure(position, across)
+        return replace(recording, drive=self.change(recording.drive))
+
+
 def test_a_wrong_drive_ends_the_scan_at_its_first_point(preflight, tmp_path):
     """Forty more points would be scanned in vain."""
-
-    class Unplugged:
-        def __init__(self, scope):
-            self.scope = scope
-
-        def __getattr__(self, name):
-            return getattr(self.scope, name)
-
-        def measure(self, position, across=0.0):
-            recording = self.scope.measure(position, across)
-            return replace(recording, drive=recording.drive * [[1.0], [0.0]])
-
     with open_laboratory(preflight.experiment.apparatus) as laboratory:
-        unplugged = replace(laboratory, scope=Unplugged(laboratory.scope))
+        unplugged = replace(laboratory, scope=Misread(laboratory.scope, lambda drive: drive * [[1.0], [0.0]]))
         with pytest.raises(RecordInputError, match="the drive of output 2 measures 0 V at -50 mm, and .* check which"):
             record_laws(preflight.inputs, unplugged, 0.2, n_points=41, n_records=1, folder=tmp_path)
     assert not [*tmp_path.rglob("position_*")]
+
+
+def test_steps_of_a_converter_are_no_drive(preflight):
+    """Noise of 0.3 steps of 8 bits over 500 V, at an output that is not driven."""
+    rng = np.random.default_rng(0)
+
+    def stepping(drive):
+        return drive * [[1.0], [0.0]] + [[0.0], [500 / 128]] * rng.normal(0.0, 0.3, drive.shape).round()
+
+    plan, _ = plans(preflight.inputs, preflight.stimulus, 0.2, 41, 10)
+    plan = replace(plan, positions=plan.positions[:1], peak_drive=(plan.peak_drive[0], 0.0))
+    with open_laboratory(preflight.experiment.apparatus) as laboratory:
+        assert take_scan(replace(laboratory, scope=Misread(laboratory.scope, stepping)), plan).complete
 
 
 def test_a_wrongly_scaled_zone_is_refused(evidences):
