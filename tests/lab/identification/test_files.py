@@ -295,12 +295,12 @@ def test_a_truncated_decay_is_marked(tmp_path: Path) -> None:
 
 
 def test_a_window_without_a_record_before_the_impact_is_marked(tmp_path: Path) -> None:
-    """The noise of the drive fades with it."""
+    """The noise of the drive fades with it; a window of the drive alone, which sets its later half to 0, is none."""
     time, rng = np.arange(4096) / 4096, np.random.default_rng(0)
     drive = np.where(time < 4e-3, np.sin(np.pi * time / 4e-3), 1e-3 * rng.standard_normal(time.size))
     motion = np.exp(-20 * time) * np.sin(2 * np.pi * 120 * time)
-    for decay, marked in ((0.0, False), (6.0, True)):
-        arrays = {"drive": drive * np.exp(-decay * time), "motion": motion * np.exp(-decay * time)}
+    for decay, length, marked in ((0.0, 1.0, False), (6.0, 1.0, True), (0.0, 0.5, False)):
+        arrays = {"drive": drive * np.exp(-decay * time) * (time < length), "motion": motion * np.exp(-decay * time)}
         path = blow(tmp_path / "a.npz", time=time, **{name: each[None, None] for name, each in arrays.items()})
         assert ("an exponential window" in " ".join(read_responses([path]).marks)) == marked
 

@@ -217,7 +217,9 @@ def _spoilt(name: str, drive: FloatArray, motion: FloatArray) -> list[str]:
     n_before, n_quiet = int(high[0]) * 3 // 4, (size.size - int(high[-1])) // 4
     # The noise of the drive after the impact tells of a window if there is no record before it.
     pairs = [(motion[:n_before], motion[-n_before:])] * (n_before >= FEWEST_SAMPLES)
-    pairs += [(drive[high[-1] :][n_quiet : 2 * n_quiet], drive[-n_quiet:])] * (n_quiet >= FEWEST_SAMPLES)
+    # A window that sets the drive to a constant after the impact is no exponential one.
+    is_noisy = n_quiet >= FEWEST_SAMPLES and np.ptp(drive[-n_quiet:]) > 0
+    pairs += [(drive[high[-1] :][n_quiet : 2 * n_quiet], drive[-n_quiet:])] * bool(is_noisy)
     noise = [(float(np.std(np.diff(before, 2))), float(np.std(np.diff(after, 2)))) for before, after in pairs]
     return [f"to the motion of {name} {WINDOWED}"] * any(after < FADED * before for before, after in noise)
 
