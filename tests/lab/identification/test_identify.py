@@ -58,6 +58,15 @@ def test_three_nodes_per_group_give_the_mean_over_its_bins(damping_ratio: float)
     assert np.abs(found / exact - 1).max() < 1e-7
 
 
+def test_groups_of_a_band_keep_their_bins() -> None:
+    """The last group of the band, too, which does not extend to the highest frequency."""
+    bins = Bins.near(np.arange(100.0, 20e3), np.array([500.0, 9e3]), np.full(2, 0.02))
+    part, inside = bins.between(460.0, 540.0)
+    assert part.centre.tolist() == bins.centre[inside].tolist()
+    assert 460 <= part.centre[0] < part.centre[-1] <= 540
+    assert bins.between(1.0, 2.0)[0].centre.size == 0
+
+
 def test_accuracy_of_the_joint_fit(found: Identification, beam: TrueBeam) -> None:
     """At a coherence of 0.95: frequencies within 0.1 %, damping and gains within 5 % with sign, MAC above 0.99."""
     frequency, damping, gain = errors(found, beam)

@@ -88,8 +88,7 @@ def _refitted(found: Identification) -> Evaluation | None:
 def _around(fit: Evaluation, mode: IdentifiedMode) -> Evaluation:
     """Return a fit within two half-power bandwidths on either side of a mode."""
     own, ratio = mode.natural_frequency.value, mode.damping_ratio.value
-    inside = np.abs(fit.problem.bins.centre / own - 1) <= 4 * ratio
-    bins = replace(fit.problem.bins, start=fit.problem.bins.start[inside])
+    bins, inside = fit.problem.bins.between(own * (1 - 4 * ratio), own * (1 + 4 * ratio))
     rows = np.tile(inside, 2)
     problem = replace(fit.problem, bins=bins)
     return replace(fit, problem=problem, rest=fit.rest[rows], slope=fit.slope[rows], turned=fit.turned[rows])

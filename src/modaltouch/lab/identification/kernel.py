@@ -44,6 +44,12 @@ class Bins:
             index += max(1, int(distance[index] / 8 / spacing))
         return cls(frequency, np.array(start, dtype=np.intp))
 
+    def between(self, lowest: float, highest: float) -> tuple[Bins, NDArray[np.bool_]]:
+        """Return the groups centred within a band [Hz], and for each of all groups whether it is."""
+        inside = (self.centre >= lowest) & (self.centre <= highest)
+        stop = np.append(self.start[1:], self.frequency.size)[inside].max(initial=0)
+        return Bins(self.frequency[:stop], self.start[inside]), inside
+
     @cached_property
     def size(self) -> FloatArray:
         """Number of bins in each group, (n_groups,) array."""
