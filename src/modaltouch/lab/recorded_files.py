@@ -93,11 +93,13 @@ class RecordedFiles(Scope):
             while time.monotonic() < deadline:
                 self._progress.check()
                 # Some scopes write the file extension in capitals.
-                found = [each for each in self._folder.glob(f"{name}.*") if each.suffix.lower() in READERS]
+                found = [
+                    path for path in self._folder.glob("*") if path.name.lower() in {name + end for end in READERS}
+                ]
                 seen = []
                 # A file may disappear before it is examined; the next poll looks for it again.
                 with suppress(OSError):
-                    seen = [(each, each.stat().st_size, each.stat().st_mtime_ns) for each in sorted(found)]
+                    seen = [(path, path.stat().st_size, path.stat().st_mtime_ns) for path in sorted(found)]
                 if seen and seen == before != refused:
                     try:
                         return self._recording(*sorted(found), position=position)

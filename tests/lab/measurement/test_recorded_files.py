@@ -323,7 +323,7 @@ def test_a_share_that_is_lost_is_waited_for(
 @pytest.mark.parametrize(
     ("endings", "shape", "said"),
     [
-        ([".NPZ"], (2, 60), ""),
+        ([".part.npz", ".NPZ"], (2, 60), ""),
         ([".npz", ".NPZ"], (2, 60), r"0001\.NPZ: 0001\.npz also exists; delete one of the two"),
         ([".npz"], (1, 2, 60), "cannot be read .an array has more than 2 dimensions"),
         ([".npz"], (60,), "its 2 records are identical"),
@@ -337,7 +337,7 @@ def test_each_record_has_exactly_one_file(
     shape: tuple[int, ...],
     said: str,
 ) -> None:
-    """The extension may be in capitals; two files, or one trace instead of two, are refused."""
+    """The extension may be in capitals, other names are ignored; two files, or one trace for two, are refused."""
     heard, time = list[str](), np.broadcast_to(1e-3 + np.arange(60) / 1e5, (2, 60))
 
     def hear(text: str) -> None:
