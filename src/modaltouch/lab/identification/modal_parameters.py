@@ -95,14 +95,15 @@ class IdentifiedMode:
     # natural_frequency, damping_ratio: undamped natural frequency [Hz], damping ratio [1]
     natural_frequency: Estimate
     damping_ratio: Estimate
-    # modal acceleration per unit of each excitation [m/s^2 per V]; empty if no shape was measured
+    # modal acceleration per volt of each excitation [m/s^2 per V]; empty if no shape was measured, or per force
     gain: tuple[Estimate, ...]
     # (n_points,): mode shape of unit mean square, positive at the right end; for torsion, at the right end on the
     # positive side [1]
     shape: FloatArray | None
     mac: float  # MAC of the shape with that of a uniform free-free beam [1]; NaN if no shape was measured
     half_power: HalfPower  # half-power estimates from the largest response
-    half_power_gain: float  # signed gain from the peak and its half-power bandwidth [m/s^2 per V]; NaN without a shape
+    # signed gain from the peak and its half-power bandwidth [m/s^2 per V]; NaN where `gain` is empty
+    half_power_gain: float
     # median over the points at the peak, for the excitation that drives the mode most [1]; NaN if unknown
     coherence: float
     rest: Rest  # residual of the fit near the mode
