@@ -1,15 +1,15 @@
 """The watchdog: holds the only session with the instrument, triggers bursts, switches the outputs off in an emergency.
 
 ``python -m modaltouch.rig.watchdog_process ADDRESS OFF`` runs it as a separate process; OFF is `Instrument.off`. The
-driver (the client) makes every exchange via this process, over a pipe, so that the
-process can switch the outputs off at any time, even over an interface limited to a single session (USB). While armed it
-expects a heartbeat at least every `PATIENCE` seconds; every request counts as one. If none arrives, no further burst is
-triggered and the outputs are switched off. The same happens when the pipe ends without `CLEAN` (the client was killed,
-possibly together with its display server).
+driver (the client) makes every exchange via this process, over a pipe, so that the process can switch the outputs off
+at any time, even over an interface limited to a single session (USB). While armed it expects a heartbeat at least every
+`PATIENCE` seconds; every request counts as one. If none arrives, no further burst is triggered and the outputs are
+switched off. The same happens when the pipe ends without `CLEAN` (the client was killed, possibly together with its
+display server).
 
 A request consists of a mark, a letter, a number, a length and that number of bytes. `OPEN`, `EXCHANGE`, `CLOSE`,
-`PLAY`, `REPORT`, `BEAT` and `LATE` are answered in the same format, with the number of the request and a letter
-for the outcome.
+`PLAY`, `REPORT`, `BEAT` and `LATE` are answered in the same format, with the number of the request and a letter for the
+outcome.
 """
 
 from __future__ import annotations
@@ -212,8 +212,8 @@ class WatchdogProcess:
         self._pacing.start()
 
     def _end_bursts(self) -> None:
-        if self._pacer is not None:
-            self._pacer.end()
+        if (pacer := self._pacer) is not None:
+            pacer.end()
 
     def _report(self, wait: bool) -> bytes:
         """End the bursts and return the report; with `wait`, after the end of the last burst."""
@@ -227,7 +227,8 @@ class WatchdogProcess:
         return self._encoded_report()
 
     def _encoded_report(self) -> bytes:
-        return b"{}" if self._pacer is None else json.dumps(asdict(self._pacer.report)).encode()
+        # `ARM` may remove the pacer while a heartbeat is answered.
+        return b"{}" if (pacer := self._pacer) is None else json.dumps(asdict(pacer.report)).encode()
 
     def _watch_client(self) -> None:
         """Switch the outputs off whenever an armed client becomes silent."""
