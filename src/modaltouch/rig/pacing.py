@@ -130,7 +130,8 @@ class Pacer:
             self._trigger()
         # Backends raise VisaIOError, OSError, ValueError and plain Exception.
         except Exception as error:
-            report.ended, report.reason = "failed", f"trigger {report.due} failed ({describe_error(error)})"
+            # A heartbeat, answered meanwhile, reports the reason as soon as it is ended.
+            report.reason, report.ended = f"trigger {report.due} failed ({describe_error(error)})", "failed"
             return
         taken = self._clock.now()
         report.played += 1
@@ -138,8 +139,8 @@ class Pacer:
         report.latest = max(report.latest, sent - due)
         if taken - due > order.period / 2:
             # The burst may have begun at any instant in this interval: the rhythm was not kept, so no count is claimed.
-            report.ended = "failed"
             report.reason = f"trigger {report.due} was accepted {(taken - due) * 1e3:.0f} ms after it was due"
+            report.ended = "failed"
         self._end_if_over()
 
     def _end_if_over(self) -> None:
