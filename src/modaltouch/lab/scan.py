@@ -137,7 +137,7 @@ def _refuse_unusable(position: float, own: Mapping[str, NDArray[Any]], first: Ma
         )
 
 
-def refuse_wrong_drive(drive: FloatArray, predicted: Sequence[float], position: float) -> None:
+def refuse_unexpected_drive(drive: FloatArray, predicted: Sequence[float], position: float) -> None:
     """Refuse the record of a position whose drives, an (n_records, n_drives, n_samples) array [V], are not expected."""
     for output, (volts, peak) in enumerate(zip(np.abs(drive).max(axis=(0, 2)), predicted, strict=False), start=1):
         if not 1 / WRONG_DRIVE < max(volts, 1.0) / max(peak, 1.0) < WRONG_DRIVE:
@@ -300,7 +300,7 @@ def take_scan(
             kept.append(_arrays(recording, reduction))
             _refuse_unusable(float(places[index]), kept[-1], kept[0])
             # At an output that is not driven, single records show the converter's steps.
-            refuse_wrong_drive(recording.drive.mean(axis=0, keepdims=True), plan.peak_drive, recording.position)
+            refuse_unexpected_drive(recording.drive.mean(axis=0, keepdims=True), plan.peak_drive, recording.position)
             if folder is not None:
                 save_arrays(position_file(folder, index), kept[-1])
             laboratory.progress.show(step, len(kept), len(places))

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.lab.common import FloatArray
-from modaltouch.lab.scan import Scan, refuse_wrong_drive
+from modaltouch.lab.scan import Scan, refuse_unexpected_drive
 from modaltouch.lab.validation.evidence import Evidence, Observation, Prediction, mean_velocity
 from modaltouch.record import RecordInputError
 
@@ -104,7 +104,7 @@ def refuse_implausible_records(
         expected = observation.stimulus.peak_drive(observation.velocity).tolist()
         for scan in (observation.field, *observation.rows):
             for position, drive in zip(scan.positions, scan.drive, strict=True):
-                refuse_wrong_drive(drive, expected, position)
+                refuse_unexpected_drive(drive, expected, position)
         fit = ModalFit(observation, prediction, delay)
         fit.refuse_shifted_points()
         for scan in (observation.field, *observation.rows, observation.course):
