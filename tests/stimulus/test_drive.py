@@ -325,3 +325,10 @@ def test_the_steady_state_includes_all_earlier_bursts(design, model):
     assert [velocity, displacement] == pytest.approx(np.array(system.read(states)), abs=1e-9)
     assert abs(velocity - first).max() > 1e-6
     assert stimulus.peak_drive(0.2) == pytest.approx(abs(voltage).max(axis=1))
+
+
+def test_an_output_that_is_not_driven_has_a_peak_of_zero(design):
+    """Modes 5, 7 and 9 have gains of the second output alone; printed as 0, not -0."""
+    timing = Timing(AFG3022B.converter, n_samples=12_500)
+    stimulus = design(target_field=TargetField(selection=(5, 7, 9)), timing=timing)
+    assert str(stimulus.peak_drive(0.2)[0]) == "0.0"

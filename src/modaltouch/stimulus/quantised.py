@@ -58,7 +58,7 @@ class QuantisedStimulus:
     @cached_property
     def highest(self) -> FloatArray:
         """Largest magnitude of each channel's codes, (n_channels,) array [1]."""
-        return np.asarray(np.maximum(self.codes.max(axis=1), -self.codes.min(axis=1)))
+        return np.asarray(np.abs(self.codes).max(axis=1))
 
     @cached_property
     def _states_per_volt(self) -> ComplexArray:
