@@ -15,7 +15,7 @@ from modaltouch.lab import calibration as command
 from modaltouch.lab.calibration import CalibrationLoop
 from modaltouch.lab.calibration.file import CalibrationResult
 from modaltouch.lab.calibration.plant import VibrometerDelay, peak_shortfall
-from modaltouch.lab.calibration.plausibility import mark_of
+from modaltouch.lab.calibration.plausibility import mark_of, refuse_wrong_drive
 from modaltouch.preflight import Preflight
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.calibration import check_mark, examine_calibration
@@ -204,6 +204,13 @@ def test_a_trigger_that_moved_since_the_identification_is_refused(
         RigError, match=rf"trigger moved by {re.escape(f'{late * 1e6:+.1f}')}\d us since .*trigger output"
     ):
         CalibrationLoop(bench, shipped_apparatus, preflight.inputs).run()
+
+
+def test_an_output_that_is_not_driven_is_neither_exchanged_nor_late() -> None:
+    """At it, the scope measures noise alone."""
+    predicted = np.stack([np.zeros(4000), 100 * np.sin(np.arange(4000) / 50)])
+    noise = np.random.default_rng(0).standard_normal(predicted.shape)
+    refuse_wrong_drive(predicted, predicted + noise, 4e-7)
 
 
 def test_one_bad_record_is_not_called_hysteresis(preflight: Preflight, outcome: CalibrationResult) -> None:

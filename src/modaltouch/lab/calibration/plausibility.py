@@ -271,7 +271,7 @@ def refuse_wrong_drive(predicted: FloatArray, measured: FloatArray, step: float)
 
     Predicted and measured drives are (n_channels, n_samples) arrays, with samples `step` apart [s].
     """
-    likeness = np.abs(measured @ predicted.T) / np.linalg.norm(predicted, axis=1)
+    likeness = np.abs(measured @ predicted.T) / np.maximum(np.linalg.norm(predicted, axis=1), 1e-300)
     if len(predicted) > 1 and (likeness.argmax(axis=1) != np.arange(len(predicted))).all():
         raise RigError(
             "the drive measured for each output is that of another: the probes are exchanged; the outputs are off; "
