@@ -121,8 +121,8 @@ def test_faults_of_a_list_have_their_position(edit: Edit, old: str, new: str, fa
             "answers.rechts: given 41 characters on a button; allowed: at most 40",
         ),
         (
-            "Unterschiedlicher",
-            "answers.rechts: given a word of 17 letters on a button; allowed: at most 15 with 3 answers in a row; "
+            "Unterschiedlicheres",
+            "answers.rechts: given a word of 19 letters on a button; allowed: at most 17 with 3 answers in a row; "
             "shorten it, or write a zero-width space (U+200B) where it may break",
         ),
         ("'Press {key}'", "answers.rechts: given {key} in 'Press {key}'; allowed: exactly no words in braces"),

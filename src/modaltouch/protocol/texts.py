@@ -275,7 +275,7 @@ def check_words(protocol: Reading[Protocol], texts: Reading[Texts]) -> Iterator[
             )
 
 
-_ROOM, _ROOM_IN_WORDS, _LONGEST_WORD = 120, 70, 15
+_ROOM, _ROOM_IN_WORDS, _LONGEST_WORD = 120, 78, 17
 """Largest number of characters on a row of buttons and of the longest words on them, and in a word: all labels of a row
 have the size of the longest one, which would be too small to read."""
 _BREAKS = re.compile(r"[^\S\u00a0\u202f]|\u200b|[\u2e80-\uffef]")
