@@ -31,7 +31,7 @@ def test_a_letter_without_a_font_is_reported_at_its_place(edit: Edit) -> None:
     (fault,) = faults(examine(file), file)
     line = [row.startswith("question:") for row in texts.read_text(encoding="utf-8").splitlines()].index(True) + 1
     assert fault.startswith(
-        f"{TEXTS}:{line}:11: question: given '\\U0010fffd' (no letter of Unicode), which no installed font"
+        f"{TEXTS}:{line}:11: question: given '\\U0010fffd' (a control or unnamed character), which no installed font"
     )
     assert "modaltouch doctor" in fault
 
