@@ -23,11 +23,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from modaltouch.window.interface import WindowError
-from modaltouch.window.shapes import Coverage, Words
-
 if TYPE_CHECKING:
     from PIL.ImageFont import FreeTypeFont
+
+    from modaltouch.window.shapes import Coverage, Words
 
 _ALSO = ("DejaVuSans", "NotoSansCJK-Regular", "wqy-microhei", "DroidSansFallbackFull")
 """Fonts tried after Noto Sans and the Noto font of a script; the first comes with matplotlib, the others have CJK."""
@@ -224,6 +223,8 @@ class Typesetter:
         """
         from PIL import Image, ImageDraw
 
+        from modaltouch.window.shapes import Coverage
+
         block = self.set_type(words, window[1])
         # Swashes and marks may protrude from the extent of a line.
         margin = math.ceil(block.size)
@@ -314,6 +315,8 @@ def _fribidi() -> ctypes.CDLL:
     from PIL import features
 
     if not features.check("raqm"):
+        from modaltouch.window.interface import WindowError
+
         raise WindowError(
             "the texts cannot be set: Pillow finds no FriBidi on this machine; install the Debian package "
             "libfribidi0, or its equivalent on this system"
