@@ -95,6 +95,8 @@ class Laboratory:
         ``simulated`` if the generator is, else ``real``.
     progress : MeasurementProgress
         Callbacks of the measurement; called with the outputs off.
+    settling_time : float
+        Wait between the first burst and the first record [s]; 0 for the twin, which computes the steady state.
     simulator : Simulator or None
         The twin, which holds the true values; for evaluating results, never for measuring.
     """
@@ -104,12 +106,8 @@ class Laboratory:
     scope: Scope
     mode: Mode
     progress: MeasurementProgress = SILENT_PROGRESS
+    settling_time: float = SETTLING_TIME
     simulator: Simulator | None = None
-
-    @property
-    def settling_time(self) -> float:
-        """Wait between the first burst and the first record [s]; none for the twin, which computes the steady state."""
-        return 0.0 if self.simulator is not None else SETTLING_TIME
 
     def load(self, burst: Burst) -> None:
         """Load a burst into the generator and verify it; the outputs are off."""
@@ -246,7 +244,7 @@ def open_laboratory(
             simulator = stack.enter_context(Simulator(apparatus, seed, clock=clock))
             scope = stack.enter_context(scope or simulator.scope())
             rig = open_generator(**simulator.driver_options)
-            yield Laboratory(apparatus, rig, scope, "simulated", replace(progress, aim=quiet), simulator=simulator)
+            yield Laboratory(apparatus, rig, scope, "simulated", replace(progress, aim=quiet), 0.0, simulator)
             return
         # Open the scope first: without one, the generator is not needed.
         scope = stack.enter_context(scope or Scope.open(apparatus))

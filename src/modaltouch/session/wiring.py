@@ -236,7 +236,7 @@ class SessionParts:
         opened = Scope.open(apparatus) if self.simulator is None else self.simulator.scope()
         with opened as scope:
             if self.simulator is not None:
-                yield Prober(Laboratory(apparatus, rig, scope, "simulated", simulator=self.simulator), expected)
+                yield Prober(Laboratory(apparatus, rig, scope, "simulated", settling_time=0.0), expected)
             else:
                 # The vibrometer is not re-aimed during a session.
                 yield Prober(Laboratory(apparatus, rig, scope, "real"), expected)

@@ -61,7 +61,7 @@ class Bench:
 
 def record(bench: Bench) -> Recording:
     """Take a record at 20 mm at 200 mm/s."""
-    laboratory = Laboratory(APPARATUS, bench, bench, "simulated", MeasurementProgress(aim=bench.aim), simulator=bench)
+    laboratory = Laboratory(APPARATUS, bench, bench, "simulated", MeasurementProgress(aim=bench.aim), 0.0, bench)
     return laboratory.record(0.02, 0.2, Acquisition(n_samples=2))
 
 
