@@ -286,8 +286,8 @@ class _Beam:
         if by_force:
             modes = tuple(replace(mode, gain=(), half_power_gain=math.nan) for mode in found.modes)
             found = replace(found, modes=modes)
-        told = check_gains(found, self.apparatus, self.labels)
-        marks = (*responses.marks, *told, *([axis] if axis else []), *([BY_FORCE] if by_force else []))
+        off_listed = check_gains(found, self.apparatus, self.labels)
+        marks = (*responses.marks, *off_listed, *([axis] if axis else []), *([BY_FORCE] if by_force else []))
         found = replace(found, responses=replace(found.responses, marks=marks))
         uncertainty = self.apparatus.acquisition.sensitivity_uncertainty_percent * 1e-2
         found = found.with_sensitivity_uncertainty(uncertainty)
