@@ -15,7 +15,7 @@ EventKind = typing.Literal["key", "release", "click", "close", "focus", "blur", 
 
 
 class WindowError(Exception):
-    """The answer window cannot be opened or was lost.
+    """The answer window cannot be opened or drawn.
 
     Attributes
     ----------

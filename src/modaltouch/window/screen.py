@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from collections import deque
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
@@ -150,70 +147,6 @@ def _engraved_digits(window: Any) -> dict[str, str]:
     return digits
 
 
-_HANDLERS: list[Any] = []
-"""Callbacks of Xlib, which stores only their addresses, kept alive with the process."""
-
-
-class DisplayLoss:
-    """Detection of a lost X server; never happens on systems without X.
-
-    Xlib calls ``exit(1)`` when its connection breaks. Since libX11 1.7 this can be prevented
-    (``XSetIOErrorExitHandler``): calls on the connection then do nothing, and the session can end properly. With an
-    older libX11 the process ends, and the watchdog switches the outputs off.
-    """
-
-    def __init__(self, look: Callable[[], object]) -> None:
-        self.happened = False
-        self._look = look
-        if sys.platform.startswith("linux"):
-            self._decline_to_exit()
-
-    @contextmanager
-    def reported(self) -> Iterator[None]:
-        """Report a lost display as such, whatever OpenGL and pyglet raise.
-
-        Raises
-        ------
-        WindowError
-            If the display is lost.
-        """
-        try:
-            yield
-        except Exception:
-            with suppress(Exception):
-                self._look()
-            self._check()
-            raise
-        self._check()
-
-    def _check(self) -> None:
-        if self.happened:
-            name = os.environ.get("DISPLAY", "")
-            raise WindowError(f"the display {name!r} is gone; check why its X server ended, and start it again")
-
-    def _decline_to_exit(self) -> None:
-        """Prevent exit on a broken connection, of which pyglet has one per window, including hidden ones."""
-        from ctypes import CFUNCTYPE, c_void_p, cast
-
-        import pyglet.canvas
-        from pyglet.libs.x11 import xlib
-
-        decline = getattr(xlib._lib, "XSetIOErrorExitHandler", None)
-        if decline is None:
-            return
-        kind = CFUNCTYPE(None, c_void_p, c_void_p)
-        decline.restype, decline.argtypes = None, [c_void_p, kind, c_void_p]
-        quiet, stay = xlib.XIOErrorHandler(self._note), kind(self._note)
-        _HANDLERS.extend((quiet, stay))
-        xlib.XSetIOErrorHandler(quiet)
-        for display in pyglet.canvas._displays:
-            decline(cast(display._display, c_void_p), stay, None)
-
-    def _note(self, *_: object) -> int:
-        self.happened = True
-        return 0
-
-
 class Screen:
     """An open window.
 
@@ -280,7 +213,6 @@ class Screen:
             raise WindowError(explain(error)) from error
         self._window.mouseVisible = True
         self._tap = EventTap(self._window.winHandle, clock)
-        self._loss = DisplayLoss(self._tap.poll)
 
     @property
     def size(self) -> tuple[int, int]:
@@ -305,20 +237,18 @@ class Screen:
 
     def prepare(self, picture: Picture) -> None:
         """Prepare the picture's marks, so that drawing it later takes at most one frame."""
-        with self._loss.reported():
-            for mark in picture.marks:
-                self._stimulus(mark)
+        for mark in picture.marks:
+            self._stimulus(mark)
 
     def draw(self, picture: Picture) -> None:
         """Draw the picture to the back buffer, until `flip` shows it."""
         from pyglet.gl import glFinish
 
-        with self._loss.reported():
-            self._window.clearBuffer()
-            for mark in picture.marks:
-                self._stimulus(mark).draw()
-            # Otherwise OpenGL would defer the work to the flip.
-            glFinish()
+        self._window.clearBuffer()
+        for mark in picture.marks:
+            self._stimulus(mark).draw()
+        # Otherwise OpenGL would defer the work to the flip.
+        glFinish()
 
     def flip(self, screenshot: Path | None = None) -> float:
         """Show the back buffer, and return the time of its appearance, by the window's clock [s].
@@ -331,12 +261,11 @@ class Screen:
         Raises
         ------
         WindowError
-            If the screenshot cannot be written, or the display is lost.
+            If the screenshot cannot be written.
         """
-        with self._loss.reported():
-            image = self._window._getFrame(buffer="back") if screenshot is not None else None
-            self._window.flip()
-            shown = self._clock.now()
+        image = self._window._getFrame(buffer="back") if screenshot is not None else None
+        self._window.flip()
+        shown = self._clock.now()
         if image is not None and screenshot is not None:
             try:
                 image.convert("RGB").save(screenshot)
@@ -348,15 +277,8 @@ class Screen:
         return shown
 
     def poll(self) -> list[Event]:
-        """Return the events of the window since the last poll.
-
-        Raises
-        ------
-        WindowError
-            If the display is lost.
-        """
-        with self._loss.reported():
-            return self._tap.poll()
+        """Return the events of the window since the last poll."""
+        return self._tap.poll()
 
     def type_key(self, key: str, *, down: bool) -> None:
         """Dispatch a key press or release through the window's event queue, as if typed by a person."""
@@ -367,10 +289,6 @@ class Screen:
 
     def close(self) -> None:
         """Close the window; never raises."""
-        if self._loss.happened:
-            # There is nothing to close, and OpenGL would crash on closing, now or at exit.
-            self._window._closed = True
-            return
         try:
             self._window.close()
         # The session must be concluded whatever the display raises.
