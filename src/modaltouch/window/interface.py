@@ -278,7 +278,7 @@ class Masking(AbstractContextManager["Masking"]):
         """Start the fade-in."""
 
     def ensure(self, tick: Callable[[], object], *, on: bool = True) -> None:
-        """Ensure before a trial that the noise is at its level, or silent; reopen a lost device.
+        """Ensure before a trial that the noise is at its level, or silent.
 
         Calls `tick` while waiting.
 

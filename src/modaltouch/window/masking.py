@@ -2,9 +2,9 @@
 
 The noise has random phases and an exact spectrum, so that its period repeats seamlessly; it is played through
 PortAudio. If the device is lost during a session (unplugged, or removed by the system), the current trial continues and
-its answer is recorded as not masked. The device is reopened before the next trial. If that fails and the protocol
-requires masking, the session ends properly, and `modaltouch resume` continues it once the device is back; otherwise it
-continues without noise, and its trials are recorded as not masked.
+its answer is recorded as not masked. If the protocol requires masking, the session ends properly before the next trial,
+and `modaltouch resume` continues it once the device is back; otherwise it continues without noise, and its trials are
+recorded as not masked.
 """
 
 from __future__ import annotations
@@ -280,7 +280,7 @@ class PlayedMasking(SimulatedMasking):
         self._stream: Any = None
         self._asked = 0.0
         self._n_underflows = 0
-        self._is_lost = self._given_up = False
+        self._is_lost = False
         self._open()
 
     def start(self) -> None:
@@ -289,10 +289,10 @@ class PlayedMasking(SimulatedMasking):
         self._log("masking", state="on")
 
     def ensure(self, tick: Callable[[], object], *, on: bool = True) -> None:
-        """Ensure that the noise is at its level, or silent; reopen a lost device."""
+        """Ensure that the noise is at its level, or silent."""
         self._watch()
-        if self._is_lost and not self._given_up:
-            self._reopen()
+        if self._is_lost and self._section.required:
+            raise MaskingError(f"{self._loss}; connect it again and resume, or set masking.required: false")
         if on != self._is_wanted:
             self._is_wanted = on
             self._playback.fade(on=on)
@@ -338,34 +338,18 @@ class PlayedMasking(SimulatedMasking):
         self._n_underflows += bool(status.output_underflow)
         self._playback.fill(out)
 
+    @property
+    def _loss(self) -> str:
+        return f"the sound device {self._device.get('name')!r} accepts no more samples"
+
     def _watch(self) -> None:
         """Detect a lost device, and record it once."""
         if self._is_lost:
             return
         if time.perf_counter() - self._asked > STALE or self._stream is None or not self._stream.active:
             self._is_lost = True
-            reason = f"the sound device {self._device.get('name')!r} accepts no more samples"
             # By the record's clock, since an answer of the last second may have been recorded as masked.
-            self._log("masking_lost", reason=reason, last_samples_s=round(self._asked, 6))
-
-    def _reopen(self) -> None:
-        self._close()
-        with contextlib.suppress(Exception):
-            import sounddevice
-
-            # PortAudio only knows the devices present at its initialisation.
-            sounddevice._terminate()
-            sounddevice._initialize()
-        try:
-            self._open()
-        except MaskingError as error:
-            if self._section.required:
-                raise
-            self._given_up = True
-            self._log("masking_lost", reason=str(error))
-            return
-        self._is_lost = False
-        self._log("masking", state="on again", device=self._device.get("name"))
+            self._log("masking_lost", reason=self._loss, last_samples_s=round(self._asked, 6))
 
     def _close(self) -> None:
         stream, self._stream = self._stream, None

@@ -101,7 +101,7 @@ def test_a_warning_of_lost_masking_noise_lasts_until_it_returns() -> None:
     assert status.facts()["warnings"] == lost
     status.take({"event": "masking", "state": "off"})
     assert status.facts()["warnings"] == lost
-    status.take({"event": "masking", "state": "on again"})
+    status.take({"event": "masking", "state": "on"})
     assert status.facts()["warnings"] == []
 
 

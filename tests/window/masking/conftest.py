@@ -13,8 +13,6 @@ import numpy as np
 import pytest
 import sounddevice
 
-from modaltouch.window.masking import DeviceError
-
 NO_CARD = "pcm.!default { type hw card 31 }\nctl.!default { type null }\n"
 
 
@@ -85,24 +83,8 @@ def devices(monkeypatch: pytest.MonkeyPatch) -> list[Device]:
         return opened[-1]
 
     monkeypatch.setattr(sounddevice, "OutputStream", open_stream)
-    monkeypatch.setattr(sounddevice, "_terminate", lambda: None)
-    monkeypatch.setattr(sounddevice, "_initialize", lambda: None)
     monkeypatch.setattr(
         "modaltouch.window.masking.default_device",
         lambda name="": {"name": "earphones", "max_output_channels": 8},
     )
     return opened
-
-
-@pytest.fixture
-def unplug(monkeypatch: pytest.MonkeyPatch) -> Callable[[Device], None]:
-    """Remove a device, also for later searches."""
-
-    def nothing(name: str = "") -> dict[str, Any]:
-        raise DeviceError("there is no sound device")
-
-    def pull(device: Device) -> None:
-        device.active = False
-        monkeypatch.setattr("modaltouch.window.masking.default_device", nothing)
-
-    return pull
