@@ -20,6 +20,7 @@ import re
 import select
 import signal
 import sys
+import termios
 import textwrap
 import threading
 import time
@@ -35,9 +36,6 @@ from rich.text import Text
 from modaltouch.session.console import AT_ONCE, Command, Request, SessionState, describe_last, describe_time
 from modaltouch.session.console.consoles import restore_terminal, save_terminal
 from modaltouch.system import SYSTEM_CLOCK
-
-if sys.platform != "win32":
-    import termios
 
 STATES = {
     "waiting": "between trials",
@@ -207,13 +205,6 @@ _NAMED_KEYS = {
     },
 }
 """Control characters and sequences of terminals (xterm and VT220) for keys that print nothing."""
-_WINDOWS_KEYS = {
-    **dict(zip("HPMK", _DIRECTIONS, strict=True)),
-    **{chr(58 + number): f"f{number}" for number in range(1, 11)},
-    "\x85": "f11",
-    "\x86": "f12",
-}
-"""Codes after NUL or 0xE0 on the Windows console for arrow and function keys."""
 _KEY = re.compile(r"\x1b[\[O][^@-~]*[@-~]?|.", re.DOTALL)
 """Input of a key: an escape sequence or a character."""
 
@@ -222,12 +213,8 @@ _KEY = re.compile(r"\x1b[\[O][^@-~]*[@-~]?|.", re.DOTALL)
 def open_keyboard(descriptor: int) -> Iterator[Callable[[float], list[str]]]:
     """Yield a function that returns the keys pressed within a time [s]: printable ones, and names such as `f12`.
 
-    Ctrl-C remains a signal, but Ctrl-Z and Ctrl-S do not stop the session. The descriptor is that of the terminal;
-    Windows uses the console of the process.
+    Ctrl-C remains a signal, but Ctrl-Z and Ctrl-S do not stop the session. The descriptor is that of the terminal.
     """
-    if sys.platform == "win32":
-        yield read_windows
-        return
     before, settings = save_terminal(descriptor), termios.tcgetattr(descriptor)
     settings[0] &= ~(termios.IXON | termios.ICRNL)
     settings[3] &= ~(termios.ICANON | termios.ECHO)
@@ -266,24 +253,6 @@ class UnixKeyboard:
         if not data:
             raise EOFError
         return self._decode(data)
-
-
-def read_windows(patience: float) -> list[str]:
-    """Return the keys pressed at the Windows console of this process within `patience` [s]."""
-    import msvcrt
-
-    keys: list[str] = []
-    end = time.monotonic() + patience
-    while not keys and time.monotonic() < end:
-        while msvcrt.kbhit():  # type: ignore[attr-defined,unused-ignore]
-            letter = msvcrt.getwch()  # type: ignore[attr-defined,unused-ignore]
-            if letter in ("\0", "\xe0"):
-                name = _WINDOWS_KEYS.get(msvcrt.getwch())  # type: ignore[attr-defined,unused-ignore]
-                keys += [name] if name else []
-            else:
-                keys += split_keys(letter)
-        time.sleep(0.01)
-    return keys
 
 
 def split_keys(text: str) -> list[str]:
@@ -374,14 +343,12 @@ def main() -> None:
     keys, screen, emergency = int(sys.argv[1]), int(sys.argv[2]), sys.argv[3].split(",")
     # Ctrl-C reaches every process of the terminal; the session handles it and then ends this process.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    for name in ("SIGTERM", "SIGHUP"):
-        if hasattr(signal, name):
-            signal.signal(getattr(signal, name), lambda *_: sys.exit(0))
-    target = "CONOUT$" if sys.platform == "win32" else screen
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, lambda *_: sys.exit(0))
     news: News = queue.Queue()
     dialogue = Dialogue(emergency)
     threading.Thread(target=_listen, args=(news, dialogue), daemon=True).start()
-    with open(target, "w", encoding="utf-8", closefd=sys.platform == "win32") as file, open_keyboard(keys) as read_keys:
+    with open(screen, "w", encoding="utf-8", closefd=False) as file, open_keyboard(keys) as read_keys:
         # Read keys in a separate thread, so that they do not wait for drawing.
         threading.Thread(target=_read, args=(read_keys, dialogue, news), daemon=True).start()
         with suppress(OSError):  # the terminal is gone
@@ -404,7 +371,7 @@ def _show(news: News, file: TextIO, dialogue: Dialogue) -> None:
             if facts := [each for each in received if each]:
                 known, came = facts[-1], time.monotonic()
             if known is not None:
-                size = os.get_terminal_size(file.fileno()) if sys.platform != "win32" else console.size
+                size = os.get_terminal_size(file.fileno())
                 console.size = ConsoleDimensions(max(size[0], 40), max(size[1], 12))
                 picture = draw_session(
                     known,

@@ -50,44 +50,26 @@ def open_console(events: Path | None, emergency_keys: Sequence[str], *, plain: b
     OSError
         If the events cannot be written.
     """
-    consoles: list[Console] = [] if events is None else [EventLines(events)]
+    lines = None if events is None else EventLines(events)
     shown: Console = PlainLines(sys.stderr)
     if _has_terminal() and not plain:
         # Fall back to plain lines if no process can be started.
         with contextlib.suppress(OSError):
             shown = TerminalConsole(sys.stdin.fileno(), sys.stderr.fileno(), emergency_keys, instead=shown)
-    return Consoles([*consoles, shown])
+    if lines is None:
+        return shown
+    lines.beside = shown
+    return lines
 
 
 def _has_terminal() -> bool:
-    """Return whether the process has a terminal for both keys and display."""
-    if not (sys.stdin.isatty() and sys.stderr.isatty()) or os.environ.get("TERM") == "dumb":
-        return False
-    # A background job would be stopped on reading from the terminal; a terminal of another session cannot be asked.
-    with contextlib.suppress(OSError):
-        return sys.platform == "win32" or os.tcgetpgrp(sys.stdin.fileno()) == os.getpgrp()
+    """Return whether the process has a terminal (of Unix) for both keys and display."""
+    is_unix = sys.platform != "win32" and os.environ.get("TERM") != "dumb"
+    if is_unix and sys.stdin.isatty() and sys.stderr.isatty():
+        # A background job would be stopped on reading from the terminal; a terminal of another session cannot be asked.
+        with contextlib.suppress(OSError):
+            return os.tcgetpgrp(sys.stdin.fileno()) == os.getpgrp()
     return False
-
-
-class Consoles(Console):
-    """Several consoles as one."""
-
-    def __init__(self, consoles: list[Console]) -> None:
-        self._consoles = consoles
-
-    def show(self, facts: SessionState) -> None:
-        """Show the state on all of them."""
-        for console in self._consoles:
-            console.show(facts)
-
-    def requests(self) -> list[Request]:
-        """Return the requests at any of them."""
-        return [request for console in self._consoles for request in console.requests()]
-
-    def close(self) -> None:
-        """Close all of them."""
-        for console in self._consoles:
-            console.close()
 
 
 class PlainLines(Console):
@@ -129,13 +111,14 @@ class PlainLines(Console):
 
 
 class EventLines(Console):
-    """Console that writes the state as JSON lines to a file or named pipe, without blocking.
+    """Console that writes the state as JSON lines to a file or named pipe, without blocking, `beside` another console.
 
     A line that a full pipe does not accept is dropped, and the next one written gives the number of dropped lines as
     ``n_dropped``.
     """
 
     def __init__(self, path: Path) -> None:
+        self.beside = Console()
         self._path = path
         self._descriptor = -1
         self._n_dropped = 0
@@ -145,6 +128,7 @@ class EventLines(Console):
 
     def show(self, facts: SessionState) -> None:
         """Write a line if it is accepted at once."""
+        self.beside.show(facts)
         try:
             if self._descriptor < 0:
                 self._open()
@@ -155,11 +139,19 @@ class EventLines(Console):
         except BlockingIOError:
             pass
         except OSError:
-            self.close()  # the reader has gone and may return, or the disk is full
+            self._close_file()  # the reader has gone and may return, or the disk is full
         self._n_dropped += 1
 
+    def requests(self) -> list[Request]:
+        """Return the requests at the console beside it."""
+        return self.beside.requests()
+
     def close(self) -> None:
-        """Close the file or pipe."""
+        """Close the file or pipe, and the console beside it."""
+        self._close_file()
+        self.beside.close()
+
+    def _close_file(self) -> None:
         if self._descriptor >= 0:
             os.close(self._descriptor)
             self._descriptor = -1
@@ -186,8 +178,6 @@ class EventLines(Console):
 
 def save_terminal(descriptor: int) -> list[Any] | None:
     """Return the settings of a terminal; None if not available."""
-    if sys.platform == "win32":
-        return None
     try:
         return termios.tcgetattr(descriptor)
     except termios.error:
@@ -196,11 +186,10 @@ def save_terminal(descriptor: int) -> list[Any] | None:
 
 def restore_terminal(descriptor: int, before: list[Any] | None) -> None:
     """Restore the settings of a terminal, unless it is gone."""
-    if sys.platform == "win32" or before is None:
-        return
     # TCSANOW: waiting for output to drain would block forever on a stopped terminal.
     with contextlib.suppress(termios.error):
-        termios.tcsetattr(descriptor, termios.TCSANOW, before)
+        if before is not None:
+            termios.tcsetattr(descriptor, termios.TCSANOW, before)
 
 
 class TerminalConsole(Console):
@@ -219,10 +208,9 @@ class TerminalConsole(Console):
         self._screen = screen
         self._before = save_terminal(keys)
         # Pass separate descriptors, since the process's standard input and output are pipes.
-        passed = () if sys.platform == "win32" else (os.dup(keys), os.dup(screen))
-        words = [str(number) for number in passed or (keys, screen)]
+        passed = os.dup(keys), os.dup(screen)
         self._process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "modaltouch.session.console", *words, ",".join(emergency) or "x"],
+            [sys.executable, "-P", "-m", "modaltouch.session.console", *map(str, passed), ",".join(emergency) or "x"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
