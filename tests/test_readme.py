@@ -18,7 +18,7 @@ from stops import HARDWARE_ENDS
 from Xlib import XK, X, display
 from Xlib.ext import xtest
 
-from modaltouch.window.environment import virtual_display
+from modaltouch.window.machine import virtual_display
 
 ROOT = Path(__file__).parents[1]
 TEXT = (ROOT / "README.md").read_text(encoding="utf-8")

@@ -188,7 +188,7 @@ def summarise(values: Any) -> dict[str, float]:
 def main() -> int:
     """Measure, print and write the figures."""
     from modaltouch.window.display_loop import Robot
-    from modaltouch.window.environment import some_display
+    from modaltouch.window.machine import some_display
 
     with some_display() as where, tempfile.TemporaryDirectory() as folder:
         starts, processor = measure_start()

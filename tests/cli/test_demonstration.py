@@ -34,7 +34,7 @@ def test_a_session_number_taken_by_another_demonstration_is_skipped(
 
     monkeypatch.setattr(sessions, "begin", begin)
     monkeypatch.setattr(analysis, "analyse", analyse)
-    monkeypatch.setattr("modaltouch.window.environment.some_display", lambda: nullcontext("the screen"))
+    monkeypatch.setattr("modaltouch.window.machine.some_display", lambda: nullcontext("the screen"))
     outcome = demonstrate(
         tmp_path, seed=1, window_options=WindowOptions(), tell=said.append, on_progress=lambda done, total: None
     )

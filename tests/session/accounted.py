@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from modaltouch.record.session import Session, read_session
-from modaltouch.window.environment import some_display
+from modaltouch.window.machine import some_display
 
 ROOT = Path(__file__).parents[2]
 PROTOCOL = ROOT / "protocols" / "differentiated_stimulation.yaml"

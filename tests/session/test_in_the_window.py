@@ -16,7 +16,7 @@ from Xlib.error import ConnectionClosedError
 from Xlib.ext import xtest
 
 from modaltouch.record.session import read_session
-from modaltouch.window.environment import virtual_display
+from modaltouch.window.machine import virtual_display
 
 APPARATUS = Path(__file__).parents[2] / "protocols" / "apparatus" / "beam_100x6x2.yaml"
 

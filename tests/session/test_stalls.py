@@ -3,7 +3,7 @@
 import pytest
 from stalls import run_stopped
 
-from modaltouch.window.environment import virtual_display
+from modaltouch.window.machine import virtual_display
 
 
 @pytest.mark.window

@@ -14,9 +14,9 @@ import pytest
 from modaltouch.protocol import Experiment, Findings
 from modaltouch.protocol.trial import Condition, Trial
 from modaltouch.system.clock import SYSTEM_CLOCK, Clock, VirtualClock
-from modaltouch.window.environment import virtual_display
 from modaltouch.window.interface import Event, Presentation
 from modaltouch.window.layout import DARK
+from modaltouch.window.machine import virtual_display
 from modaltouch.window.participant import ParticipantWindow
 from modaltouch.window.shapes import Picture
 

@@ -17,9 +17,9 @@ from modaltouch.protocol import AnswerList, Experiment, Texts
 from modaltouch.protocol.findings import Findings
 from modaltouch.protocol.trial import Condition, Trial
 from modaltouch.window.controls import typesetter_of
-from modaltouch.window.environment import virtual_display
 from modaltouch.window.interface import Progress, WindowError
 from modaltouch.window.layout import DARK, THEMES, lay_out
+from modaltouch.window.machine import virtual_display
 from modaltouch.window.opening import every_picture
 from modaltouch.window.pictures import Illustrator
 from modaltouch.window.shapes import Box, Picture, Words, rectangle, triangle

@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from modaltouch.window.environment import virtual_display
+from modaltouch.window.machine import virtual_display
 
 pytestmark = [pytest.mark.window, pytest.mark.timeout(300)]
 ROOT = Path(__file__).resolve().parents[2]

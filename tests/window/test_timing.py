@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from modaltouch.window.machine import judge_window, time_window
+from modaltouch.window.opening import judge_window, time_window
 
 GOOD: dict[str, Any] = {
     "display": "the screen",

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 from modaltouch.system import lazily
 
 if TYPE_CHECKING:
-    from modaltouch.window.environment import some_display
     from modaltouch.window.interface import (
         AnswerWindow,
         Event,
@@ -21,7 +20,7 @@ if TYPE_CHECKING:
         TrialInterrupted,
         WindowError,
     )
-    from modaltouch.window.machine import examine_machine
+    from modaltouch.window.machine import examine_machine, some_display
     from modaltouch.window.masking import MaskingNoise
     from modaltouch.window.opening import WindowOptions
     from modaltouch.window.simulated import Answerer
@@ -29,9 +28,8 @@ else:
     __getattr__ = lazily(
         __name__,
         {
-            "environment": "some_display",
             "interface": "AnswerWindow Event Masking Presentation SessionStopped TrialInterrupted WindowError",
-            "machine": "examine_machine",
+            "machine": "examine_machine some_display",
             "masking": "MaskingNoise",
             "opening": "WindowOptions",
             "simulated": "Answerer",

@@ -11,13 +11,10 @@ from typing import Any, Literal
 from modaltouch.protocol import Protocol, Texts, Trial
 from modaltouch.system import SYSTEM_CLOCK, Clock
 from modaltouch.window.controls import Entry, as_read
-from modaltouch.window.interface import Event, Log, SessionStopped, Tick, WindowError
+from modaltouch.window.interface import POLL_INTERVAL, Event, Log, SessionStopped, Tick, WindowError
 from modaltouch.window.screen import Screen, canonical_key
 from modaltouch.window.shapes import Picture
 from modaltouch.window.simulated import Answerer
-
-POLL_INTERVAL = 1e-3
-"""Time between two polls, the resolution of reaction times [s]."""
 
 
 @dataclass(frozen=True)

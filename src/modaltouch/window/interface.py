@@ -83,6 +83,9 @@ class Event:
     answer: str | None = None
 
 
+POLL_INTERVAL = 1e-3
+"""Time between two polls of the window, the resolution of reaction times [s]."""
+
 Tick = Callable[[], Event | None]
 """Called about every millisecond while the window waits; may raise, and returns the experimenter's request."""
 

@@ -1,31 +1,224 @@
-"""Checks of this machine for sessions, and measurement of its timing of pictures and keys."""
+"""The machine: libraries, variables and displays for the window, and checks of what a session needs."""
 
 from __future__ import annotations
 
+import ctypes
 import importlib.util
 import os
+import select
 import shutil
+import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
+from types import ModuleType
 from typing import Any, Literal, NamedTuple
 
-import numpy as np
-
 from modaltouch.system import sync_file, versions
-from modaltouch.window.display_loop import POLL_INTERVAL
-from modaltouch.window.environment import LIBRARIES, is_loadable, missing_libraries, some_display
 from modaltouch.window.interface import WindowError
-from modaltouch.window.masking import DeviceError, default_device
-from modaltouch.window.screen import Screen
-from modaltouch.window.shapes import Box, Picture, Words, rectangle
-from modaltouch.window.typesetting import Typesetter
 
-_TIMEOUT = 0.5
-"""Time after which an unseen key counts as lost [s]."""
+LIBRARIES = {
+    "libGL.so.1": "libgl1",
+    "libGLX_mesa.so.0": "libglx-mesa0",
+    "libGLU.so.1": "libglu1-mesa",
+    "libX11.so.6": "libx11-6",
+    "libXext.so.6": "libxext6",
+    "libfontconfig.so.1": "libfontconfig1",
+    "libfreetype.so.6": "libfreetype6",
+    "libfribidi.so.0": "libfribidi0",
+}
+"""Shared libraries required by the window on Linux, with the Debian package of each."""
+
+
+class _PutOff(ModuleType):
+    """Placeholder of a module until one of its names is used; Python's lazy loader would load it at a second import."""
+
+    def __getattr__(self, name: str) -> Any:
+        if sys.modules.get(self.__name__) is self:
+            del sys.modules[self.__name__]
+        return getattr(importlib.import_module(self.__name__), name)
+
+
+def missing_libraries() -> dict[str, str]:
+    """Return the missing libraries of the window, with their Debian packages."""
+    if not sys.platform.startswith("linux"):
+        return {}
+    missing = {name: package for name, package in LIBRARIES.items() if not is_loadable(name)}
+    if is_loadable("libGLX_nvidia.so.0"):
+        # A graphics card with its own drivers needs no Mesa drivers.
+        return {name: package for name, package in missing.items() if "mesa" not in name}
+    # The location of Mesa's drivers depends on its version and the system.
+    patterns = ("dri/*_dri.so", "*/dri/*_dri.so", "libgallium*.so", "*/libgallium*.so")
+    if not any(any(Path("/usr").glob(f"lib*/{pattern}")) for pattern in patterns):
+        missing["the Mesa drivers"] = "libgl1-mesa-dri"
+    return missing
+
+
+def is_loadable(library: str) -> bool:
+    """Return whether the dynamic loader finds a shared library."""
+    try:
+        ctypes.CDLL(library)
+    except OSError:
+        return False
+    return True
+
+
+@contextmanager
+def few_imports() -> Iterator[None]:
+    """Import PsychoPy within this context without modules that no window needs, which halves the time to open one.
+
+    Rarely used modules are imported at first use; optional ones cannot be imported meanwhile.
+    """
+    # These serve monitor files, spreadsheets and web fonts only.
+    for name in ("json_tricks", "pandas", "requests", "scipy.interpolate"):
+        if name not in sys.modules:
+            sys.modules[name] = _PutOff(name)
+    # PsychoPy does without these, which serve points in polygons and Excel files.
+    hidden = [name for name in ("matplotlib", "openpyxl") if name not in sys.modules]
+    # Python refuses to import a module whose entry in sys.modules is None.
+    sys.modules.update(dict.fromkeys(hidden))  # type: ignore[arg-type]
+    try:
+        yield
+    finally:
+        for name in hidden:
+            sys.modules.pop(name, None)
+
+
+def prepare_environment() -> None:
+    """Set the environment variables that PsychoPy reads on import.
+
+    Raises
+    ------
+    WindowError
+        If there is no display; importing PsychoPy would fail, now and later in this process.
+    """
+    if sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
+        raise WindowError(
+            "the answer window needs a display, but DISPLAY is not set; run it on the desktop, "
+            "on a virtual display (`xvfb-run -s '-screen 0 1920x1080x24' modaltouch ...`), or answer without a "
+            "window (`--answers simulated`)"
+        )
+    # Without these, PsychoPy puts its plug-in folders on sys.path and its clock follows the wall clock.
+    os.environ.setdefault("PSYCHOPYNOPACKAGES", "1")
+    os.environ.setdefault("PSYCH_GETSECS_CLOCK", "1")
+    # Without a graphics card, drawing a frame would occupy all cores and delay bursts.
+    os.environ.setdefault("LP_NUM_THREADS", str(max(1, (os.cpu_count() or 2) - 1)))
+    # PsychoPy writes its settings into the home folder.
+    name = "APPDATA" if sys.platform == "win32" else "HOME"
+    if not os.access(os.environ.get(name, ""), os.W_OK | os.X_OK):
+        os.environ[name] = tempfile.mkdtemp(prefix="modaltouch-home-")
+
+
+def explain(error: Exception) -> str:
+    """Return the explanation and remedy for a failure to open the display."""
+    display = os.environ.get("DISPLAY", "")
+    kind = type(error).__name__
+    if missing := missing_libraries():
+        return (
+            f"the answer window cannot be drawn: this machine lacks {', '.join(missing)}; install the Debian packages "
+            f"{' '.join(missing.values())}, or their equivalents on this system"
+        )
+    if "NoSuchDisplay" in kind:
+        return (
+            f"the answer window cannot reach the display {display!r}; check that DISPLAY is right and that the X "
+            "server runs and accepts this user (`xdpyinfo`), then start again"
+        )
+    if "GLX" in str(error) or "GLX" in kind:
+        return (
+            f"the display {display!r} cannot draw with OpenGL ({error}); use one with GLX and 24-bit colour (a "
+            "virtual one: `Xvfb -screen 0 1920x1080x24 +extension GLX`) and install libgl1 and libgl1-mesa-dri"
+        )
+    return f"the answer window cannot be opened on display {display!r}: {kind}: {error}; run `modaltouch doctor`"
+
+
+def fit(size: tuple[int, int], monitor: int) -> tuple[int, int]:
+    """Return the size, limited to that of the monitor [pixels].
+
+    Raises
+    ------
+    WindowError
+        If there is no such monitor, or the colour depth is too low, where pyglet would wait for its window forever.
+    """
+    import pyglet.canvas
+
+    display = pyglet.canvas.get_display()
+    monitors = display.get_screens()
+    if sys.platform.startswith("linux"):
+        from pyglet.libs.x11.xlib import XDefaultDepth
+
+        if (depth := XDefaultDepth(display._display, display.x_screen)) < 24:
+            raise WindowError(
+                f"the display {os.environ.get('DISPLAY', '')!r} has colours of {depth} bits, but 24 are needed; set "
+                "its X server to 24 bits"
+            )
+    if not 0 <= monitor < len(monitors):
+        raise WindowError(
+            f"given screen {monitor}, but this display has {len(monitors)}; allowed: 0 to {len(monitors) - 1}; "
+            "choose one with --screen"
+        )
+    return min(size[0], monitors[monitor].width), min(size[1], monitors[monitor].height)
+
+
+_PATIENCE = 60.0
+"""Maximum time for Xvfb to report its display, and ten times the maximum time for it to end [s]."""
+
+
+@contextmanager
+def some_display() -> Iterator[str]:
+    """Use the existing display, or a virtual one within the context.
+
+    Yields
+    ------
+    str
+        Description of the display.
+
+    Raises
+    ------
+    WindowError
+        If there is neither a display nor Xvfb.
+    """
+    if sys.platform != "linux" or os.environ.get("DISPLAY"):
+        yield "the screen"
+        return
+    with virtual_display() as name:
+        os.environ["DISPLAY"] = name
+        try:
+            yield f"a virtual display ({name}), as there is no screen"
+        finally:
+            os.environ.pop("DISPLAY")
+
+
+@contextmanager
+def virtual_display(size: tuple[int, int] = (1920, 1080), *options: str) -> Iterator[str]:
+    """Run Xvfb on a free display number and yield the name of the display, such as ``:1``."""
+    program = shutil.which("Xvfb")
+    if program is None:
+        raise WindowError("there is no display, and no Xvfb to make one: install xvfb, or log in at a screen")
+    reading, writing = os.pipe()
+    # -noreset keeps it alive between clients.
+    screen = ("-screen", "0", f"{size[0]}x{size[1]}x24", "-nolisten", "tcp", "-noreset")
+    server = subprocess.Popen(
+        [program, "-displayfd", str(writing), *screen, *options], pass_fds=(writing,), stderr=subprocess.DEVNULL
+    )
+    os.close(writing)
+    try:
+        ready, _, _ = select.select([reading], [], [], _PATIENCE)
+        number = os.read(reading, 16).decode().strip() if ready else ""
+        if not number:
+            how = "ended at once" if ready else f"did not start within {_PATIENCE:g} s"
+            raise WindowError(f"{program} {how}; run `{program} -displayfd 1` by hand to see why")
+        yield f":{number}"
+    finally:
+        os.close(reading)
+        server.terminate()
+        try:
+            server.wait(_PATIENCE / 10)
+        except subprocess.TimeoutExpired:
+            server.kill()
+            server.wait()
 
 
 class MachineCheck(NamedTuple):
@@ -50,11 +243,9 @@ def examine_machine(results: Path = Path("results"), *, quick: bool = False) -> 
         Whether to check only installed software, without window, sound device and disk.
     """
     return (
-        _python(),
-        _packages(),
+        _software(),
         _display(),
         _libraries(),
-        _virtual_display(),
         _fonts(),
         *(() if quick else (_window(),)),
         _sound(quick=quick),
@@ -64,13 +255,21 @@ def examine_machine(results: Path = Path("results"), *, quick: bool = False) -> 
     )
 
 
+def _software() -> MachineCheck:
+    found = versions()
+    listed = ", ".join(f"{name} {version}" for name, version in found.items() if name != "modaltouch")
+    if missing := [name for name, version in found.items() if version == "absent"]:
+        return MachineCheck("software", "fault", f"missing: {', '.join(missing)}", "reinstall modaltouch")
+    return MachineCheck("software", "ok", listed)
+
+
 def _display() -> MachineCheck:
-    own, display = sys.platform in ("win32", "darwin"), os.environ.get("DISPLAY", "")
-    if own or display:
-        return MachineCheck("display", "ok", "the system's own" if own else f"DISPLAY={display}")
-    return MachineCheck(
-        "display", "warning", "DISPLAY is not set", "log in at the screen; the demo brings its own virtual display"
-    )
+    display, virtual = os.environ.get("DISPLAY", ""), shutil.which("Xvfb")
+    if sys.platform != "linux" or display:
+        return MachineCheck("display", "ok", f"DISPLAY={display}" if display else "the system's own")
+    remedy = "log in at the screen, or install xvfb to run the demo without one"
+    found = f"DISPLAY is not set; the demo uses {virtual}" if virtual else "DISPLAY is not set, and Xvfb is absent"
+    return MachineCheck("display", "warning", found, remedy, [] if virtual else ["xvfb"])
 
 
 def _libraries() -> MachineCheck:
@@ -81,18 +280,10 @@ def _libraries() -> MachineCheck:
     return MachineCheck("libraries", "ok", ", ".join(LIBRARIES) if sys.platform == "linux" else "the system's own")
 
 
-def _virtual_display() -> MachineCheck:
-    if sys.platform != "linux":
-        return MachineCheck("virtual display", "ok", "not needed")
-    if path := shutil.which("Xvfb"):
-        return MachineCheck("virtual display", "ok", path)
-    return MachineCheck(
-        "virtual display", "warning", "Xvfb is absent", "install xvfb to run the demo without a screen", ["xvfb"]
-    )
-
-
 def _fonts() -> MachineCheck:
     """Check for fonts of scripts beyond the bundled Latin, Greek, Cyrillic, Arabic and Hebrew."""
+    from modaltouch.window.typesetting import Typesetter
+
     # A letter of Devanagari and an ideograph, with the Debian package of a font for each script.
     fonts = {"\u0915": "fonts-noto-core", "\u4e2d": "fonts-wqy-microhei"}
     packages = [package for letter, package in fonts.items() if Typesetter().lacking(letter)]
@@ -104,23 +295,16 @@ def _fonts() -> MachineCheck:
 
 def _window() -> MachineCheck:
     """Draw a letter in the window, which requires a display, OpenGL, fonts and PsychoPy."""
-    try:
-        with (
-            some_display() as where,
-            tempfile.TemporaryDirectory() as folder,
-            closing(Screen(size=(320, 200), title="modaltouch doctor")) as screen,
-        ):
-            screen.draw(Picture("letter", (Words("A", Box(0.0, 0.0, 0.8, 0.8), 0.5, "#ffffff"),)))
-            screen.flip(Path(folder) / "letter.png")
-            from matplotlib.image import imread  # loaded after PsychoPy, which it would slow down
+    from modaltouch.window.screen import Screen
+    from modaltouch.window.shapes import Box, Picture, Words
 
-            is_lit = (imread(Path(folder) / "letter.png")[..., :3] > 0.5).any()
+    try:
+        with some_display() as where, closing(Screen(size=(320, 200), title="modaltouch doctor")) as screen:
+            screen.draw(Picture("letter", (Words("A", Box(0.0, 0.0, 0.8, 0.8), 0.5, "#ffffff"),)))
+            screen.flip()
             renderer = screen.describe()["renderer"]
     except WindowError as error:
         return MachineCheck("window", "fault", *str(error).split("; ", 1))
-    if not is_lit:
-        found = f"no letter can be seen on {where}"
-        return MachineCheck("window", "fault", found, "install fonts and a driver for OpenGL")
     return MachineCheck("window", "ok", f"a letter is drawn on {where} ({renderer})")
 
 
@@ -128,6 +312,8 @@ def _sound(*, quick: bool) -> MachineCheck:
     lacks = sys.platform == "linux" and not is_loadable("libportaudio.so.2")
     if quick:
         return MachineCheck("sound", "warning" if lacks else "ok", "PortAudio", packages=["libportaudio2"] * lacks)
+    from modaltouch.window.masking import DeviceError, default_device
+
     try:
         device = default_device()
     except DeviceError as error:
@@ -135,20 +321,6 @@ def _sound(*, quick: bool) -> MachineCheck:
         return MachineCheck("sound", "warning", str(error).partition(";")[0], remedy)
     found = f"{device['name']}, {device['default_samplerate']:g} Hz, {device['max_output_channels']} channels"
     return MachineCheck("sound", "ok", found)
-
-
-def _python() -> MachineCheck:
-    found = f"Python {versions()['python']} on {versions()['system']}"
-    if (3, 11) <= sys.version_info[:2] <= (3, 12):
-        return MachineCheck("python", "ok", found)
-    return MachineCheck("python", "fault", found, "use Python 3.11 or 3.12: PsychoPy does not support 3.13 or later")
-
-
-def _packages() -> MachineCheck:
-    found = {name: version for name, version in versions().items() if name not in ("modaltouch", "python", "system")}
-    if missing := [name for name, version in found.items() if version == "absent"]:
-        return MachineCheck("packages", "fault", f"missing: {', '.join(missing)}", "reinstall modaltouch")
-    return MachineCheck("packages", "ok", ", ".join(f"{name} {version}" for name, version in found.items()))
 
 
 def _usb() -> MachineCheck:
@@ -194,133 +366,3 @@ def _disk(results: Path) -> MachineCheck:
     if free < 0.1:
         return MachineCheck("disk", "fault", found, "free some space: a session needs a few megabytes")
     return MachineCheck("disk", "ok", found)
-
-
-def time_window(
-    screen: Screen, *, n_frames: int = 120, n_keys: int = 60, display: str = "the screen"
-) -> tuple[dict[str, Any], str]:
-    """Measure the timing of pictures and keys in an open window with keyboard focus, and assess it.
-
-    Returns
-    -------
-    figures : dict
-        ``display``, a description of the display; ``n_frames``, and ``n_dropped`` of at least 1.5 times the usual
-        duration; ``waits_for_monitor``, whether frames follow a monitor's refresh; ``n_keys`` injected, ``n_lost``
-        never seen, and ``key_path``: ``display server`` (as from a keyboard) or ``event queue`` (of the window, if
-        nothing else is available); time between frames (``frame_median_ms``, ``frame_p95_ms``), and from the injection
-        of a key to its time stamp (``key_delay_median_ms``, ``key_delay_p95_ms``, ``key_delay_max_ms``), None if no key
-        was seen.
-    verdict : str
-        Consequences for an experiment, and what to do.
-    """
-    frames = _measure_frames(screen, n_frames) * 1e3
-    with _injector(screen) as (press, path):
-        delays = [_measure_key(screen, press, number) for number in range(n_keys)]
-    seen = [delay * 1e3 for delay in delays if delay is not None]
-    usual = float(np.median(frames))
-    figures = {
-        "display": display,
-        "n_frames": n_frames,
-        "n_dropped": int(np.sum(frames > 1.5 * usual)),
-        # No monitor refreshes in less than 4 ms.
-        "waits_for_monitor": usual > 4.0 and float(np.quantile(frames, 0.1)) > 0.8 * usual,
-        "n_keys": n_keys,
-        "n_lost": n_keys - len(seen),
-        "key_path": path,
-        "frame_median_ms": round(usual, 3),
-        "frame_p95_ms": round(float(np.quantile(frames, 0.95)), 3),
-        "key_delay_median_ms": round(float(np.median(seen)), 3) if seen else None,
-        "key_delay_p95_ms": round(float(np.quantile(seen, 0.95)), 3) if seen else None,
-        "key_delay_max_ms": round(max(seen), 3) if seen else None,
-    }
-    return figures, judge_window(figures)
-
-
-def judge_window(figures: Mapping[str, Any]) -> str:
-    """Return what the timing figures of a window mean for an experiment, with advice."""
-    lines, delay = [f"On {figures['display']}:"], figures["key_delay_p95_ms"]
-    if figures["n_lost"]:
-        lines.append(
-            f"{figures['n_lost']} of {figures['n_keys']} keys were lost: give the window the keyboard focus, and do "
-            "not run participants here until none is."
-        )
-    if delay is None:
-        return " ".join(lines)
-    if delay > 5:
-        lines.append(
-            f"Keys are stamped up to {delay:.0f} ms late (95 %): close other programs, and state this with every "
-            "reaction time."
-        )
-    else:
-        lines.append(f"Keys are stamped within {delay:.1f} ms (95 %): good.")
-    if not figures["waits_for_monitor"]:
-        lines.append(
-            "Frames do not wait for a monitor, so the time at which one shows them is unknown: measure on the "
-            "participants' own screen, and switch on vertical synchronisation (vsync) there."
-        )
-    elif figures["n_dropped"] > 0.01 * figures["n_frames"]:
-        lines.append(
-            f"{figures['n_dropped']} of {figures['n_frames']} frames came late: run full screen, without a compositor, "
-            "and close other programs."
-        )
-    else:
-        lines.append(f"Frames follow the monitor at {1e3 / figures['frame_median_ms']:.0f} Hz: good.")
-    return " ".join(lines)
-
-
-def _measure_frames(screen: Screen, n_frames: int) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """Return the times between frames of two alternating pictures [s]."""
-    pictures = [Picture(f"timing_{x}", (rectangle(Box(x, 0, 0.1, 0.1), "#808080"),)) for x in (-0.2, 0.2)]
-    shown = []
-    for number in range(n_frames + 3):
-        screen.draw(pictures[number % 2])
-        shown.append(screen.flip())
-    # The first two frames also prepare the marks.
-    return np.diff(shown[2:])
-
-
-def _measure_key(screen: Screen, press: Callable[[], float], number: int) -> float | None:
-    """Return the time from a key's injection to its time stamp, polled as in a session [s]; None if lost."""
-    screen.poll()
-    # Vary the phase of presses relative to the poll.
-    until = time.perf_counter() + 0.02 + (number * 0.618 % 1) * POLL_INTERVAL
-    while time.perf_counter() < until:
-        time.sleep(1e-4)
-    injected = press()
-    while time.perf_counter() < injected + _TIMEOUT:
-        for event in screen.poll():
-            if event.kind == "key":
-                return event.time - injected
-        time.sleep(POLL_INTERVAL)
-    return None
-
-
-@contextmanager
-def _injector(screen: Screen) -> Iterator[tuple[Callable[[], float], str]]:
-    """Yield a function that presses and releases F12 and returns the time, and the path of the key."""
-    if not sys.platform.startswith("linux"):
-
-        def type_key() -> float:
-            now = time.perf_counter()
-            screen.type_key("f12", down=True)
-            screen.type_key("f12", down=False)
-            return now
-
-        yield type_key, "event queue"
-        return
-    # A dependency of PsychoPy.
-    from Xlib import X, display
-    from Xlib.ext import xtest
-
-    with closing(display.Display()) as server:
-        code = server.keysym_to_keycode(0xFFC9)  # F12, to which no program reacts
-
-        def press() -> float:
-            xtest.fake_input(server, X.KeyPress, code)
-            now = time.perf_counter()
-            server.sync()
-            xtest.fake_input(server, X.KeyRelease, code)
-            server.sync()
-            return now
-
-        yield press, "display server"

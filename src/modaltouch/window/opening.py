@@ -1,17 +1,23 @@
-"""Options of the answer window: opening for a person or a robot, and the legibility of texts in it."""
+"""Options of the answer window: opening for a person or a robot, the legibility of texts, and the timing in it."""
 
 from __future__ import annotations
 
 import math
+import sys
+import time
 import unicodedata
-from collections.abc import Iterator, Mapping
-from contextlib import closing
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
+import numpy as np
+
 from modaltouch.protocol import Schedule
 from modaltouch.system import SYSTEM_CLOCK, Clock
+from modaltouch.window.interface import POLL_INTERVAL
+from modaltouch.window.shapes import Box, Picture, rectangle
 from modaltouch.window.typesetting import Typesetter, find_font
 
 if TYPE_CHECKING:
@@ -20,7 +26,6 @@ if TYPE_CHECKING:
     from modaltouch.window.layout import Spans
     from modaltouch.window.pictures import Illustrator
     from modaltouch.window.screen import Screen
-    from modaltouch.window.shapes import Picture
     from modaltouch.window.simulated import Answerer
 
 
@@ -117,15 +122,14 @@ class WindowOptions:
         return Screen(size=self.size, fullscreen=self.fullscreen, monitor=self.screen, ground=ground, **options)
 
     def measure_timing(self) -> tuple[dict[str, Any], str]:
-        """Measure the timing of pictures and keys in the window (`machine.time_window`); takes some seconds.
+        """Measure the timing of pictures and keys in the window (`time_window`); takes some seconds.
 
         Raises
         ------
         WindowError
             If no window can be opened.
         """
-        from modaltouch.window.environment import some_display
-        from modaltouch.window.machine import time_window
+        from modaltouch.window.machine import some_display
 
         with some_display() as display, closing(self._screen(title="modaltouch doctor")) as screen:
             return time_window(screen, display=display)
@@ -255,3 +259,137 @@ def smallest_type(
         ((0.714 * set_type(mark, size[1]).size, mark.text) for mark in words),
         key=lambda found: (found[0], -len(found[1]), found[1]),  # of words that share a size, the longest decides it
     )
+
+
+_TIMEOUT = 0.5
+"""Time after which an unseen key counts as lost [s]."""
+
+
+def time_window(
+    screen: Screen, *, n_frames: int = 120, n_keys: int = 60, display: str = "the screen"
+) -> tuple[dict[str, Any], str]:
+    """Measure the timing of pictures and keys in an open window with keyboard focus, and assess it.
+
+    Returns
+    -------
+    figures : dict
+        ``display``, a description of the display; ``n_frames``, and ``n_dropped`` of at least 1.5 times the usual
+        duration; ``waits_for_monitor``, whether frames follow a monitor's refresh; ``n_keys`` injected, ``n_lost``
+        never seen, and ``key_path``: ``display server`` (as from a keyboard) or ``event queue`` (of the window, if
+        nothing else is available); time between frames (``frame_median_ms``, ``frame_p95_ms``), and from the injection
+        of a key to its time stamp (``key_delay_median_ms``, ``key_delay_p95_ms``, ``key_delay_max_ms``), None if no key
+        was seen.
+    verdict : str
+        Consequences for an experiment, and what to do.
+    """
+    frames = _measure_frames(screen, n_frames) * 1e3
+    with _injector(screen) as (press, path):
+        delays = [_measure_key(screen, press, number) for number in range(n_keys)]
+    seen = [delay * 1e3 for delay in delays if delay is not None]
+    usual = float(np.median(frames))
+    figures = {
+        "display": display,
+        "n_frames": n_frames,
+        "n_dropped": int(np.sum(frames > 1.5 * usual)),
+        # No monitor refreshes in less than 4 ms.
+        "waits_for_monitor": usual > 4.0 and float(np.quantile(frames, 0.1)) > 0.8 * usual,
+        "n_keys": n_keys,
+        "n_lost": n_keys - len(seen),
+        "key_path": path,
+        "frame_median_ms": round(usual, 3),
+        "frame_p95_ms": round(float(np.quantile(frames, 0.95)), 3),
+        "key_delay_median_ms": round(float(np.median(seen)), 3) if seen else None,
+        "key_delay_p95_ms": round(float(np.quantile(seen, 0.95)), 3) if seen else None,
+        "key_delay_max_ms": round(max(seen), 3) if seen else None,
+    }
+    return figures, judge_window(figures)
+
+
+def judge_window(figures: Mapping[str, Any]) -> str:
+    """Return what the timing figures of a window mean for an experiment, with advice."""
+    lines, delay = [f"On {figures['display']}:"], figures["key_delay_p95_ms"]
+    if figures["n_lost"]:
+        lines.append(
+            f"{figures['n_lost']} of {figures['n_keys']} keys were lost: give the window the keyboard focus, and do "
+            "not run participants here until none is."
+        )
+    if delay is None:
+        return " ".join(lines)
+    if delay > 5:
+        lines.append(
+            f"Keys are stamped up to {delay:.0f} ms late (95 %): close other programs, and state this with every "
+            "reaction time."
+        )
+    else:
+        lines.append(f"Keys are stamped within {delay:.1f} ms (95 %): good.")
+    if not figures["waits_for_monitor"]:
+        lines.append(
+            "Frames do not wait for a monitor, so the time at which one shows them is unknown: measure on the "
+            "participants' own screen, and switch on vertical synchronisation (vsync) there."
+        )
+    elif figures["n_dropped"] > 0.01 * figures["n_frames"]:
+        lines.append(
+            f"{figures['n_dropped']} of {figures['n_frames']} frames came late: run full screen, without a compositor, "
+            "and close other programs."
+        )
+    else:
+        lines.append(f"Frames follow the monitor at {1e3 / figures['frame_median_ms']:.0f} Hz: good.")
+    return " ".join(lines)
+
+
+def _measure_frames(screen: Screen, n_frames: int) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """Return the times between frames of two alternating pictures [s]."""
+    pictures = [Picture(f"timing_{x}", (rectangle(Box(x, 0, 0.1, 0.1), "#808080"),)) for x in (-0.2, 0.2)]
+    shown = []
+    for number in range(n_frames + 3):
+        screen.draw(pictures[number % 2])
+        shown.append(screen.flip())
+    # The first two frames also prepare the marks.
+    return np.diff(shown[2:])
+
+
+def _measure_key(screen: Screen, press: Callable[[], float], number: int) -> float | None:
+    """Return the time from a key's injection to its time stamp, polled as in a session [s]; None if lost."""
+    screen.poll()
+    # Vary the phase of presses relative to the poll.
+    until = time.perf_counter() + 0.02 + (number * 0.618 % 1) * POLL_INTERVAL
+    while time.perf_counter() < until:
+        time.sleep(1e-4)
+    injected = press()
+    while time.perf_counter() < injected + _TIMEOUT:
+        for event in screen.poll():
+            if event.kind == "key":
+                return event.time - injected
+        time.sleep(POLL_INTERVAL)
+    return None
+
+
+@contextmanager
+def _injector(screen: Screen) -> Iterator[tuple[Callable[[], float], str]]:
+    """Yield a function that presses and releases F12 and returns the time, and the path of the key."""
+    if not sys.platform.startswith("linux"):
+
+        def type_key() -> float:
+            now = time.perf_counter()
+            screen.type_key("f12", down=True)
+            screen.type_key("f12", down=False)
+            return now
+
+        yield type_key, "event queue"
+        return
+    # A dependency of PsychoPy.
+    from Xlib import X, display
+    from Xlib.ext import xtest
+
+    with closing(display.Display()) as server:
+        code = server.keysym_to_keycode(0xFFC9)  # F12, to which no program reacts
+
+        def press() -> float:
+            xtest.fake_input(server, X.KeyPress, code)
+            now = time.perf_counter()
+            server.sync()
+            xtest.fake_input(server, X.KeyRelease, code)
+            server.sync()
+            return now
+
+        yield press, "display server"

@@ -14,8 +14,17 @@ from modaltouch.protocol import TIME_OUT, AnswersSection, Protocol, Response, Te
 from modaltouch.system import SYSTEM_CLOCK, Clock
 from modaltouch.window.answering import SETTLE, AskedQuestion, chosen, is_press
 from modaltouch.window.controls import as_read
-from modaltouch.window.display_loop import POLL_INTERVAL, DisplayLoop, Moment, Robot
-from modaltouch.window.interface import AnswerWindow, Event, Log, Presentation, Progress, Tick, TrialInterrupted
+from modaltouch.window.display_loop import DisplayLoop, Moment, Robot
+from modaltouch.window.interface import (
+    POLL_INTERVAL,
+    AnswerWindow,
+    Event,
+    Log,
+    Presentation,
+    Progress,
+    Tick,
+    TrialInterrupted,
+)
 from modaltouch.window.layout import THEMES, Spans, lay_out
 from modaltouch.window.pictures import Illustrator
 from modaltouch.window.screen import Screen, canonical_key

@@ -12,7 +12,7 @@ from Xlib import XK, X
 from Xlib.display import Display
 from Xlib.ext import xtest
 
-from modaltouch.window.environment import virtual_display
+from modaltouch.window.machine import virtual_display
 
 pytestmark = pytest.mark.window
 
