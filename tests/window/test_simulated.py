@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from modaltouch.planning.observer import Observer
-from modaltouch.planning.participant import Participant
 from modaltouch.protocol.trial import Condition, Trial
 from modaltouch.system.clock import VirtualClock
 from modaltouch.window.interface import Presentation, Progress
@@ -102,18 +101,3 @@ def test_exceptions_of_the_tick_propagate() -> None:
     window = SimulatedParticipant(make_answerer(), tick=tick, clock=VirtualClock())
     with pytest.raises(KeyboardInterrupt):
         window.ask(make_trial(1), PROGRESS, present([]))
-
-
-def test_a_generator_without_a_seed_sequence_is_refused() -> None:
-    """The message describes the allowed generators."""
-
-    class Dice(np.random.bit_generator.ISeedSequence):
-        """Another source of seeds."""
-
-        def generate_state(self, n_words: int, dtype: type = np.uint32) -> np.ndarray:
-            return np.zeros(n_words, dtype)
-
-    bare = np.random.Generator(np.random.PCG64(Dice()))
-    answerer = Answerer(Participant(), lambda trial: (0.1, 0.1), bare)
-    with pytest.raises(ValueError, match="allowed: one with a SeedSequence"):
-        answerer.answer(make_trial(1))

@@ -312,11 +312,11 @@ def _sound(*, quick: bool) -> MachineCheck:
     lacks = sys.platform == "linux" and not is_loadable("libportaudio.so.2")
     if quick:
         return MachineCheck("sound", "warning" if lacks else "ok", "PortAudio", packages=["libportaudio2"] * lacks)
-    from modaltouch.window.masking import DeviceError, default_device
+    from modaltouch.window.masking import default_device
 
     try:
         device = default_device()
-    except DeviceError as error:
+    except WindowError as error:
         remedy = "connect one, or install libportaudio2, where a protocol wants masking noise"
         return MachineCheck("sound", "warning", str(error).partition(";")[0], remedy)
     found = f"{device['name']}, {device['default_samplerate']:g} Hz, {device['max_output_channels']} channels"

@@ -4,7 +4,7 @@ The noise has random phases and an exact spectrum, so that its period repeats se
 PortAudio. If the device is lost during a session (unplugged, or removed by the system), the current trial continues and
 its answer is recorded as not masked. If the protocol requires masking, the session ends properly before the next trial,
 and `modaltouch resume` continues it once the device is back; otherwise it continues without noise, and its trials are
-recorded as not masked.
+recorded as not masked. A device that takes samples again by itself, as after the computer was held up, counts again.
 """
 
 from __future__ import annotations
@@ -71,10 +71,6 @@ def amplitude_at(level: float) -> float:
     return float(10 ** ((level - SINE_DB) / 20))
 
 
-class DeviceError(Exception):
-    """There is no sound device, or it cannot be opened; the message says why, and what to do."""
-
-
 def default_device(name: str = "") -> dict[str, Any]:
     """Return the properties of a sound device, as reported by PortAudio.
 
@@ -85,19 +81,19 @@ def default_device(name: str = "") -> dict[str, Any]:
 
     Raises
     ------
-    DeviceError
+    MaskingError
         If there is no such device or no PortAudio.
     """
     try:
         import sounddevice
     except OSError as error:
-        raise DeviceError(f"{error}; install libportaudio2 (`make install`)") from error
+        raise MaskingError(f"{error}; install libportaudio2 (`make install`)") from error
     try:
         return dict(sounddevice.query_devices(name or None, kind="output"))
     except (sounddevice.PortAudioError, ValueError) as error:
         what = f"no sound device like {name!r}" if name else "no sound device"
         remedy = "connect one and choose it with sound.device in the apparatus"
-        raise DeviceError(f"there is {what} ({error}); {remedy}") from error
+        raise MaskingError(f"there is {what} ({error}); {remedy}") from error
 
 
 def open_stream(apparatus: Apparatus, fill: Callable[..., None]) -> tuple[dict[str, Any], Any]:
@@ -121,7 +117,7 @@ def open_stream(apparatus: Apparatus, fill: Callable[..., None]) -> tuple[dict[s
     except (sounddevice.PortAudioError, ValueError) as error:
         if stream is not None:
             stream.close()
-        raise DeviceError(
+        raise MaskingError(
             f"the sound device {device.get('name')!r} refuses {sound.sampling_rate_Hz:g} Hz ({error}); change "
             "sound.sampling_rate_Hz or sound.device in the apparatus"
         ) from error
@@ -277,11 +273,12 @@ class PlayedMasking(SimulatedMasking):
         self._log = log
         period = make_noise(section.noise, sound.sampling_rate_Hz) * amplitude_at(level)
         self._playback = LoopedNoise(period, round(section.fade_s * sound.sampling_rate_Hz))
-        self._stream: Any = None
-        self._asked = 0.0
-        self._n_underflows = 0
-        self._is_lost = False
-        self._open()
+        self._n_underflows, self._is_lost = 0, False
+        try:
+            self._device, self._stream = open_stream(apparatus, self._fill)
+        except MaskingError as error:
+            raise MaskingError(f"no masking noise can be played: {error}, or set masking.required: false") from error
+        self._asked = time.perf_counter()
 
     def start(self) -> None:
         """Start the fade-in."""
@@ -291,6 +288,9 @@ class PlayedMasking(SimulatedMasking):
     def ensure(self, tick: Callable[[], object], *, on: bool = True) -> None:
         """Ensure that the noise is at its level, or silent."""
         self._watch()
+        if self._is_lost and self._is_fed:
+            self._is_lost = False
+            self._log("masking", state="on again")
         if self._is_lost and self._section.required:
             raise MaskingError(f"{self._loss}; connect it again and resume, or set masking.required: false")
         if on != self._is_wanted:
@@ -325,13 +325,6 @@ class PlayedMasking(SimulatedMasking):
         self._close()
         self._log("masking", state="off", n_underflows=self._n_underflows)
 
-    def _open(self) -> None:
-        try:
-            self._device, self._stream = open_stream(self._apparatus, self._fill)
-        except DeviceError as error:
-            raise MaskingError(f"no masking noise can be played: {error}, or set masking.required: false") from error
-        self._asked = time.perf_counter()
-
     def _fill(self, out: Any, n_frames: int, moment: Any, status: Any) -> None:
         """Provide the next samples; called by PortAudio in a separate thread."""
         self._asked = time.perf_counter()
@@ -342,11 +335,13 @@ class PlayedMasking(SimulatedMasking):
     def _loss(self) -> str:
         return f"the sound device {self._device.get('name')!r} accepts no more samples"
 
+    @property
+    def _is_fed(self) -> bool:
+        return self._stream is not None and self._stream.active and time.perf_counter() - self._asked <= STALE
+
     def _watch(self) -> None:
         """Detect a lost device, and record it once."""
-        if self._is_lost:
-            return
-        if time.perf_counter() - self._asked > STALE or self._stream is None or not self._stream.active:
+        if not (self._is_lost or self._is_fed):
             self._is_lost = True
             # By the record's clock, since an answer of the last second may have been recorded as masked.
             self._log("masking_lost", reason=self._loss, last_samples_s=round(self._asked, 6))

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 import time
 import zlib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any, cast
 
 import numpy as np
 
@@ -19,32 +19,14 @@ Rated = tuple[str, float | None, float]
 """An answer, its number on a scale, and its reaction time [s]."""
 
 
-class SimulatedPerson(Protocol):
-    """Model of a person, such as `modaltouch.planning.Participant`; each method returns a reaction time [s], too."""
-
-    def answer(
-        self, left: float, right: float, finger_condition: str, rng: np.random.Generator, answers: AnswerList,
-        /, *between: float,
-    ) -> tuple[str, float]:  # fmt: skip
-        """Answer a question about the felt speeds of fingers [m/s]."""
-
-    def rate(self, speeds: Sequence[float], rng: np.random.Generator, /) -> tuple[float, float]:
-        """Rate felt speeds [m/s] as a share of the scale."""
-
-    def compare(
-        self, speeds: Sequence[tuple[float, ...]], rng: np.random.Generator, answers: AnswerList, /
-    ) -> tuple[str, float]:
-        """Compare the felt speeds of several intervals [m/s]."""
-
-
 @dataclass(frozen=True)
 class Answerer:
     """A simulated observer that answers according to the felt speeds.
 
     Attributes
     ----------
-    participant : SimulatedPerson
-        Decides on answers, ratings and comparisons.
+    participant : modaltouch.planning.Participant
+        Decides on answers, ratings and comparisons; any model with the same three methods will do.
     felt : callable
         Peak speeds under the fingers in a trial, from left to right [m/s].
     generator : numpy.random.Generator
@@ -52,7 +34,7 @@ class Answerer:
         repeated trials get the same answers as an uninterrupted session.
     """
 
-    participant: SimulatedPerson
+    participant: Any
     felt: Callable[[Trial], tuple[float, ...]]
     generator: np.random.Generator
     answers: AnswerList = field(default_factory=lambda: AnswerList.of({}))
@@ -69,10 +51,10 @@ class Answerer:
         speeds, stream = self._feel(trial), self._stream(int(trial.practice), trial.index)
         if self._intervals and any(answer.interval for answer in self.answers):
             intervals = [*self._intervals, speeds]
-            return self.participant.compare(intervals, stream, self.answers)
+            return cast("tuple[str, float]", self.participant.compare(intervals, stream, self.answers))
         # A single finger counts as two that feel the same, and can only detect a stimulus.
         of = speeds[0], speeds[-1], trial.condition.finger_condition
-        return self.participant.answer(*of, stream, self.answers, *speeds[1:-1])
+        return cast("tuple[str, float]", self.participant.answer(*of, stream, self.answers, *speeds[1:-1]))
 
     def first(self, trial: Trial) -> Rated:
         """Return the answer to the first question of a trial, in the form of `rate`."""
@@ -125,19 +107,8 @@ class Answerer:
         return self._remembered.setdefault(trial, self.felt(trial))
 
     def _stream(self, *key: int) -> np.random.Generator:
-        """Return the random generator of an answer.
-
-        Raises
-        ------
-        ValueError
-            If the generator was not created from a seed sequence.
-        """
-        seed = self.generator.bit_generator.seed_seq
-        if not isinstance(seed, np.random.SeedSequence):
-            raise ValueError(
-                f"given a generator seeded by {type(seed).__name__}; allowed: one with a SeedSequence, such as "
-                "numpy.random.default_rng(seed)"
-            )
+        """Return the random generator of an answer, spawned from the seed of `generator`."""
+        seed = cast("np.random.SeedSequence", self.generator.bit_generator.seed_seq)
         return np.random.default_rng(np.random.SeedSequence(seed.entropy, spawn_key=(*seed.spawn_key, *key)))
 
 

@@ -222,7 +222,7 @@ def test_a_device_that_stays_away_ends_the_session_or_is_recorded(
 
 
 def test_a_device_that_requests_no_samples_is_lost(devices: list[Any], monkeypatch: pytest.MonkeyPatch) -> None:
-    """PortAudio reports some lost devices as active; one that takes no samples for a second is lost."""
+    """PortAudio reports some lost devices as active; one that takes no samples for a second is lost until it does."""
     masking, log = make(SECTION)
     masking.start()
     masking.ensure(lambda: devices[-1].ask(2400))
@@ -230,6 +230,11 @@ def test_a_device_that_requests_no_samples_is_lost(devices: list[Any], monkeypat
     monkeypatch.setattr(player.time, "perf_counter", lambda: now + 1.5)
     assert masking.is_on is False
     assert events_of(log) == ["masking on", "masking_lost"]
+    devices[0].ask(2400)
+    assert masking.is_on is False, "not in this trial"
+    masking.ensure(lambda: devices[0].ask(2400))
+    assert masking.is_on
+    assert events_of(log) == ["masking on", "masking_lost", "masking on again"]
 
 
 class Stuck:
