@@ -9,9 +9,8 @@ from PIL import Image
 from modaltouch.protocol import Schedule
 from modaltouch.window.controls import as_read, typesetter_of
 from modaltouch.window.interface import Progress
-from modaltouch.window.layout import DARK, lay_out
+from modaltouch.window.layout import DARK, Picture, Shape, cover, lay_out
 from modaltouch.window.pictures import Illustrator
-from modaltouch.window.shapes import Picture, Shape, cover
 
 SIZE = (800, 500)
 """Size of a picture [pixels]."""

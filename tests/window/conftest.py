@@ -15,10 +15,9 @@ from modaltouch.protocol import Experiment, Findings
 from modaltouch.protocol.trial import Condition, Trial
 from modaltouch.system.clock import SYSTEM_CLOCK, Clock, VirtualClock
 from modaltouch.window.interface import Event, Presentation
-from modaltouch.window.layout import DARK
+from modaltouch.window.layout import DARK, Picture
 from modaltouch.window.machine import virtual_display
 from modaltouch.window.participant import ParticipantWindow
-from modaltouch.window.shapes import Picture
 
 ROOT = Path(__file__).resolve().parents[2]
 

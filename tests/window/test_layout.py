@@ -9,8 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from modaltouch.protocol import AnswerList
-from modaltouch.window.layout import Layout, lay_out
-from modaltouch.window.shapes import Box
+from modaltouch.window.layout import Box, Layout, lay_out
 
 SIZES = [(800, 600), (1280, 800), (1920, 1080), (768, 1024), (3840, 2160)]
 

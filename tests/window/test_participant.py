@@ -14,7 +14,7 @@ from modaltouch.planning.participant import Participant
 from modaltouch.protocol.trial import Condition, Response, Trial
 from modaltouch.window.display_loop import DisplayLoop, Robot
 from modaltouch.window.interface import Event, EventKind, Progress, SessionStopped, TrialInterrupted, WindowError
-from modaltouch.window.shapes import Picture
+from modaltouch.window.layout import Picture
 from modaltouch.window.simulated import Answerer
 
 PROGRESS = Progress(5, 12)

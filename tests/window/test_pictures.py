@@ -14,9 +14,8 @@ from ruamel.yaml import YAML
 from modaltouch.protocol import AnswerList, Experiment, Texts
 from modaltouch.protocol.trial import FINGERS, Condition, Trial
 from modaltouch.window.interface import Progress
-from modaltouch.window.layout import DARK, Theme, lay_out
+from modaltouch.window.layout import DARK, Mark, Picture, Shape, Theme, Words, lay_out
 from modaltouch.window.pictures import Illustrator, draw_hands
-from modaltouch.window.shapes import Mark, Picture, Shape, Words
 from modaltouch.window.typesetting import Typesetter
 
 PROGRESS = Progress(5, 12)

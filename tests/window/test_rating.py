@@ -14,8 +14,7 @@ from modaltouch.protocol.trial import AnswerList, Response, Trial
 from modaltouch.window.controls import Entry, draw_scale, typesetter_of
 from modaltouch.window.display_loop import Robot
 from modaltouch.window.interface import Event, Progress, SessionStopped
-from modaltouch.window.layout import DARK, lay_out
-from modaltouch.window.shapes import Words
+from modaltouch.window.layout import DARK, Words, lay_out
 from modaltouch.window.simulated import Answerer
 
 PROGRESS = Progress(5, 12)

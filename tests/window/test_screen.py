@@ -18,11 +18,10 @@ from modaltouch.protocol.findings import Findings
 from modaltouch.protocol.trial import Condition, Trial
 from modaltouch.window.controls import typesetter_of
 from modaltouch.window.interface import Progress, WindowError
-from modaltouch.window.layout import DARK, THEMES, lay_out
+from modaltouch.window.layout import DARK, THEMES, Box, Picture, Words, lay_out, rectangle, triangle
 from modaltouch.window.machine import virtual_display
 from modaltouch.window.opening import every_picture
 from modaltouch.window.pictures import Illustrator
-from modaltouch.window.shapes import Box, Picture, Words, rectangle, triangle
 
 pytestmark = pytest.mark.window
 ROOT = Path(__file__).resolve().parents[2]
@@ -30,7 +29,6 @@ OPEN = """
 from pathlib import Path
 from modaltouch.window.interface import WindowError
 from modaltouch.window.screen import Screen
-from modaltouch.window.shapes import Picture, Words, Box
 try:
     screen = Screen(size=(400, 300))
     screen.draw(Picture("any", (Words("Bonjour", Box(0, 0, 1, 1), 0.1, "#FFFFFF"),)))

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from modaltouch.window.shapes import Box, capsule, cover, rectangle, rounded, triangle
+from modaltouch.window.layout import Box, capsule, cover, rectangle, rounded, triangle
 
 
 @given(st.floats(3, 60), st.floats(3, 60), st.floats(-20, 20), st.floats(-20, 20))

@@ -13,8 +13,7 @@ import pytest
 from fontTools.ttLib import TTFont
 
 from modaltouch.protocol import AnswerList
-from modaltouch.window.layout import lay_out
-from modaltouch.window.shapes import Box, Words
+from modaltouch.window.layout import Box, Words, lay_out
 from modaltouch.window.typesetting import Font, TypeBlock, Typesetter, find_font
 
 

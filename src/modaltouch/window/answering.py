@@ -14,10 +14,9 @@ from modaltouch.protocol import TIME_OUT, AnswersSection, Response, Trial
 from modaltouch.window.controls import Entry
 from modaltouch.window.display_loop import DisplayLoop, Moment
 from modaltouch.window.interface import Event, Progress, SessionStopped
-from modaltouch.window.layout import Layout
+from modaltouch.window.layout import Layout, Picture
 from modaltouch.window.pictures import Illustrator
 from modaltouch.window.screen import canonical_key
-from modaltouch.window.shapes import Picture
 
 DEVICES = {"key": "key", "click": "mouse", "answer": "console", "continue": "console"}
 """Device of an answer, by the kind of its event."""

@@ -9,8 +9,7 @@ from functools import cache, cached_property
 
 from modaltouch.protocol import AnswersSection, ScaleSection, Texts
 from modaltouch.window.interface import Event
-from modaltouch.window.layout import Layout, Theme
-from modaltouch.window.shapes import Box, Mark, Words, capsule, framed, rectangle, triangle
+from modaltouch.window.layout import Box, Layout, Mark, Theme, Words, capsule, framed, rectangle, triangle
 from modaltouch.window.typesetting import Typesetter, first_letter_is_rtl
 
 _ARROWS = ("left", "right", "up", "down")

@@ -12,8 +12,8 @@ from modaltouch.protocol import Protocol, Texts, Trial
 from modaltouch.system import SYSTEM_CLOCK, Clock
 from modaltouch.window.controls import Entry, as_read
 from modaltouch.window.interface import POLL_INTERVAL, Event, Log, SessionStopped, Tick, WindowError
+from modaltouch.window.layout import Picture
 from modaltouch.window.screen import Screen, canonical_key
-from modaltouch.window.shapes import Picture
 from modaltouch.window.simulated import Answerer
 
 

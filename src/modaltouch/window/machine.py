@@ -295,8 +295,8 @@ def _fonts() -> MachineCheck:
 
 def _window() -> MachineCheck:
     """Draw a letter in the window, which requires a display, OpenGL, fonts and PsychoPy."""
+    from modaltouch.window.layout import Box, Picture, Words
     from modaltouch.window.screen import Screen
-    from modaltouch.window.shapes import Box, Picture, Words
 
     try:
         with some_display() as where, closing(Screen(size=(320, 200), title="modaltouch doctor")) as screen:

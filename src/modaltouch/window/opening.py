@@ -17,13 +17,12 @@ import numpy as np
 from modaltouch.protocol import Schedule
 from modaltouch.system import SYSTEM_CLOCK, Clock
 from modaltouch.window.interface import POLL_INTERVAL
-from modaltouch.window.shapes import Box, Picture, rectangle
+from modaltouch.window.layout import DARK, THEMES, Box, Picture, Spans, Words, lay_out, rectangle
 from modaltouch.window.typesetting import Typesetter, find_font
 
 if TYPE_CHECKING:
     from modaltouch.protocol import Findings, Problem, Protocol, Texts, Trial
     from modaltouch.window.interface import AnswerWindow, Log, Tick
-    from modaltouch.window.layout import Spans
     from modaltouch.window.pictures import Illustrator
     from modaltouch.window.screen import Screen
     from modaltouch.window.simulated import Answerer
@@ -62,8 +61,6 @@ class WindowOptions:
         window : mapping
             Facts of the window in the record's line `start` or `resume`.
         """
-        from modaltouch.window.layout import THEMES
-
         usual, size = cls(), window.get("size_px")
         fullscreen, theme = bool(window.get("fullscreen", False)), window.get("theme")
         return cls(
@@ -115,7 +112,6 @@ class WindowOptions:
             raise
 
     def _screen(self, **options: Any) -> Screen:
-        from modaltouch.window.layout import THEMES
         from modaltouch.window.screen import Screen
 
         ground = THEMES[self.theme].ground
@@ -240,9 +236,7 @@ def smallest_type(
     # Import the drawing modules only to measure type.
     from modaltouch.window.controls import typesetter_of
     from modaltouch.window.interface import Progress
-    from modaltouch.window.layout import DARK, lay_out
     from modaltouch.window.pictures import Illustrator
-    from modaltouch.window.shapes import Words
 
     design = protocol.conditions
     asked = [protocol.answers, *protocol.answers.further.values(), *protocol.closing.values()]

@@ -25,10 +25,9 @@ from modaltouch.window.interface import (
     Tick,
     TrialInterrupted,
 )
-from modaltouch.window.layout import THEMES, Spans, lay_out
+from modaltouch.window.layout import THEMES, Picture, Spans, lay_out
 from modaltouch.window.pictures import Illustrator
 from modaltouch.window.screen import Screen, canonical_key
-from modaltouch.window.shapes import Picture
 
 _CONFIRMATION = 0.4
 """Maximum time for which the chosen answer is shown [s]."""

@@ -10,8 +10,21 @@ from itertools import accumulate, pairwise
 from modaltouch.protocol import AnswersSection, Texts, Trial
 from modaltouch.window.controls import Buttons, common_size, draw_scale, key_name, typesetter_of
 from modaltouch.window.interface import Progress
-from modaltouch.window.layout import Layout, Theme, mixed
-from modaltouch.window.shapes import Box, Mark, Picture, Point, Words, capsule, framed, moved, rectangle, rounded
+from modaltouch.window.layout import (
+    Box,
+    Layout,
+    Mark,
+    Picture,
+    Point,
+    Theme,
+    Words,
+    capsule,
+    framed,
+    mixed,
+    moved,
+    rectangle,
+    rounded,
+)
 from modaltouch.window.typesetting import Typesetter
 
 _STEPS = {"thumb": 0.0, "index": 0.06, "middle": 0.052, "ring": 0.052, "little": 0.048}

@@ -13,8 +13,8 @@ import numpy as np
 from modaltouch.protocol import AnswersSection
 from modaltouch.system import SYSTEM_CLOCK, Clock
 from modaltouch.window.interface import Event, EventKind, WindowError
+from modaltouch.window.layout import Mark, Picture, Shape, cover
 from modaltouch.window.machine import explain, few_imports, fit, missing_libraries, prepare_environment
-from modaltouch.window.shapes import Mark, Picture, Shape, cover
 from modaltouch.window.typesetting import Typesetter
 
 _ALIASES = {

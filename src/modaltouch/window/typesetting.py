@@ -23,10 +23,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from modaltouch.window.layout import Coverage, Words
+
 if TYPE_CHECKING:
     from PIL.ImageFont import FreeTypeFont
 
-    from modaltouch.window.shapes import Coverage, Words
 
 _ALSO = ("DejaVuSans", "NotoSansCJK-Regular", "wqy-microhei", "DroidSansFallbackFull")
 """Fonts tried after Noto Sans and the Noto font of a script; the first comes with matplotlib, the others have CJK."""
@@ -222,8 +223,6 @@ class Typesetter:
             Size of the window [pixels].
         """
         from PIL import Image, ImageDraw
-
-        from modaltouch.window.shapes import Coverage
 
         block = self.set_type(words, window[1])
         # Swashes and marks may protrude from the extent of a line.
