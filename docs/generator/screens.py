@@ -7,9 +7,9 @@ import numpy as np
 from PIL import Image
 
 from modaltouch.protocol import Schedule
-from modaltouch.window.controls import as_read, typesetter_of
+from modaltouch.window.controls import typesetter_of
 from modaltouch.window.interface import Progress
-from modaltouch.window.layout import DARK, Picture, Shape, cover, lay_out
+from modaltouch.window.layout import DARK, Picture, Shape, cover
 from modaltouch.window.pictures import Illustrator
 
 SIZE = (800, 500)
@@ -22,9 +22,7 @@ def screens(experiment) -> list[Picture]:
     design, zones = protocol.conditions, experiment.apparatus.zone_spans
 
     def asking(answers):
-        answers = as_read(answers, texts)
-        layout = lay_out(*SIZE, zones, answers.offered, answers.scale)
-        return Illustrator(layout, DARK, texts, answers, design.hand, design.fingers)
+        return Illustrator.of(SIZE, zones, "dark", texts, answers, design)
 
     trials = Schedule.draw(protocol, "p01", 1).trials
     first = {trial.condition.finger_condition: trial for trial in reversed(trials) if not trial.practice}

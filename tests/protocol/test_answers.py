@@ -112,31 +112,43 @@ def test_faults_of_a_list_have_their_position(edit: Edit, old: str, new: str, fa
     assert any(fault in str(problem) for problem in caught.value.problems), caught.value.problems
 
 
+@pytest.mark.parametrize("label", ["Unter\u00adschiedlicheres", "ทั้งสองนิ้วรู้สึกเหมือน", "ทั้งสองนิ้ว\u200bรู้สึกเท่ากัน"])
+def test_vowel_signs_and_places_to_break_make_no_word_too_long(edit: Edit, label: str) -> None:
+    """Of the 23 characters of the second, 15 are letters; by UAX 29 the others belong to the letter before."""
+    assert label_texts(edit, label).experiment().texts.label("rechts") == label
+
+
 @pytest.mark.parametrize(
     ("label", "fault"),
     [
         ("' '", "answers.rechts: given an empty text; allowed: at least one word"),
         (
             "The right one I should say - beyond doubt",
-            "answers.rechts: given 41 characters on a button; allowed: at most 40",
+            "answers.rechts: given 41 letters on a button; allowed: at most 40",
         ),
         (
             "Unterschiedlicheres",
             "answers.rechts: given a word of 19 letters on a button; allowed: at most 17 with 3 answers in a row; "
-            "shorten it, or write a zero-width space (U+200B) where it may break",
+            "shorten it, or write a soft hyphen (U+00AD) or zero-width space (U+200B) where it may break",
         ),
+        ("ทั้งสองนิ้วรู้สึกเหมือนกันมาก", "answers.rechts: given a word of 20 letters on a button; allowed: at most 17"),
         ("'Press {key}'", "answers.rechts: given {key} in 'Press {key}'; allowed: exactly no words in braces"),
     ],
 )
 def test_unusable_labels_are_refused(edit: Edit, label: str, fault: str) -> None:
     """Empty ones, ones too long for a common size, and ones with braces."""
+    with pytest.raises(InputError) as caught:
+        label_texts(edit, label).experiment()
+    assert any(fault in str(problem) for problem in caught.value.problems), caught.value.problems
+
+
+def label_texts(edit: Edit, label: str) -> Findings:
+    """Return a protocol whose answer `rechts` has a label."""
     file = edit(FILE, (BOTH, "    rechts: [up]\n"))
     texts = file.parent / "texts" / "english.yaml"
     words = texts.read_text(encoding="utf-8").replace("\nanswers:\n", f"\nanswers:\n  rechts: {label}\n")
     texts.write_text(words, encoding="utf-8")
-    with pytest.raises(InputError) as caught:
-        Findings.read(file).experiment()
-    assert any(fault in str(problem) for problem in caught.value.problems), caught.value.problems
+    return Findings.read(file)
 
 
 def test_two_answers_for_one_finger_are_refused(edit: Edit) -> None:

@@ -51,6 +51,18 @@ def tips(marks: tuple[Mark, ...], theme: Theme) -> dict[str, tuple[float, float]
     return ends
 
 
+def test_names_of_fingers_at_both_ends_have_their_full_size(experiment: Experiment) -> None:
+    """At 800 x 600, within the window; they once had three quarters of it, though nothing was in their way."""
+    layout = lay_out(800, 600, experiment.apparatus.zone_spans, AnswerList.of({}))
+    names = ("left index finger", "right index finger")
+    marks = draw_hands(layout, DARK, ("A", "E"), ("left index", "right index"), names, Typesetter())
+    for mark in marks[-2:]:
+        assert isinstance(mark, Words)
+        assert mark.size == pytest.approx(0.031 * layout.type_scale)
+        assert Typesetter().set_type(mark, 600).share == 1
+        assert abs(mark.box.x) + mark.box.width / 2 <= layout.width / 2
+
+
 @pytest.mark.parametrize(("pair", "condition"), CASES)
 def test_each_finger_lies_on_its_zone(experiment: Experiment, pair: str, condition: tuple[str, str]) -> None:
     """The left colour's tip is in the left zone and the right colour's in the right zone."""
@@ -462,3 +474,23 @@ def test_a_catch_trial_looks_like_any_other(experiment: Experiment) -> None:
     catch, other = make_trial(velocity=0.0), make_trial(velocity=200.0)
     for draw in (pictures.feel, pictures.question, pictures.ready):
         assert draw(catch, PROGRESS) == draw(other, PROGRESS)
+
+
+@pytest.mark.parametrize(
+    ("keys", "order"),
+    [
+        ({"weaker": ("1",), "alike": ("2",), "stronger": ("3",)}, ["stronger", "alike", "weaker"]),
+        ({"weaker": ("left",), "alike": ("2",), "stronger": ("right",)}, ["weaker", "alike", "stronger"]),
+        ({"left": ("1",), "both": ("2",), "right": ("3",)}, ["left", "both", "right"]),
+    ],
+)
+def test_arabic_answers_run_from_the_right_unless_sides_matter(
+    experiment: Experiment, keys: dict[str, tuple[str, ...]], order: list[str]
+) -> None:
+    """As its scales do; arrow keys and fingers keep their sides."""
+    asked = experiment.protocol.answers.model_copy(update={"keys": keys})
+    labels = {"weaker": "أضعف", "alike": "متساوٍ", "stronger": "أقوى"}
+    texts = experiment.texts.model_copy(update={"question": "أين أحسست بالاهتزاز؟", "answers": labels})
+    zones, design = experiment.apparatus.zone_spans, experiment.protocol.conditions
+    buttons = Illustrator.of((1280, 800), zones, "dark", texts, asked, design).layout.buttons
+    assert sorted(buttons, key=lambda name: buttons[name].x) == order

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import string
+import unicodedata
 from collections.abc import Iterator
 from typing import Annotated
 
@@ -276,10 +277,15 @@ def check_words(protocol: Reading[Protocol], texts: Reading[Texts]) -> Iterator[
 
 
 _ROOM, _ROOM_IN_WORDS, _LONGEST_WORD = 120, 78, 17
-"""Largest number of characters on a row of buttons and of the longest words on them, and in a word: all labels of a row
+"""Largest number of letters on a row of buttons and of the longest words on them, and in a word: all labels of a row
 have the size of the longest one, which would be too small to read."""
-_BREAKS = re.compile(r"[^\S\u00a0\u202f]|\u200b|[\u2e80-\uffef]")
-"""Places where a line may break: spaces, zero-width spaces, and ideographs."""
+_BREAKS = re.compile(r"[^\S\u00a0\u202f]|[\u00ad\u200b]|[\u2e80-\uffef]")
+"""Places where a line may break: spaces, soft hyphens, zero-width spaces, and ideographs."""
+
+
+def _count(text: str) -> int:
+    """Return the number of letters that take room: no vowel or tone mark above or below another, and no format mark."""
+    return sum(unicodedata.category(letter)[0] != "M" and unicodedata.category(letter) != "Cf" for letter in text)
 
 
 def check_labels(protocol: Reading[Protocol], texts: Reading[Texts]) -> Iterator[Problem]:
@@ -291,12 +297,12 @@ def check_labels(protocol: Reading[Protocol], texts: Reading[Texts]) -> Iterator
     for name, n_beside in [(name, len(row)) for row in rows for name in row]:
         path = (name,) if name in SHIPPED else ("answers", name)
         label = str(texts.sound(*path) or "")
-        length, room = max(map(len, _BREAKS.split(label))), min(_LONGEST_WORD, _ROOM_IN_WORDS // n_beside)
+        length, room = max(map(_count, _BREAKS.split(label))), min(_LONGEST_WORD, _ROOM_IN_WORDS // n_beside)
         yield from texts.faults(
             (
-                len(label) > _ROOM // n_beside,
+                _count(label) > _ROOM // n_beside,
                 path,
-                f"{len(label)} characters on a button",
+                f"{_count(label)} letters on a button",
                 f"at most {_ROOM // n_beside} with {n_beside} answers in a row",
                 "shorten it",
             ),
@@ -305,7 +311,7 @@ def check_labels(protocol: Reading[Protocol], texts: Reading[Texts]) -> Iterator
                 path,
                 f"a word of {length} letters on a button",
                 f"at most {room} with {n_beside} answers in a row",
-                "shorten it, or write a zero-width space (U+200B) where it may break",
+                "shorten it, or write a soft hyphen (U+00AD) or zero-width space (U+200B) where it may break",
             ),
         )
 

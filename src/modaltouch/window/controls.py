@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import cache, cached_property
+from dataclasses import replace
+from functools import cache
 
 from modaltouch.protocol import AnswersSection, ScaleSection, Texts
 from modaltouch.window.interface import Event
@@ -15,87 +15,57 @@ from modaltouch.window.typesetting import Typesetter, first_letter_is_rtl
 _ARROWS = ("left", "right", "up", "down")
 
 
-@dataclass(frozen=True)
-class Buttons:
-    """Answer buttons of a protocol in a window.
+def draw_buttons(
+    layout: Layout, theme: Theme, texts: Texts, answers: AnswersSection, chosen: str | None, *, with_keys: bool
+) -> tuple[Mark, ...]:
+    """Draw all answer buttons, with that of the `chosen` answer pressed, and optionally the keys of each answer.
 
-    Attributes
-    ----------
-    layout : Layout
-        Positions and sizes.
-    theme : Theme
-        Colours.
-    texts : Texts
-        Words.
-    answers : AnswersSection
-        Keys.
+    Labels in a row have the largest size at which each fits its button, on several lines if that is larger.
     """
+    marks: list[Mark] = []
+    size = 0.062 * layout.type_scale
+    for is_below in (False, True):
+        row = [answer for answer in answers.offered if answer.is_below is is_below]
+        # Between arrows if answers name fingers.
+        share = 0.5 if is_below else 0.68 if any(answer.fingers for answer in row) else 0.86
+        boxes = [_divide(layout.buttons[each.name], share, is_below=is_below, with_keys=with_keys) for each in row]
+        labels = [texts.label(answer.name) for answer in row]
+        if is_below and row:
+            size = min(size, 0.5 * layout.buttons[row[0].name].height)
+        if row:
+            size = common_size(typesetter_of(texts), tuple(labels), replace(boxes[0][0], x=0.0), size)
+        for answer, (inner, caps), words in zip(row, boxes, labels, strict=True):
+            pressed, box = answer.name == chosen, layout.buttons[answer.name]
+            marks += _draw_frame(layout.unit, theme, answer.fingers or (), box, pressed=pressed, level=inner.y)
+            marks.append(Words(words, inner, size, theme.ground if pressed else theme.text, bold=True))
+            marks += key_caps(texts, theme, answers.keys[answer.name], caps) if with_keys else ()
+    return tuple(marks)
 
-    layout: Layout
-    theme: Theme
-    texts: Texts
-    answers: AnswersSection
 
-    def draw(self, chosen: str | None, *, with_keys: bool) -> tuple[Mark, ...]:
-        """Return all buttons, with that of the `chosen` answer pressed, and optionally the keys of each answer."""
-        marks: list[Mark] = []
-        for answer, box in self.layout.buttons.items():
-            if self.answers.offered.named(answer).is_below:
-                marks += self._low_button(answer, box, pressed=answer == chosen, with_keys=with_keys)
-                continue
-            marks += self._button(answer, pressed=answer == chosen, with_keys=with_keys)
-            if with_keys:
-                below = Box(box.x, box.y - 0.27 * box.height, box.width * 0.9, 0.25 * box.height)
-                marks += key_caps(self.texts, self.theme, self.answers.keys[answer], below)
-        return tuple(marks)
+def _divide(box: Box, share: float, *, is_below: bool, with_keys: bool) -> tuple[Box, Box]:
+    """Return the boxes of a button's label, a `share` of its width, and of its keys: below it, or beside if low."""
+    if is_below:
+        label, beside = replace(box, width=share * box.width, height=0.9 * box.height), box.x + 0.36 * box.width
+        return label, Box(beside, box.y, 0.2 * box.width, 0.47 * box.height)
+    caps = Box(
+        box.x, box.bottom + 0.012 + min(0.125 * box.height, 0.022), 0.9 * box.width, min(0.25 * box.height, 0.044)
+    )
+    low, high = caps.top + 0.006 if with_keys else box.bottom + 0.014, box.top - 0.014
+    return Box(box.x, (low + high) / 2, share * box.width, high - low), caps
 
-    def _low_button(self, answer: str, box: Box, *, pressed: bool, with_keys: bool) -> tuple[Mark, ...]:
-        """Return a button too low for two lines, with its label in the middle and its key beside it."""
-        theme, unit = self.theme, self.layout.unit
-        fill, ink = (theme.text, theme.ground) if pressed else (theme.button, theme.text)
-        middle = Box(box.x, box.y, box.width * 0.5, box.height * 0.9)
-        labels = tuple(self.texts.label(each.name) for each in self.answers.offered if each.is_below)
-        size = common_size(typesetter_of(self.texts), labels, middle, min(self._answer_size, 0.5 * box.height))
-        # The caps are as high as those of the row above.
-        beside = Box(box.x + 0.36 * box.width, box.y, box.width * 0.2, 0.47 * box.height)
-        return (
-            *framed(box, 0.018 * unit, theme.button_edge, fill, 0.006 * unit),
-            Words(self.texts.label(answer), middle, size, ink, bold=True),
-            *(key_caps(self.texts, theme, self.answers.keys[answer], beside) if with_keys else ()),
-        )
 
-    def _button(self, answer: str, *, pressed: bool, with_keys: bool) -> tuple[Mark, ...]:
-        """Return a button with its label above the keys, or in the middle without keys."""
-        theme, box, unit = self.theme, self.layout.buttons[answer], self.layout.unit
-        own = self.answers.offered.named(answer)
-        edges = {"left": theme.left, "between": theme.between, "right": theme.right}
-        edge = edges.get("".join(own.fingers or ()), theme.button_edge)
-        fill, ink = (theme.text, theme.ground) if pressed else (theme.button, theme.text)
-        upper = Box(box.x, box.y + 0.18 * box.height * with_keys, box.width * self._share, 0.52 * box.height)
-        size = min(0.018 * unit, 0.065 * box.width)
-        beside = min(0.4 * box.width, 0.5 * box.width - size - 0.012 * unit)  # within the frame
-        arrows = [
-            triangle(way, box.x + sign * beside, upper.y, size, ink if pressed else edge)
-            for way, sign in (("left", -1), ("right", 1))
-            if way in (own.fingers or ())
-        ]
-        return (
-            *framed(box, 0.022 * unit, edge, fill, 0.006 * unit),
-            Words(self.texts.label(answer), upper, self._answer_size, ink, bold=True),
-            *arrows,
-        )
-
-    @cached_property
-    def _share(self) -> float:
-        """Share of a button's width for its label, between arrows if answers name fingers."""
-        return 0.68 if any(answer.fingers for answer in self.answers.offered) else 0.88
-
-    @cached_property
-    def _answer_size(self) -> float:
-        """Type size at which every answer of the row fits its button, on several lines if that is larger."""
-        labels = tuple(self.texts.label(each.name) for each in self.answers.offered if not each.is_below)
-        box = Box(0, 0, self.layout.answer_width * self._share, 0.52 * next(iter(self.layout.buttons.values())).height)
-        return common_size(typesetter_of(self.texts), labels or ("-",), box, 0.062 * self.layout.type_scale)
+def _draw_frame(
+    unit: float, theme: Theme, fingers: tuple[str, ...], box: Box, *, pressed: bool, level: float
+) -> tuple[Mark, ...]:
+    """Draw a button in the colour of the finger it names, with arrows towards its fingers at a level."""
+    edges = {"left": theme.left, "between": theme.between, "right": theme.right}
+    edge = edges.get("".join(fingers), theme.button_edge)
+    fill, ink = (theme.text, theme.ground) if pressed else (theme.button, edge)
+    size = min(0.018 * unit, 0.065 * box.width)
+    beside = min(0.4 * box.width, 0.5 * box.width - size - 0.012 * unit)  # within the frame
+    ways = {"left": box.x - beside, "right": box.x + beside}
+    arrows = [triangle(way, x, level, size, ink) for way, x in ways.items() if way in fingers]
+    return (*framed(box, 0.022 * unit, edge, fill, 0.006 * unit), *arrows)
 
 
 def key_caps(texts: Texts, theme: Theme, keys: Sequence[str], box: Box) -> tuple[Mark, ...]:
@@ -235,6 +205,13 @@ def as_read(asked: AnswersSection, texts: Texts) -> AnswersSection:
     if asked.scale is None or not first_letter_is_rtl(texts.question):
         return asked
     return asked.model_copy(update={"scale": asked.scale.from_right()})
+
+
+def reads_from_right(asked: AnswersSection, texts: Texts) -> bool:
+    """Return whether a question's first answer is on the right: in a right-to-left language, unless sides matter."""
+    keys = {key for each in asked.keys.values() for key in each}
+    has_sides = any(answer.fingers for answer in asked.offered) or not keys.isdisjoint(("left", "right"))
+    return first_letter_is_rtl(texts.question) and not has_sides
 
 
 def draw_scale(

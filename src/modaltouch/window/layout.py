@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -203,7 +202,6 @@ class Layout:
     beam: Box  # the whole beam
     zones: dict[str, Box]  # zones from the left, by name, to scale
     buttons: dict[str, Box]  # answer buttons, by answer; or the parts of a scale
-    answer_width: float  # width of the buttons in the row
     # headline, body, page, go_on, label, bar, note: question or title; text under a title; text of a screen without a
     # beam; button to continue; progress as text; progress bar; line under the answer buttons
     headline: Box
@@ -235,6 +233,8 @@ def lay_out(
     zones: Spans,
     answers: AnswerList,
     scale: ScaleSection | None = None,
+    *,
+    from_right: bool = False,
 ) -> Layout:
     """Return the layout of a window.
 
@@ -248,6 +248,8 @@ def lay_out(
         Offered answers.
     scale : ScaleSection, optional
         Scale in place of the answers; its parts are then the buttons, by the action of a click.
+    from_right : bool
+        Whether the first answer is on the right.
     """
     width = width_px / height_px
     unit = min(1.0, width / _FULL_ASPECT)
@@ -263,7 +265,7 @@ def lay_out(
             name: replace(beam, x=(left + right) / 2 * beam.width, width=(right - left) * beam.width)
             for name, (left, right) in zones.items()
         },
-        **(_answer_buttons(answers, across, unit) if scale is None else _scale_parts(scale, across, unit)),
+        buttons=_scale_parts(scale, across, unit) if scale else _answer_buttons(answers, across, unit, from_right),
         headline=Box(0, 0.405, 1.24 * unit, 0.14),
         body=Box(0, 0.24 - 0.06 * (1 - unit), 1.18 * unit, 0.21),
         page=Box(0, 0.06, 1.14 * unit, 0.6),
@@ -274,32 +276,31 @@ def lay_out(
     )
 
 
-def _answer_buttons(answers: AnswerList, across: float, unit: float) -> dict[str, Any]:
-    """Return the answer buttons, and the width of those in the row, which is higher if others are below."""
-    row = tuple(answer.name for answer in answers if not answer.is_below)
-    gap = min(0.045, 0.16 / max(len(row), 1)) * unit
-    below = tuple(answer.name for answer in answers if answer.is_below)
+def _answer_buttons(answers: AnswerList, across: float, unit: float, from_right: bool) -> dict[str, Box]:
+    """Return the answer buttons: a row, high enough for two lines of text, and those below it."""
+    step = -1 if from_right else 1
+    row, below = ([each.name for each in answers if each.is_below is lower][::step] for lower in (False, True))
+    gap, high = min(0.045, 0.16 / max(len(row), 1)) * unit, max(unit, 0.8)
     width, low = ((across - gap * (len(names) - 1)) / max(len(names), 1) for names in (row, below))
-    width = min(0.4 * unit, width)
+    middle = Box(0, -0.21, min(0.56 * unit, width), 0.14 * high)
     if not below:
-        return {"buttons": _row(row, Box(0, -0.275, width, 0.175 * max(unit, 0.8)), gap), "answer_width": width}
-    above = _row(row, Box(0, -0.21, width, 0.14 * max(unit, 0.8)), gap)
-    return {"buttons": {**above, **_row(below, Box(0, -0.3285, low, 0.075), gap)}, "answer_width": width}
+        middle = replace(middle, y=-0.2575, height=0.21 * high)
+    return {**_row(row, middle, gap), **_row(below, Box(0, -0.3285, low, 0.075), gap)}
 
 
-def _scale_parts(scale: ScaleSection, across: float, unit: float) -> dict[str, Any]:
-    """Return the parts of a scale by the action of a click, and the width of a point or key."""
+def _scale_parts(scale: ScaleSection, across: float, unit: float) -> dict[str, Box]:
+    """Return the parts of a scale by the action of a click."""
     confirm, line = Box(0, -0.333, 0.48 * unit, 0.058), Box(0, -0.215, 0.96 * across, 0.07)
     if scale.kind == "vas":
-        return {"buttons": {"confirm": confirm, "line": line}, "answer_width": line.width}
+        return {"confirm": confirm, "line": line}
     signs = [*"0123456789", ".", *(["-"] if "-" in scale.actions else []), "back"]
-    names = tuple(f"{point:.10g}" for point in scale.points)[:: -1 if scale.is_from_right else 1] or tuple(signs)
+    names = [f"{point:.10g}" for point in scale.points][:: -1 if scale.is_from_right else 1] or signs
     step = across / max(len(names), 5)
     middle = Box(0, -0.185, 0.86 * step, 0.07) if scale.points else Box(0, -0.268, 0.86 * step, 0.05)
-    return {"buttons": {"confirm": confirm, **_row(names, middle, 0.14 * step)}, "answer_width": middle.width}
+    return {"confirm": confirm, **_row(names, middle, 0.14 * step)}
 
 
-def _row(names: tuple[str, ...], middle: Box, gap: float = 0.0) -> dict[str, Box]:
+def _row(names: list[str], middle: Box, gap: float = 0.0) -> dict[str, Box]:
     """Return a row of boxes from the left, centred on the box `middle`."""
     step, centre = middle.width + gap, (len(names) - 1) / 2
     return {name: replace(middle, x=middle.x + (place - centre) * step) for place, name in enumerate(names)}

@@ -17,7 +17,7 @@ import numpy as np
 from modaltouch.protocol import Schedule
 from modaltouch.system import SYSTEM_CLOCK, Clock
 from modaltouch.window.interface import POLL_INTERVAL
-from modaltouch.window.layout import DARK, THEMES, Box, Picture, Spans, Words, lay_out, rectangle
+from modaltouch.window.layout import THEMES, Box, Picture, Spans, Words, rectangle
 from modaltouch.window.typesetting import Typesetter, find_font
 
 if TYPE_CHECKING:
@@ -240,10 +240,7 @@ def smallest_type(
 
     design = protocol.conditions
     asked = [protocol.answers, *protocol.answers.further.values(), *protocol.closing.values()]
-    pictures, *others = (
-        Illustrator(lay_out(*size, zones, each.offered, each.scale), DARK, texts, each, design.hand, design.fingers)
-        for each in asked
-    )
+    pictures, *others = (Illustrator.of(size, zones, "dark", texts, each, design) for each in asked)
     every = [picture for trial in trials for picture in every_picture(pictures, trial)]
     every += [picture.question(trials[0], Progress(1, 1)) for picture in others]
     words = {mark for picture in every for mark in picture.marks if isinstance(mark, Words)}

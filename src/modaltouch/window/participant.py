@@ -13,7 +13,6 @@ from typing import Any, NoReturn
 from modaltouch.protocol import TIME_OUT, AnswersSection, Protocol, Response, Texts, Trial
 from modaltouch.system import SYSTEM_CLOCK, Clock
 from modaltouch.window.answering import SETTLE, AskedQuestion, chosen, is_press
-from modaltouch.window.controls import as_read
 from modaltouch.window.display_loop import DisplayLoop, Moment, Robot
 from modaltouch.window.interface import (
     POLL_INTERVAL,
@@ -25,7 +24,7 @@ from modaltouch.window.interface import (
     Tick,
     TrialInterrupted,
 )
-from modaltouch.window.layout import THEMES, Picture, Spans, lay_out
+from modaltouch.window.layout import Picture, Spans
 from modaltouch.window.pictures import Illustrator
 from modaltouch.window.screen import Screen, canonical_key
 
@@ -262,10 +261,8 @@ class ParticipantWindow(AnswerWindow):
         return self._clock.now() >= instant
 
     def _asking(self, answers: AnswersSection) -> AskedQuestion:
-        answers = as_read(answers, self._texts)
-        layout, design = lay_out(*self._display.size, self._zones, answers.offered, answers.scale), self._design
-        pictures = Illustrator(layout, THEMES[self._theme], self._texts, answers, design.hand, design.fingers)
-        return AskedQuestion(self._loop, pictures)
+        window = self._display.size, self._zones, self._theme
+        return AskedQuestion(self._loop, Illustrator.of(*window, self._texts, answers, self._design))
 
     def _end_of(self, presentation: Presentation, asked: float) -> Callable[[], bool]:
         """Return a function to poll that stops the stimulus at its end and returns whether the answer timed out."""

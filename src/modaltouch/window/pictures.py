@@ -6,20 +6,32 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from itertools import accumulate, pairwise
+from typing import Any, Self
 
 from modaltouch.protocol import AnswersSection, Texts, Trial
-from modaltouch.window.controls import Buttons, common_size, draw_scale, key_name, typesetter_of
+from modaltouch.window.controls import (
+    as_read,
+    common_size,
+    draw_buttons,
+    draw_scale,
+    key_name,
+    reads_from_right,
+    typesetter_of,
+)
 from modaltouch.window.interface import Progress
 from modaltouch.window.layout import (
+    THEMES,
     Box,
     Layout,
     Mark,
     Picture,
     Point,
+    Spans,
     Theme,
     Words,
     capsule,
     framed,
+    lay_out,
     mixed,
     moved,
     rectangle,
@@ -96,14 +108,15 @@ def _place_names(
 
     Names wider than the distance of their fingers move outwards, and are drawn smaller only if they exceed the window.
     """
-    gap, n = min((b - a for a, b in pairwise(tips)), default=layout.beam.width / 2), len(tips)
-    middle, size = (tips[(n - 1) // 2] + tips[n // 2]) / 2, 0.031 * layout.type_scale
-    room = Box(0, layout.beam.top + 0.094 * layout.unit, 0.94 * gap, 0.05 * layout.unit)
-    share = common_size(typesetter, names, room, size) / size
-    apart = min(gap / share, (0.49 * layout.width - abs(middle)) / (n / 2))
+    n, size = len(tips), 0.031 * layout.type_scale
+    middle, edge = (tips[(n - 1) // 2] + tips[n // 2]) / 2, 0.49 * layout.width
+    needed = 1.06 * size * max(typesetter.measure(name, bold=True) for name in names)
+    apart = min(needed, (edge - abs(middle)) / (n / 2))
     moved_out = (max(abs(x - middle), apart * abs(i - (n - 1) / 2)) for i, x in enumerate(tips))
-    places = [middle + out * (1 if x > middle else -1) for x, out in zip(tips, moved_out, strict=True)]
-    return places, replace(room, width=0.94 * apart), size * min(1.0, share * apart / gap)
+    places = (middle + out * (1 if x > middle else -1) for x, out in zip(tips, moved_out, strict=True))
+    within = [min(max(place, apart / 2 - edge), edge - apart / 2) for place in places]
+    room = Box(0, layout.beam.top + 0.094 * layout.unit, apart, 0.05 * layout.unit)
+    return within, room, size * apart / needed
 
 
 def spoken(zone: str) -> str:
@@ -189,6 +202,15 @@ class Illustrator:
     hand: str  # hand used in ``one_hand``
     # fingers of the finger conditions named in the protocol
     fingers: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+
+    @classmethod
+    def of(
+        cls, size: tuple[int, int], zones: Spans, theme: str, texts: Texts, asked: AnswersSection, design: Any
+    ) -> Self:
+        """Return the illustrator of a question, in a window of a size [pixels] and in the direction of the texts."""
+        asked = as_read(asked, texts)
+        layout = lay_out(*size, zones, asked.offered, asked.scale, from_right=reads_from_right(asked, texts))
+        return cls(layout, THEMES[theme], texts, asked, design.hand, design.fingers)
 
     def welcome(self, trial: Trial) -> Picture:
         """Return the first screen, with the instructions, the beam and the hands."""
@@ -367,7 +389,7 @@ class Illustrator:
         """Draw the answers, or the scale, with the chosen one."""
         own = self.layout, self.theme, self.texts
         if self.answers.scale is None:
-            return Buttons(*own, self.answers).draw(chosen, with_keys=with_keys)
+            return draw_buttons(*own, self.answers, chosen, with_keys=with_keys)
         is_taken = confirmed and chosen is not None
         return draw_scale(*own, self.answers.scale, chosen or "", confirmed=is_taken, keys=with_keys)
 
@@ -384,7 +406,7 @@ class Illustrator:
     def _go_on(self, words: str = "") -> tuple[Mark, ...]:
         pill, theme = self.layout.go_on, self.theme
         words = words or self.texts.press_to_continue.format(key=key_name(self.texts, self.answers.continue_keys[0]))
-        within = Box(pill.x, pill.y, pill.width - 2 * pill.height, 0.7 * pill.height)
+        within = Box(pill.x, pill.y, pill.width - pill.height, 0.7 * pill.height)
         return (
             *framed(pill, 0.043, theme.button_edge, theme.button, 0.003),
             Words(words, within, 0.036 * self.layout.type_scale, theme.text),

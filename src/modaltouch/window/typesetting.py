@@ -1,6 +1,7 @@
 """Typesetting of texts in any script, shaped by HarfBuzz through Pillow's Raqm.
 
-Each character is set in the first bundled or installed font that has it. Lines break at spaces and between ideographs;
+Each character is set in the first bundled or installed font that has it. Lines break at spaces, between ideographs, and
+where a text has zero-width spaces or soft hyphens, without which a word of Thai, Lao or Khmer is as long as its phrase;
 characters are ordered by the Unicode bidirectional algorithm (UAX 9, by FriBidi), each paragraph in the direction of
 its first letter.
 """
@@ -263,9 +264,9 @@ class Typesetter:
         is_rtl = first_letter_is_rtl(paragraph)
         lines, begun = [self._line("", size, bold=bold, is_rtl=is_rtl)], ""
         for piece in _pieces(paragraph):
-            longer = self._line((begun + piece).rstrip(" "), size, bold=bold, is_rtl=is_rtl)
+            longer = self._line(_ended(begun + piece), size, bold=bold, is_rtl=is_rtl)
             if begun and longer.width > width:
-                begun, longer = "", self._line(piece.rstrip(" "), size, bold=bold, is_rtl=is_rtl)
+                begun, longer = "", self._line(_ended(piece), size, bold=bold, is_rtl=is_rtl)
                 lines.append(longer)
             lines[-1], begun = longer, begun + piece
         return [self._extended(line, size) for line in lines]
@@ -289,7 +290,8 @@ class Typesetter:
 def _pieces(text: str) -> Iterator[str]:
     """Yield the unbreakable pieces of a text: words with trailing spaces, ideographs with their punctuation.
 
-    A small part of UAX 14, for words separated by spaces or zero-width spaces, and for Chinese and Japanese.
+    A small part of UAX 14, for words separated by spaces, with zero-width spaces and soft hyphens, and for Chinese and
+    Japanese.
     """
     start = 0
     for place in range(1, len(text)):
@@ -298,10 +300,16 @@ def _pieces(text: str) -> Iterator[str]:
         begins = kinds[1] in ("Ll", "Lu", "Lo", "Nd", "No", "So", "Ps", "Pi") and after not in _NEVER_FIRST
         is_ideograph = "W" in map(unicodedata.east_asian_width, (before, after))
         between_ideographs = is_ideograph and begins and kinds[0] not in ("Ps", "Pi", "Cf", "Zs")
-        if between_ideographs or (before in " \u200b" and after != " "):
+        if between_ideographs or (before in " \u200b\u00ad" and after != " "):
             yield text[start:place]
             start = place
     yield text[start:]
+
+
+def _ended(line: str) -> str:
+    """Return the characters of a line as it ends: without spaces, and with a hyphen for a soft one."""
+    line = line.rstrip(" ")
+    return f"{line[:-1]}-" if line.endswith("\u00ad") else line
 
 
 def first_letter_is_rtl(text: str) -> bool:
