@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from modaltouch.session.console.status import Status
 
 Command = typing.Literal["pause", "go_on", "answer", "repeat", "note", "end_after_block", "stop", "emergency_stop"]
-COMMANDS: tuple[Command, ...] = typing.get_args(Command)
 
 SessionState = dict[str, Any]
 """State of a session as plain values, with units in the keys (`status.Status.facts`)."""

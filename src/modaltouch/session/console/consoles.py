@@ -6,19 +6,17 @@ import contextlib
 import errno
 import json
 import os
-import queue
 import re
+import select
 import stat
 import subprocess
 import sys
-import threading
-from collections import deque
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import IO, Any, TextIO, cast
 
-from modaltouch.session.console import COMMANDS, Console, Request, SessionState, describe_last, describe_time
+from modaltouch.session.console import Console, Request, SessionState, describe_last, describe_time
 
 if sys.platform != "win32":
     import termios
@@ -27,8 +25,6 @@ _OPENING = b'{"time": "'
 """Beginning of each line."""
 LONGEST_LINE = 4096
 """Maximum length of a line that a pipe accepts atomically (POSIX PIPE_BUF on Linux) [bytes]."""
-_KEPT = 64
-"""Number of states kept for a blocked terminal; each is complete, so old ones are dropped."""
 _PATIENCE = 2.0
 """Maximum time for the process to restore the terminal [s]."""
 
@@ -133,7 +129,9 @@ class EventLines(Console):
             if self._descriptor < 0:
                 self._open()
             if self._descriptor >= 0:
-                os.write(self._descriptor, self._line(facts))
+                time = datetime.now(UTC).isoformat(timespec="milliseconds")
+                dropped = {"n_dropped": self._n_dropped} if self._n_dropped else {}
+                os.write(self._descriptor, as_line({"time": time, **facts, **dropped}))
                 self._n_dropped = 0
                 return
         except BlockingIOError:
@@ -165,15 +163,15 @@ class EventLines(Console):
                 raise
             # A pipe without a reader yet.
 
-    def _line(self, facts: SessionState) -> bytes:
-        time = datetime.now(UTC).isoformat(timespec="milliseconds")
-        values = {"time": time, **facts, **({"n_dropped": self._n_dropped} if self._n_dropped else {})}
-        line = json.dumps(values, ensure_ascii=False).encode() + b"\n"
-        if len(line) > LONGEST_LINE:
-            shortened = {**values, "warnings": [warning[:80] for warning in facts["warnings"][:4]]}
-            shortened["generator"] = {**facts["generator"], "last_error": facts["generator"]["last_error"][:200]}
-            line = json.dumps(shortened, ensure_ascii=False).encode() + b"\n"
-        return line
+
+def as_line(facts: SessionState) -> bytes:
+    """Return a state as one JSON line, with long texts shortened to what a pipe accepts atomically."""
+    line = json.dumps(facts, ensure_ascii=False).encode() + b"\n"
+    if len(line) > LONGEST_LINE:
+        shortened = {**facts, "warnings": [warning[:80] for warning in facts["warnings"][:4]]}
+        shortened["generator"] = {**facts["generator"], "last_error": facts["generator"]["last_error"][:200]}
+        line = json.dumps(shortened, ensure_ascii=False).encode() + b"\n"
+    return line
 
 
 def save_terminal(descriptor: int) -> list[Any] | None:
@@ -193,7 +191,7 @@ def restore_terminal(descriptor: int, before: list[Any] | None) -> None:
 
 
 class TerminalConsole(Console):
-    """Live display in the terminal, with its keys."""
+    """Live display in the terminal, with its keys; neither reading nor writing waits for it."""
 
     def __init__(
         self,
@@ -214,44 +212,45 @@ class TerminalConsole(Console):
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
+            bufsize=0,
             env={**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)},
             pass_fds=passed,
         )
         for number in passed:
             os.close(number)
-        self._asked: deque[Request] = deque()
-        self._facts: deque[SessionState] = deque(maxlen=_KEPT)
-        self._wake: queue.SimpleQueue[bool] = queue.SimpleQueue()
-        self._threads = [threading.Thread(target=work, daemon=True) for work in (self._send, self._hear)]
-        for thread in self._threads:
-            thread.start()
+        self._told, self._heard = (cast("IO[bytes]", pipe) for pipe in (self._process.stdin, self._process.stdout))
+        for pipe in (self._told, self._heard):
+            os.set_blocking(pipe.fileno(), False)
+        self._unsent = self._unread = b""
 
     def show(self, facts: SessionState) -> None:
-        """Show the state of the session, without waiting for a stopped terminal."""
+        """Show the state of the session; only the newest is kept for a stopped terminal."""
         if self._process.poll() is not None:
             self._give_back()
             self._instead.show(facts)
             return
-        self._facts.append(facts)
-        self._wake.put(True)
+        self._unsent = as_line(facts)
+        self._send()
 
     def requests(self) -> list[Request]:
         """Return the requests typed since the last call."""
-        return [self._asked.popleft() for _ in range(len(self._asked))]
+        self._send()
+        *lines, self._unread = (self._unread + (self._heard.read(65536) or b"")).split(b"\n")
+        return [Request(**json.loads(line)) for line in lines]
 
     def close(self) -> None:
         """End the process, and restore the terminal if the process did not."""
-        self._wake.put(False)
+        if self._unsent:
+            select.select([], [self._told], [], _PATIENCE)
+            self._send()
+        self._told.close()
         try:
             self._process.wait(_PATIENCE)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
         self._give_back()
-        for thread in self._threads:
-            thread.join(_PATIENCE)
-        if self._process.stdout is not None:
-            self._process.stdout.close()
+        self._heard.close()
 
     def _give_back(self) -> None:
         """Restore the terminal, whether or not the process did."""
@@ -265,21 +264,8 @@ class TerminalConsole(Console):
         restore_terminal(self._terminal, self._before)
 
     def _send(self) -> None:
-        """Write states to the process until the end."""
-        pipe = cast("IO[bytes]", self._process.stdin)
-        with contextlib.suppress(OSError, ValueError):
-            while self._wake.get():
-                if self._facts:
-                    pipe.write(json.dumps(self._facts.popleft()).encode() + b"\n")
-                    pipe.flush()
-        with contextlib.suppress(OSError):
-            pipe.close()
-
-    def _hear(self) -> None:
-        """Store the requests sent by the process."""
-        pipe = cast("IO[bytes]", self._process.stdout)
-        with contextlib.suppress(OSError, ValueError):
-            for line in pipe:
-                asked = json.loads(line)
-                if asked.get("command") in COMMANDS:
-                    self._asked.append(Request(asked["command"], str(asked.get("text", "")), float(asked.get("at", 0))))
+        """Write the newest state if the process takes it at once."""
+        if self._unsent:
+            with contextlib.suppress(OSError):
+                os.write(self._told.fileno(), self._unsent)
+                self._unsent = b""
