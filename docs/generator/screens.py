@@ -8,7 +8,6 @@ from PIL import Image
 
 from modaltouch.protocol import Schedule
 from modaltouch.window.controls import typesetter_of
-from modaltouch.window.interface import Progress
 from modaltouch.window.layout import DARK, Picture, Shape, cover
 from modaltouch.window.pictures import Illustrator
 
@@ -33,7 +32,7 @@ def screens(experiment) -> list[Picture]:
         yield pictures.welcome(trials[0])
         yield pictures.answering(trials[0])
         for trial in sorted(first.values(), key=lambda each: each.index):
-            progress = Progress(trial.index, len(trials))
+            progress = (trial.index, len(trials))
             yield pictures.placement(trial)
             yield from (pictures.feel(trial, progress, interval) for interval in intervals)
             yield pictures.question(trial, progress)

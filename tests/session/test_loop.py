@@ -29,7 +29,6 @@ from modaltouch.window.interface import (
     Masking,
     MaskingError,
     Presentation,
-    Progress,
     SessionStopped,
     TrialInterrupted,
     WindowError,
@@ -92,13 +91,13 @@ class Person:
     def welcome(self, trial: Trial) -> None:
         self.seen.append("welcome " + "".join(trial.condition.zones))
 
-    def announce(self, text: str, progress: Progress | None = None) -> None:
+    def announce(self, text: str, progress: tuple[int, int] | None = None) -> None:
         self.seen.append(text)
 
     def place_fingers(self, trial: Trial) -> None:
         self.seen.append("place " + "".join(trial.condition.zones))
 
-    def ask(self, trial: Trial, progress: Progress, presentation: Presentation) -> Response:
+    def ask(self, trial: Trial, progress: tuple[int, int], presentation: Presentation) -> Response:
         self.seen.append(f"{'practice' if trial.practice else 'trial'} {trial.index}")
         if self.cut:
             cut = self.cut.pop()
@@ -115,7 +114,7 @@ class Person:
     def wait(self, seconds: float) -> None:
         self.waited.append(seconds)
 
-    def settle(self, trial: Trial, progress: Progress, lead: float = 0.0) -> float:
+    def settle(self, trial: Trial, progress: tuple[int, int], lead: float = 0.0) -> float:
         return 100.0 + lead
 
     def ask_further(self, name: str, asked: object, trial: Trial | None = None) -> Response:

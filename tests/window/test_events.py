@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from modaltouch.protocol import AnswerList
+from modaltouch.protocol import AnswerList, AnswersSection
 from modaltouch.protocol.questions import KEY_NAMES
 from modaltouch.window.answering import Reader
 from modaltouch.window.layout import lay_out
@@ -142,9 +142,10 @@ def test_digit_keys_work_without_shift_on_a_french_keyboard(tap: tuple[EventTap,
     one, two, letter = events.poll()
     assert (one.key, one.digit, two.digit, letter.digit) == ("ampersand", "1", "2", "")
     layout = lay_out(1280, 800, {"A": (-0.5, 0.0), "B": (0.0, 0.5)}, AnswerList.of({}))
-    digits = Reader(layout, {"1": "left", "2": "both"}, frozenset({"2"}))
+    answers = AnswersSection(keys={"left": ["1"], "both": ["2"], "right": ["3"]}, continue_keys=["2"])
+    digits = Reader(layout, answers)
     assert [digits.answer(event) for event in (one, two, letter)] == ["left", "both", None]
     assert [digits.name(event) for event in (one, two, letter)] == ["1", "2", "a"]
     assert [digits.goes_on(event) for event in (one, two, letter)] == [False, True, False]
-    named = Reader(layout, {"ampersand": "left"}, frozenset())
+    named = Reader(layout, AnswersSection(keys={"left": ["ampersand"], "right": ["3"]}))
     assert (named.answer(one), named.name(one)) == ("left", "ampersand")

@@ -13,11 +13,11 @@ import pytest
 from modaltouch.planning.participant import Participant
 from modaltouch.protocol.trial import Condition, Response, Trial
 from modaltouch.window.display_loop import DisplayLoop, Robot
-from modaltouch.window.interface import Event, EventKind, Progress, SessionStopped, TrialInterrupted, WindowError
+from modaltouch.window.interface import Event, EventKind, SessionStopped, TrialInterrupted, WindowError
 from modaltouch.window.layout import Picture
 from modaltouch.window.simulated import Answerer
 
-PROGRESS = Progress(5, 12)
+PROGRESS = (5, 12)
 
 
 def send(room: Any, kind: str, key: str = "", x: float = 0.0, y: float = 0.0) -> Callable[[], None]:
@@ -663,10 +663,10 @@ def test_practice_rounds_count_from_one_again(paper_room: Callable[..., Any], ex
     room.script = [("question", 0.05, send(room, "key", "left"))]
     room.window.ask(
         Trial(2, 0, Condition("one_hand", "A", "C", 100.0), practice=True),
-        Progress(2, 12),
+        (2, 12),
         room.present(),
     )
-    assert room.window._current[1] == Progress(1, experiment.protocol.schedule.practice_trials)
+    assert room.window._current[1] == (1, experiment.protocol.schedule.practice_trials)
 
 
 def test_a_covered_window_is_redrawn_at_most_four_times_a_second(paper_room: Callable[..., Any]) -> None:

@@ -14,11 +14,11 @@ from PIL import Image
 from modaltouch.planning.participant import Participant
 from modaltouch.protocol.trial import Trial
 from modaltouch.window.display_loop import Robot
-from modaltouch.window.interface import Progress, SessionStopped, TrialInterrupted
+from modaltouch.window.interface import SessionStopped, TrialInterrupted
 from modaltouch.window.simulated import Answerer
 
 pytestmark = pytest.mark.window
-PROGRESS = Progress(5, 12)
+PROGRESS = (5, 12)
 TITLE = "modaltouch under test"
 
 

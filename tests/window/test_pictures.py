@@ -13,12 +13,11 @@ from ruamel.yaml import YAML
 
 from modaltouch.protocol import AnswerList, Experiment, Texts
 from modaltouch.protocol.trial import FINGERS, Condition, Trial
-from modaltouch.window.interface import Progress
 from modaltouch.window.layout import DARK, Mark, Picture, Shape, Theme, Words, lay_out
 from modaltouch.window.pictures import Illustrator, draw_hands
 from modaltouch.window.typesetting import Typesetter
 
-PROGRESS = Progress(5, 12)
+PROGRESS = (5, 12)
 CASES = list(itertools.product(["AC", "BD", "CE", "AB", "DE"], FINGERS))
 
 
@@ -253,14 +252,14 @@ def test_answers_by_the_experimenter_are_announced(experiment: Experiment) -> No
 def test_practice_has_its_own_progress(experiment: Experiment) -> None:
     """As "Practice 1 of 3"."""
     trial = make_trial(practice=True)
-    assert "Practice 1 of 3" in illustrate(experiment).feel(trial, Progress(1, 3)).texts
+    assert "Practice 1 of 3" in illustrate(experiment).feel(trial, (1, 3)).texts
 
 
 @pytest.mark.parametrize(("number", "share"), [(1, 0.0), (7, 0.5), (12, 11 / 12)])
 def test_the_progress_bar_excludes_the_current_trial(experiment: Experiment, number: int, share: float) -> None:
     """Before the first of 12 trials it is empty, in the seventh half full."""
     pictures = illustrate(experiment)
-    marks = pictures.feel(make_trial(), Progress(number, 12)).marks
+    marks = pictures.feel(make_trial(), (number, 12)).marks
     low = pictures.layout.bar.bottom
     bars = [mark for mark in marks if isinstance(mark, Shape) and min(y for _, y in mark.corners) == pytest.approx(low)]
     widths = [max(x for x, _ in bar.corners) - min(x for x, _ in bar.corners) for bar in bars]
@@ -395,7 +394,7 @@ def test_feedback_shows_where_it_was_stronger(experiment: Experiment, expected: 
     """Agreement, or the text for the predicted side."""
     pictures, texts = illustrate(experiment), experiment.texts
     for answer in ("left", "both", "right"):
-        words = pictures.feedback(make_trial(practice=True), Progress(1, 3), answer, expected).texts[0]
+        words = pictures.feedback(make_trial(practice=True), (1, 3), answer, expected).texts[0]
         assert words == (texts.practice_agreed if answer == expected else getattr(texts, f"practice_was_{expected}"))
 
 

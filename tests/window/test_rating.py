@@ -13,11 +13,11 @@ from modaltouch.protocol.questions import QuestionSection, ScaleSection
 from modaltouch.protocol.trial import AnswerList, Response, Trial
 from modaltouch.window.controls import Entry, draw_scale, typesetter_of
 from modaltouch.window.display_loop import Robot
-from modaltouch.window.interface import Event, Progress, SessionStopped
+from modaltouch.window.interface import Event, SessionStopped
 from modaltouch.window.layout import DARK, Words, lay_out
 from modaltouch.window.simulated import Answerer
 
-PROGRESS = Progress(5, 12)
+PROGRESS = (5, 12)
 VAS = {"kind": "vas", "words": ["not at all", "extremely"]}
 LIKERT = {"kind": "likert", "highest": 5, "words": ["weak", "strong"]}
 NUMBER = {"kind": "number"}

@@ -13,7 +13,7 @@ from modaltouch.planning.participant import Participant
 from modaltouch.protocol.trial import Condition, Trial
 from modaltouch.system.clock import VirtualClock
 from modaltouch.window.display_loop import Robot
-from modaltouch.window.interface import Progress, WindowError
+from modaltouch.window.interface import WindowError
 from modaltouch.window.simulated import Answerer
 
 TRIALS = [Trial(index, 1, Condition("one_hand", *pair, 100.0)) for index, pair in enumerate(["AC", "BD", "CE"], 1)]
@@ -54,8 +54,8 @@ def sit(room: Any, trials: list[Trial] = TRIALS) -> list[str]:
     given = []
     for trial in trials:
         room.window.place_fingers(trial)
-        room.window.settle(trial, Progress(trial.index, len(trials)))
-        response = room.window.ask(trial, Progress(trial.index, len(trials)), room.present())
+        room.window.settle(trial, (trial.index, len(trials)))
+        response = room.window.ask(trial, (trial.index, len(trials)), room.present())
         room.window.confirm(response)
         room.window.wait(0.5)
         given.append(response.answer)

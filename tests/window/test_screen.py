@@ -17,7 +17,7 @@ from modaltouch.protocol import AnswerList, Experiment, Texts
 from modaltouch.protocol.findings import Findings
 from modaltouch.protocol.trial import Condition, Trial
 from modaltouch.window.controls import typesetter_of
-from modaltouch.window.interface import Progress, WindowError
+from modaltouch.window.interface import WindowError
 from modaltouch.window.layout import DARK, THEMES, Box, Picture, Words, lay_out, rectangle, triangle
 from modaltouch.window.machine import virtual_display
 from modaltouch.window.opening import every_picture
@@ -137,7 +137,7 @@ def test_long_labels_are_legible_on_their_buttons(
     texts = experiment.texts.model_copy(update={"answers": dict(zip(keys, labels, strict=True))})
     layout = lay_out(*size, experiment.apparatus.zone_spans, answers.offered)
     picture = Illustrator(layout, DARK, texts, answers, "right").question(
-        Trial(5, 1, Condition("one_hand", "B", "D", 100.0)), Progress(5, 24)
+        Trial(5, 1, Condition("one_hand", "B", "D", 100.0)), (5, 24)
     )
     for mark in picture.marks:
         if isinstance(mark, Words) and mark.text in labels:

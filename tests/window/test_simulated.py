@@ -8,10 +8,10 @@ import pytest
 from modaltouch.planning.observer import Observer
 from modaltouch.protocol.trial import Condition, Trial
 from modaltouch.system.clock import VirtualClock
-from modaltouch.window.interface import Presentation, Progress
+from modaltouch.window.interface import Presentation
 from modaltouch.window.simulated import Answerer, SimulatedParticipant
 
-PROGRESS = Progress(1, 1)
+PROGRESS = (1, 1)
 
 
 def make_answerer(seed: int = 1) -> Answerer:

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, NoReturn, Self
+from functools import cached_property
+from typing import Any, NoReturn
 
 from modaltouch.protocol import TIME_OUT, AnswersSection, Response, Trial
 from modaltouch.window.controls import Entry
 from modaltouch.window.display_loop import DisplayLoop, Moment
-from modaltouch.window.interface import Event, Progress, SessionStopped
+from modaltouch.window.interface import Event, SessionStopped
 from modaltouch.window.layout import Layout, Picture
 from modaltouch.window.pictures import Illustrator
 from modaltouch.window.screen import canonical_key
@@ -27,22 +28,12 @@ class Reader:
     """Interpretation of events, according to the protocol's keys and the window's layout."""
 
     layout: Layout  # layout with the answer buttons
-    keys: dict[str, str]  # answer by key
-    continue_keys: frozenset[str]  # keys that continue to the next screen
-    needs_focus: bool = True  # whether answers come from the window only; the experimenter can also use the console
-    # whether a number is entered on a scale, so that releases count and continuing at the console confirms it
-    rates: bool = False
+    answers: AnswersSection  # the protocol's keys
 
-    @classmethod
-    def of(cls, answers: AnswersSection, layout: Layout) -> Self:
-        """Return the reader for a protocol's keys."""
-        return cls(
-            layout,
-            keys={canonical_key(key): answer for answer, given in answers.actions.items() for key in given},
-            continue_keys=frozenset(map(canonical_key, answers.continue_keys)),
-            needs_focus=answers.given_by == "participant",
-            rates=answers.scale is not None,
-        )
+    @cached_property
+    def keys(self) -> dict[str, str]:
+        """Answer, or action on a scale, by key."""
+        return {canonical_key(key): answer for answer, given in self.answers.actions.items() for key in given}
 
     def answer(self, event: Event) -> str | None:
         """Return the answer given by an event, or its action on a scale; None for other events."""
@@ -51,16 +42,17 @@ class Reader:
                 return self.keys.get(event.key) or self.keys.get(event.digit)
             case "click":
                 return self.layout.answer_at(event.x, event.y)
-            case "release" if self.rates:
+            # The key that moved a mark is up; continuing at the console confirms a number.
+            case "release" if self.answers.scale:
                 return "release"
-            case "continue" if self.rates:
+            case "continue" if self.answers.scale:
                 return "confirm"
         return event.answer
 
     def goes_on(self, event: Event) -> bool:
         """Return whether the event continues to the next screen: a key, or a request at the console."""
-        named = {event.key, event.digit}
-        return event.kind == "continue" or (event.kind == "key" and not named.isdisjoint(self.continue_keys))
+        named = {event.key, event.digit} & set(map(canonical_key, self.answers.continue_keys))
+        return event.kind == "continue" or (event.kind == "key" and bool(named))
 
     def name(self, event: Event) -> str:
         """Return the protocol's name of the pressed key."""
@@ -72,7 +64,8 @@ class Reader:
 
     def interrupts(self, event: Event) -> bool:
         """Return whether the event interrupts a trial: a pause, or a loss of keyboard focus."""
-        return (event.kind == "blur" and self.needs_focus) or self.pauses(event)
+        # The experimenter can also answer at the console.
+        return (event.kind == "blur" and self.answers.given_by == "participant") or self.pauses(event)
 
 
 def is_press(event: Event) -> bool:
@@ -106,7 +99,7 @@ class AskedQuestion:
 
     def __init__(self, loop: DisplayLoop, pictures: Illustrator) -> None:
         self.pictures = pictures
-        self.reader = Reader.of(pictures.answers, pictures.layout)
+        self.reader = Reader(pictures.layout, pictures.answers)
         """Interprets the events."""
         self._loop = loop
 
@@ -187,25 +180,20 @@ class AskedQuestion:
     def await_confirmation(
         self,
         trial: Trial,
-        progress: Progress,
+        progress: tuple[int, int],
         answer: str,
         event: Event,
         interrupt: Callable[[Event], NoReturn],
-        stop_at_end: Callable[[], object],
+        stop_at_end: Callable[[], bool],
     ) -> tuple[str, Event]:
         """Return the answer once it is chosen a second time, with the event of the first choice.
 
         A chosen answer no longer times out, but `stop_at_end` is called at every poll, to stop the stimulus at its end.
         """
-
-        def never_times_out() -> bool:
-            stop_at_end()
-            return False
-
         while True:
             picture = self.pictures.question(trial, progress, chosen=answer, confirmed=False)
             self._loop.show(picture, Moment("confirm", trial))
-            chosen = self.await_answer(trial, interrupt, never_times_out)
+            chosen = self.await_answer(trial, interrupt, stop_at_end)
             if chosen is None:
                 continue
             again, press = chosen
@@ -218,9 +206,9 @@ class AskedQuestion:
             self._loop.note("changed", trial=trial.index, first=answer, to=again, after_s=press.time - event.time)
             answer, event = again, press
 
-    def watch_double(self, answer: str, event: Event) -> bool:
-        """Return whether a different answer follows within `DOUBLE_WINDOW`; never raises."""
-        is_double = False
+    def watch_double(self, answer: str, event: Event) -> dict[str, Any]:
+        """Return the facts of a different answer within `DOUBLE_WINDOW`, empty if there is none; never raises."""
+        double: dict[str, Any] = {}
         rest: list[Event] = []
         while True:
             for other in self._loop.poll_quietly():
@@ -228,11 +216,10 @@ class AskedQuestion:
                 if second is None:
                     rest.append(other)
                 elif second != answer and other.time <= event.time + DOUBLE_WINDOW:
-                    is_double = True
-                    self._loop.log_later("double", first=answer, second=second, after_s=other.time - event.time)
+                    double = double or {"first": answer, "second": second, "after_s": other.time - event.time}
             if self._loop.clock.now() > event.time + DOUBLE_WINDOW:
                 self._loop.put_back(rest)
-                return is_double
+                return double
             self._loop.clock.sleep(0.002)
 
     def take(

@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from modaltouch.protocol import Protocol, Texts, Trial
 from modaltouch.system import SYSTEM_CLOCK, Clock
@@ -78,7 +78,6 @@ class DisplayLoop:
         self._is_emergency = False
         self._kept: set[str] = set()
         self._unread: deque[Event] = deque()
-        self._unwritten: list[tuple[str, dict[str, Any]]] = []
         self._picture: Picture | None = None
         self._ahead: Picture | None = None
         self.shown = 0.0
@@ -163,16 +162,6 @@ class DisplayLoop:
     def put_back(self, events: list[Event]) -> None:
         """Return events to the queue, for the next poll."""
         self._unread.extend(events)
-
-    def log_later(self, event: str, **facts: Any) -> None:
-        """Keep an event until `write_notes`, for use where nothing may raise."""
-        self._unwritten.append((event, facts))
-
-    def write_notes(self) -> None:
-        """Write the kept events."""
-        notes, self._unwritten = self._unwritten, []
-        for event, facts in notes:
-            self.note(event, **facts)
 
     def _screenshot(self, picture: Picture) -> Path | None:
         """Return the file for the first screenshot of a kind of picture; None for further ones."""

@@ -118,13 +118,6 @@ class Presentation:
     interval: int = 0
 
 
-class Progress(typing.NamedTuple):
-    """Progress shown to the participant: trial `number` of `total`."""
-
-    number: int
-    total: int
-
-
 class AnswerWindow(AbstractContextManager["AnswerWindow"]):
     """Interface that presents the session to the participant and collects the answers.
 

@@ -121,6 +121,11 @@ def explain(error: Exception) -> str:
             f"the answer window cannot be drawn: this machine lacks {', '.join(missing)}; install the Debian packages "
             f"{' '.join(missing.values())}, or their equivalents on this system"
         )
+    if isinstance(error, ImportError):
+        return (
+            f"PsychoPy cannot be imported ({error}); install the project's environment again (`make install`), "
+            "or answer without a window (`--answers simulated`)"
+        )
     if "NoSuchDisplay" in kind:
         return (
             f"the answer window cannot reach the display {display!r}; check that DISPLAY is right and that the X "

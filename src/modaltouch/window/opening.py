@@ -202,9 +202,7 @@ def _check_type(findings: Findings, window: tuple[int, int] | None) -> Iterator[
 
 def every_picture(pictures: Illustrator, trial: Trial) -> list[Picture]:
     """Return each kind of screen that a session may show for a trial."""
-    from modaltouch.window.interface import Progress
-
-    progress, texts = Progress(trial.index, max(trial.index, 99)), pictures.texts
+    progress, texts = (trial.index, max(trial.index, 99)), pictures.texts
     names = pictures.answers.offered.names
     chosen = names[0] if pictures.answers.scale is None else f"{pictures.answers.scale.at(0.5):g}"
     expected = [answer.name for answer in pictures.answers.offered if answer.fingers or answer.interval]
@@ -235,14 +233,13 @@ def smallest_type(
     """Return the height of a capital in the smallest type [pixels], and the text, in a window of a size [pixels]."""
     # Import the drawing modules only to measure type.
     from modaltouch.window.controls import typesetter_of
-    from modaltouch.window.interface import Progress
     from modaltouch.window.pictures import Illustrator
 
     design = protocol.conditions
     asked = [protocol.answers, *protocol.answers.further.values(), *protocol.closing.values()]
     pictures, *others = (Illustrator.of(size, zones, "dark", texts, each, design) for each in asked)
     every = [picture for trial in trials for picture in every_picture(pictures, trial)]
-    every += [picture.question(trials[0], Progress(1, 1)) for picture in others]
+    every += [picture.question(trials[0], (1, 1)) for picture in others]
     words = {mark for picture in every for mark in picture.marks if isinstance(mark, Words)}
     set_type = typesetter_of(texts).set_type
     # A capital of Noto Sans, which the other Noto fonts match, is 0.714 em high.

@@ -20,7 +20,6 @@ from modaltouch.window.interface import (
     Event,
     Log,
     Presentation,
-    Progress,
     Tick,
     TrialInterrupted,
 )
@@ -103,8 +102,9 @@ class ParticipantWindow(AnswerWindow):
         self._answered_by = "simulated" if robot else ""
         self._first = self._asking(protocol.answers)
         self._pictures, self._reader = self._first.pictures, self._first.reader
-        self._current: tuple[Trial, Progress] | None = None
+        self._current: tuple[Trial, tuple[int, int]] | None = None
         self._answered, self._by_hand, self._onset = -math.inf, True, 0.0
+        self._double: dict[str, Any] = {}
 
     def describe(self) -> dict[str, Any]:
         """Return size, backend and versions for the start record."""
@@ -156,8 +156,7 @@ class ParticipantWindow(AnswerWindow):
 
     def announce(self, text: str, progress: tuple[int, int] | None = None) -> None:
         """Show a text of the protocol, such as ``practice`` or ``rest``, until the participant continues."""
-        shown = None if progress is None else Progress(*progress)
-        self._go_on(lambda: self._pictures.page(text, str(getattr(self._texts, text)), shown))
+        self._go_on(lambda: self._pictures.page(text, str(getattr(self._texts, text)), progress))
 
     def feel(self, trial: Trial, progress: tuple[int, int], presentation: Presentation, until: float) -> None:
         """Show the number of the current interval, then the beam alone."""
@@ -207,11 +206,12 @@ class ParticipantWindow(AnswerWindow):
         since, by = asked if stops_first else onset, self._answered_by or self._who(trial)
         response = self._first.respond(taken, value, since, by)
         self._answered = self._clock.now() if taken is None or answers.change_until_confirmed else taken[1].time
+        self._double = self._first.watch_double(*taken) if taken is not None and value is None else {}
         return replace(
             response,
             onset="question" if stops_first else "first_burst",
             way=answers.way(trial.condition.finger_condition),
-            double=taken is not None and value is None and self._first.watch_double(*taken),
+            double=bool(self._double),
             question_after=asked - onset,
             question_uncertainty=flip_took,
             time_uncertainty=gap,
@@ -285,7 +285,8 @@ class ParticipantWindow(AnswerWindow):
         if self._current is not None:
             draw = partial(self._pictures.question, chosen=chosen(response)) if self._by_hand else self._pictures.ready
             self._loop.show(draw(*self._current), Moment())
-        self._loop.write_notes()
+        if self._double:
+            self._loop.note("double", **self._double)
 
     def give_feedback(self, response: Response, expected: str) -> None:
         """Show briefly where the vibration was stronger, after a practice trial."""
@@ -326,19 +327,19 @@ class ParticipantWindow(AnswerWindow):
 
     def _make_ready(self, trial: Trial) -> None:
         """Prepare the trial's pictures, so that none is late."""
-        progress, draw = Progress(1, 1), self._pictures
+        progress, draw = (1, 1), self._pictures
         felt = [draw.feel(trial, progress, interval) for interval in range(self._n_intervals + 1)]
         for picture in (draw.placement(trial), *felt, draw.question(trial, progress)):
             self._display.prepare(picture)
         for answer in draw.layout.buttons if self._answers.scale is None else ():
             self._display.prepare(draw.question(trial, progress, chosen=answer))
 
-    def _count(self, trial: Trial, progress: tuple[int, int]) -> Progress:
+    def _count(self, trial: Trial, progress: tuple[int, int]) -> tuple[int, int]:
         """Return the progress shown to the participant, with practice trials counted separately."""
         if not trial.practice:
-            return Progress(*progress)
+            return progress
         n_trials = max(self._n_practice, 1)
-        return Progress((trial.index - 1) % n_trials + 1, n_trials)
+        return (trial.index - 1) % n_trials + 1, n_trials
 
     def _who(self, trial: Trial | None) -> str:
         way = self._answers.given_by if trial is None else self._answers.way(trial.condition.finger_condition)
@@ -355,7 +356,6 @@ class ParticipantWindow(AnswerWindow):
                 elif event.time < shown + SETTLE:
                     self._first.discard(event, "as the screen appeared")
                 elif event.kind == "click" or self._reader.goes_on(event):
-                    self._loop.write_notes()
                     self._note_press(event)
                     return
                 elif event.kind == "key":

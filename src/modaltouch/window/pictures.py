@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -18,7 +19,6 @@ from modaltouch.window.controls import (
     reads_from_right,
     typesetter_of,
 )
-from modaltouch.window.interface import Progress
 from modaltouch.window.layout import (
     THEMES,
     Box,
@@ -179,11 +179,9 @@ def _place_knuckles(layout: Layout, outward: int, tips: dict[str, Point]) -> dic
 
 def _draw_nail(knuckle: Point, tip: Point, radius: float, fill: str) -> Mark:
     """Draw the nail, which shows that the palm faces down."""
-    run, rise = tip[0] - knuckle[0], tip[1] - knuckle[1]
-    length = (run**2 + rise**2) ** 0.5
-    along = (run / length, rise / length)
-    near = (tip[0] - along[0] * 0.35 * radius, tip[1] - along[1] * 0.35 * radius)
-    far = (tip[0] + along[0] * 0.3 * radius, tip[1] + along[1] * 0.3 * radius)
+    share = radius / math.dist(knuckle, tip)
+    run, rise = share * (tip[0] - knuckle[0]), share * (tip[1] - knuckle[1])
+    near, far = ((tip[0] + along * run, tip[1] + along * rise) for along in (-0.35, 0.3))
     return capsule(near, far, 0.5 * radius, fill)
 
 
@@ -247,7 +245,7 @@ class Illustrator:
         marks = (self._headline(words, 0.046), *self._beam(trial), *self._go_on(self._confirm_placement(trial)))
         return Picture(f"place_fingers_{_tag(trial)}", marks)
 
-    def ready(self, trial: Trial, progress: Progress, count: int = 0) -> Picture:
+    def ready(self, trial: Trial, progress: tuple[int, int], count: int = 0) -> Picture:
         """Return the screen between two trials: the beam, with the number of a countdown if any."""
         marks: tuple[Mark, ...] = (*self._beam(trial), *self._progress(trial, progress))
         if not count:
@@ -255,7 +253,7 @@ class Illustrator:
         number = Words(str(count), _MIDDLE, 0.13 * self.layout.type_scale, self.theme.dim)
         return Picture(f"ready_{_tag(trial)}_{count}", (self._headline(self.texts.fingers_back, 0.056), *marks, number))
 
-    def feel(self, trial: Trial, progress: Progress, interval: int = 0) -> Picture:
+    def feel(self, trial: Trial, progress: tuple[int, int], interval: int = 0) -> Picture:
         """Return the screen during a stimulus before the question, with the number of the interval if any."""
         marks: tuple[Mark, ...] = (self._headline(self.texts.feel, 0.056, dim=True), *self._beam(trial))
         marks += self._progress(trial, progress)
@@ -265,7 +263,13 @@ class Illustrator:
         return Picture(f"feel_{_tag(trial)}_{interval}", (*marks, number))
 
     def question(
-        self, trial: Trial, progress: Progress, chosen: str | None = None, *, confirmed: bool = True, name: str = ""
+        self,
+        trial: Trial,
+        progress: tuple[int, int],
+        chosen: str | None = None,
+        *,
+        confirmed: bool = True,
+        name: str = "",
     ) -> Picture:
         """Return the screen of a question with its answers; `chosen` is shown as accepted or as to be confirmed."""
         layout, way = self.layout, self.answers.way(trial.condition.finger_condition)
@@ -295,7 +299,7 @@ class Illustrator:
             ),
         )
 
-    def feedback(self, trial: Trial, progress: Progress, answer: str, expected: str) -> Picture:
+    def feedback(self, trial: Trial, progress: tuple[int, int], answer: str, expected: str) -> Picture:
         """Return the feedback after a practice trial: where the vibration was stronger, or the right answer."""
         texts, offered = self.texts, self.answers.offered
         by_fingers = {
@@ -310,7 +314,7 @@ class Illustrator:
             f"feedback_{name}", (self._headline(words, 0.05), *self._beam(trial), *self._progress(trial, progress))
         )
 
-    def page(self, name: str, text: str, progress: Progress | None = None, *, waits: bool = True) -> Picture:
+    def page(self, name: str, text: str, progress: tuple[int, int] | None = None, *, waits: bool = True) -> Picture:
         """Return a screen of text, the first paragraph large and the rest below it."""
         title, *rest = _paragraphs(text)
         layout, scale = self.layout, self.layout.type_scale
@@ -412,17 +416,17 @@ class Illustrator:
             Words(words, within, 0.036 * self.layout.type_scale, theme.text),
         )
 
-    def _progress(self, trial: Trial, progress: Progress) -> tuple[Mark, ...]:
+    def _progress(self, trial: Trial, progress: tuple[int, int]) -> tuple[Mark, ...]:
         form = self.texts.practice_of if trial.practice else self.texts.trial_of
-        words = form.format(number=progress.number, total=progress.total)
+        words = form.format(number=progress[0], total=progress[1])
         label = Words(words, self.layout.label, 0.028 * self.layout.type_scale, self.theme.dim)
         return (label, *self._bar(progress))
 
-    def _bar(self, progress: Progress, lift: float = 0.0) -> tuple[Mark, ...]:
+    def _bar(self, progress: tuple[int, int], lift: float = 0.0) -> tuple[Mark, ...]:
         """Draw the progress bar; the current trial counts as not done."""
         low = self.layout.bar
         bar = Box(low.x, low.y + lift, low.width, low.height)
-        share = min(max((progress.number - 1) / max(progress.total, 1), 0.0), 1.0)
+        share = min(max((progress[0] - 1) / max(progress[1], 1), 0.0), 1.0)
         done = Box(bar.left + bar.width * share / 2, bar.y, bar.width * share, bar.height)
         return (rectangle(bar, self.theme.beam), *([rectangle(done, self.theme.dim)] if share > 0 else []))
 

@@ -14,7 +14,7 @@ from modaltouch.protocol import AnswersSection
 from modaltouch.system import SYSTEM_CLOCK, Clock
 from modaltouch.window.interface import Event, EventKind, WindowError
 from modaltouch.window.layout import Mark, Picture, Shape, cover
-from modaltouch.window.machine import explain, few_imports, fit, missing_libraries, prepare_environment
+from modaltouch.window.machine import explain, few_imports, fit, prepare_environment
 from modaltouch.window.typesetting import Typesetter
 
 _ALIASES = {
@@ -327,13 +327,6 @@ def _import_psychopy() -> tuple[Any, Any]:
 
             logging.console.setLevel(logging.ERROR)
             from psychopy import monitors, visual
-    except ImportError as error:
-        if missing_libraries():
-            raise WindowError(explain(error)) from error
-        raise WindowError(
-            f"PsychoPy cannot be imported ({error}); install the project's environment again (`make install`), "
-            "or answer without a window (`--answers simulated`)"
-        ) from error
     except Exception as error:
         raise WindowError(explain(error)) from error
     return visual, monitors

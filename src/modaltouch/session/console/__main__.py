@@ -236,7 +236,7 @@ class UnixKeyboard:
         self._decode = codecs.getincrementaldecoder("utf-8")(errors="replace").decode
 
     def read(self, patience: float) -> list[str]:
-        """Return the keys pressed within `patience` [s]; raise EOFError if the terminal is gone."""
+        """Return the keys pressed within `patience` [s]; raise EOFError or OSError if the terminal is gone."""
         if not select.select([self._descriptor], [], [], patience)[0]:
             return []
         text = self._receive()
@@ -246,10 +246,7 @@ class UnixKeyboard:
         return split_keys(text)
 
     def _receive(self) -> str:
-        try:
-            data = os.read(self._descriptor, 1024)
-        except OSError as error:
-            raise EOFError from error
+        data = os.read(self._descriptor, 1024)
         if not data:
             raise EOFError
         return self._decode(data)
