@@ -28,6 +28,7 @@ ROOT = Path(__file__).resolve().parents[2]
 OPEN = """
 from pathlib import Path
 from modaltouch.window.interface import WindowError
+from modaltouch.window.layout import Box, Picture, Words
 from modaltouch.window.screen import Screen
 try:
     screen = Screen(size=(400, 300))

@@ -203,4 +203,4 @@ def test_a_long_answer_takes_two_lines_before_it_shrinks(label: str) -> None:
     block = set_type(label, width=box.width, height=box.height, size=0.062, bold=True)
     assert block.fits(1000 * box.width, 1000 * box.height)
     assert len(block.lines) in (2, 3)
-    assert block.size / 1000 > 1.6 * box.width / Typesetter().measure(label, bold=True)
+    assert block.size / 1000 > 1.35 * box.width / Typesetter().measure(label, bold=True)

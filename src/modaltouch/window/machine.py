@@ -22,7 +22,7 @@ from modaltouch.window.interface import WindowError
 
 LIBRARIES = {
     "libGL.so.1": "libgl1",
-    "libGLX_mesa.so.0": "libglx-mesa0",
+    "libGLX_mesa.so.0": "libglx-mesa0",  # brings Mesa's drivers
     "libGLU.so.1": "libglu1-mesa",
     "libX11.so.6": "libx11-6",
     "libXext.so.6": "libxext6",
@@ -50,10 +50,6 @@ def missing_libraries() -> dict[str, str]:
     if is_loadable("libGLX_nvidia.so.0"):
         # A graphics card with its own drivers needs no Mesa drivers.
         return {name: package for name, package in missing.items() if "mesa" not in name}
-    # The location of Mesa's drivers depends on its version and the system.
-    patterns = ("dri/*_dri.so", "*/dri/*_dri.so", "libgallium*.so", "*/libgallium*.so")
-    if not any(any(Path("/usr").glob(f"lib*/{pattern}")) for pattern in patterns):
-        missing["the Mesa drivers"] = "libgl1-mesa-dri"
     return missing
 
 

@@ -7,7 +7,7 @@ import sys
 import time
 import unicodedata
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
@@ -263,15 +263,16 @@ def time_window(
     figures : dict
         ``display``, a description of the display; ``n_frames``, and ``n_dropped`` of at least 1.5 times the usual
         duration; ``waits_for_monitor``, whether frames follow a monitor's refresh; ``n_keys`` injected, ``n_lost``
-        never seen, and ``key_path``: ``display server`` (as from a keyboard) or ``event queue`` (of the window, if
-        nothing else is available); time between frames (``frame_median_ms``, ``frame_p95_ms``), and from the injection
+        never seen, and ``key_path``: ``display server`` (as from a keyboard), or ``none`` without an X server, where no
+        key is injected; time between frames (``frame_median_ms``, ``frame_p95_ms``), and from the injection
         of a key to its time stamp (``key_delay_median_ms``, ``key_delay_p95_ms``, ``key_delay_max_ms``), None if no key
         was seen.
     verdict : str
         Consequences for an experiment, and what to do.
     """
     frames = _measure_frames(screen, n_frames) * 1e3
-    with _injector(screen) as (press, path):
+    n_keys *= sys.platform.startswith("linux")
+    with _injector() if n_keys else nullcontext(time.perf_counter) as press:
         delays = [_measure_key(screen, press, number) for number in range(n_keys)]
     seen = [delay * 1e3 for delay in delays if delay is not None]
     usual = float(np.median(frames))
@@ -283,7 +284,7 @@ def time_window(
         "waits_for_monitor": usual > 4.0 and float(np.quantile(frames, 0.1)) > 0.8 * usual,
         "n_keys": n_keys,
         "n_lost": n_keys - len(seen),
-        "key_path": path,
+        "key_path": "display server" if n_keys else "none",
         "frame_median_ms": round(usual, 3),
         "frame_p95_ms": round(float(np.quantile(frames, 0.95)), 3),
         "key_delay_median_ms": round(float(np.median(seen)), 3) if seen else None,
@@ -302,8 +303,8 @@ def judge_window(figures: Mapping[str, Any]) -> str:
             "not run participants here until none is."
         )
     if delay is None:
-        return " ".join(lines)
-    if delay > 5:
+        lines.append("No key was timed.")
+    elif delay > 5:
         lines.append(
             f"Keys are stamped up to {delay:.0f} ms late (95 %): close other programs, and state this with every "
             "reaction time."
@@ -353,18 +354,8 @@ def _measure_key(screen: Screen, press: Callable[[], float], number: int) -> flo
 
 
 @contextmanager
-def _injector(screen: Screen) -> Iterator[tuple[Callable[[], float], str]]:
-    """Yield a function that presses and releases F12 and returns the time, and the path of the key."""
-    if not sys.platform.startswith("linux"):
-
-        def type_key() -> float:
-            now = time.perf_counter()
-            screen.type_key("f12", down=True)
-            screen.type_key("f12", down=False)
-            return now
-
-        yield type_key, "event queue"
-        return
+def _injector() -> Iterator[Callable[[], float]]:
+    """Yield a function that presses and releases F12 at the X server and returns the time."""
     # A dependency of PsychoPy.
     from Xlib import X, display
     from Xlib.ext import xtest
@@ -380,4 +371,4 @@ def _injector(screen: Screen) -> Iterator[tuple[Callable[[], float], str]]:
             server.sync()
             return now
 
-        yield press, "display server"
+        yield press
