@@ -23,17 +23,17 @@ def draw_buttons(
     Labels in a row have the largest size at which each fits its button, on several lines if that is larger.
     """
     marks: list[Mark] = []
-    size = 0.062 * layout.type_scale
+    # Narrow buttons begin with smaller type, so that their labels still have one size.
+    size = min(0.062 * layout.type_scale, 0.27 * max(box.width for box in layout.buttons.values()))
     for is_below in (False, True):
         row = [answer for answer in answers.offered if answer.is_below is is_below]
         # Between arrows if answers name fingers.
         share = 0.5 if is_below else 0.68 if any(answer.fingers for answer in row) else 0.86
         boxes = [_divide(layout.buttons[each.name], share, is_below=is_below, with_keys=with_keys) for each in row]
         labels = [texts.label(answer.name) for answer in row]
-        if is_below and row:
-            size = min(size, 0.5 * layout.buttons[row[0].name].height)
         if row:
-            size = common_size(typesetter_of(texts), tuple(labels), replace(boxes[0][0], x=0.0), size)
+            most = min(size, 0.5 * layout.buttons[row[0].name].height) if is_below else size
+            size = common_size(typesetter_of(texts), tuple(labels), replace(boxes[0][0], x=0.0), most)
         for answer, (inner, caps), words in zip(row, boxes, labels, strict=True):
             pressed, box = answer.name == chosen, layout.buttons[answer.name]
             marks += _draw_frame(layout.unit, theme, answer.fingers or (), box, pressed=pressed, level=inner.y)
@@ -47,10 +47,9 @@ def _divide(box: Box, share: float, *, is_below: bool, with_keys: bool) -> tuple
     if is_below:
         label, beside = replace(box, width=share * box.width, height=0.9 * box.height), box.x + 0.36 * box.width
         return label, Box(beside, box.y, 0.2 * box.width, 0.47 * box.height)
-    caps = Box(
-        box.x, box.bottom + 0.012 + min(0.125 * box.height, 0.022), 0.9 * box.width, min(0.25 * box.height, 0.044)
-    )
-    low, high = caps.top + 0.006 if with_keys else box.bottom + 0.014, box.top - 0.014
+    height = min(0.25 * box.height, 0.044)
+    caps = Box(box.x, box.bottom + 0.017 + height / 2, 0.9 * box.width, height)
+    low, high = caps.top + 0.004 if with_keys else box.bottom + 0.014, box.top - 0.014
     return Box(box.x, (low + high) / 2, share * box.width, high - low), caps
 
 

@@ -228,13 +228,13 @@ class Illustrator:
             nothing_felt=texts.label(nothing.name) if nothing else "",
         )
         title, *rest = _paragraphs(filled)
-        below = Box(0, 0.07, layout.body.width, 0.4)
+        below, way = Box(0, 0.07, layout.body.width, 0.4), self.answers.way(trial.condition.finger_condition)
         return Picture(
             "answers",
             (
                 replace(self._headline(title, 0.054), box=replace(layout.headline, y=0.36)),  # nothing else is above
                 Words("\n\n".join(rest), below, 0.042 * layout.type_scale, self.theme.text),
-                *self._draw_answers(None, confirmed=False, with_keys=self._types(trial)),
+                *self._draw_answers(None, confirmed=False, with_keys=way != "experimenter"),
                 *self._go_on(),
             ),
         )
@@ -293,7 +293,7 @@ class Illustrator:
             (
                 self._headline(texts.named(asked) if asked else texts.question, 0.056),
                 *self._beam(trial),
-                *self._draw_answers(chosen, confirmed=confirmed, with_keys=self._types(trial)),
+                *self._draw_answers(chosen, confirmed=confirmed, with_keys=way != "experimenter"),
                 *note,
                 *self._progress(trial, progress),
             ),
@@ -384,10 +384,6 @@ class Illustrator:
                 *self._draw_answers(entered, confirmed=confirmed, with_keys=keys),
             ),
         )
-
-    def _types(self, trial: Trial) -> bool:
-        """Return whether the participant, rather than the experimenter, types the answer."""
-        return self.answers.way(trial.condition.finger_condition) != "experimenter"
 
     def _draw_answers(self, chosen: str | None, *, confirmed: bool, with_keys: bool) -> tuple[Mark, ...]:
         """Draw the answers, or the scale, with the chosen one."""

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from modaltouch.protocol import AnswersSection
-from modaltouch.system import SYSTEM_CLOCK, Clock
+from modaltouch.system import SYSTEM_CLOCK, Clock, versions
 from modaltouch.window.interface import Event, EventKind, WindowError
 from modaltouch.window.layout import Mark, Picture, Shape, cover
 from modaltouch.window.machine import explain, few_imports, fit, prepare_environment
@@ -222,13 +222,9 @@ class Screen:
 
     def describe(self) -> dict[str, Any]:
         """Return the facts of the window for the start record."""
-        import psychopy
-        import pyglet
-
         return {
             "backend": "psychopy",
-            "psychopy": psychopy.__version__,
-            "pyglet": pyglet.version,
+            **{name: versions()[name] for name in ("psychopy", "pyglet")},
             "renderer": self._window.winHandle.context.get_info().get_renderer(),
             "size_px": list(self.size),
             **self._place,

@@ -210,8 +210,7 @@ class Typesetter:
 
     def measure(self, text: str, *, bold: bool = False) -> float:
         """Return the width of a text on one line [em]."""
-        size = 100.0
-        return self._line(text, size, bold=bold, is_rtl=first_letter_is_rtl(text)).width / size
+        return self._line(text, 100.0, bold=bold, is_rtl=first_letter_is_rtl(text)).width / 100.0
 
     def cover(self, words: Words, window: tuple[int, int]) -> Coverage:
         """Return the pixels of a text, centred in its box.

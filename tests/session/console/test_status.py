@@ -21,9 +21,9 @@ from modaltouch.session.console import Experimenter, Request
 from modaltouch.session.console.__main__ import (
     LONGEST_NOTE,
     Dialogue,
-    UnixKeyboard,
     describe_trial,
     draw_session,
+    read_keys,
     split_keys,
 )
 from modaltouch.session.console.consoles import LONGEST_LINE, EventLines, PlainLines, open_console
@@ -381,10 +381,11 @@ def test_any_text_splits_into_keys(text: str) -> None:
 def test_a_sequence_that_arrives_in_pieces_is_one_key(monkeypatch: pytest.MonkeyPatch, place: int) -> None:
     """F12, the emergency stop, over a slow line: wherever it is split, its rest does not count as a 4."""
     pieces = iter(["\x1b[24~"[:place], "\x1b[24~"[place:]])
-    keyboard = UnixKeyboard(0)
-    monkeypatch.setattr(keyboard, "_receive", lambda: next(pieces))
-    monkeypatch.setattr("modaltouch.session.console.__main__.select.select", lambda *_: ([0], [], []))
-    assert keyboard.read(0.0) == ["f12"]
+    with monkeypatch.context() as patch:
+        patch.setattr("modaltouch.session.console.__main__.os.read", lambda *_: next(pieces).encode())
+        patch.setattr("modaltouch.session.console.__main__.select.select", lambda *_: ([0], [], []))
+        keys = read_keys(0, bytes.decode, 0.0)
+    assert keys == ["f12"]
 
 
 def test_unusable_event_files_are_refused(tmp_path: Path) -> None:

@@ -26,6 +26,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from functools import partial
 from typing import Any, TextIO
 
 from rich.console import Console, ConsoleDimensions, Group, RenderableType
@@ -223,33 +224,22 @@ def open_keyboard(descriptor: int) -> Iterator[Callable[[float], list[str]]]:
     settings[6][termios.VMIN], settings[6][termios.VTIME] = 1, 0
     try:
         termios.tcsetattr(descriptor, termios.TCSANOW, settings)
-        yield UnixKeyboard(descriptor).read
+        yield partial(read_keys, descriptor, codecs.getincrementaldecoder("utf-8")(errors="replace").decode)
     finally:
         restore_terminal(descriptor, before)
 
 
-class UnixKeyboard:
-    """Keyboard of a Unix terminal."""
-
-    def __init__(self, descriptor: int) -> None:
-        self._descriptor = descriptor
-        self._decode = codecs.getincrementaldecoder("utf-8")(errors="replace").decode
-
-    def read(self, patience: float) -> list[str]:
-        """Return the keys pressed within `patience` [s]; raise EOFError or OSError if the terminal is gone."""
-        if not select.select([self._descriptor], [], [], patience)[0]:
-            return []
-        text = self._receive()
-        # On a slow line, a sequence may arrive in pieces; after 50 ms, the key is Escape itself.
-        while re.search(r"\x1b([\[O][^@-~]*)?\Z", text) and select.select([self._descriptor], [], [], 0.05)[0]:
-            text += self._receive()
-        return split_keys(text)
-
-    def _receive(self) -> str:
-        data = os.read(self._descriptor, 1024)
-        if not data:
+def read_keys(descriptor: int, decode: Callable[[bytes], str], patience: float) -> list[str]:
+    """Return the keys pressed within `patience` [s]; raise EOFError or OSError if the terminal is gone."""
+    text = ""
+    while select.select([descriptor], [], [], 0.05 if text else patience)[0]:
+        if not (data := os.read(descriptor, 1024)):
             raise EOFError
-        return self._decode(data)
+        text += decode(data)
+        # On a slow line, a sequence may arrive in pieces; after 50 ms, the key is Escape itself.
+        if not re.search(r"\x1b([\[O][^@-~]*)?\Z", text):
+            break
+    return split_keys(text)
 
 
 def split_keys(text: str) -> list[str]:
@@ -345,9 +335,9 @@ def main() -> None:
     news: News = queue.Queue()
     dialogue = Dialogue(emergency)
     threading.Thread(target=_listen, args=(news, dialogue), daemon=True).start()
-    with open(screen, "w", encoding="utf-8", closefd=False) as file, open_keyboard(keys) as read_keys:
+    with open(screen, "w", encoding="utf-8", closefd=False) as file, open_keyboard(keys) as read:
         # Read keys in a separate thread, so that they do not wait for drawing.
-        threading.Thread(target=_read, args=(read_keys, dialogue, news), daemon=True).start()
+        threading.Thread(target=_read, args=(read, dialogue, news), daemon=True).start()
         with suppress(OSError):  # the terminal is gone
             _show(news, file, dialogue)
 
@@ -381,11 +371,11 @@ def _show(news: News, file: TextIO, dialogue: Dialogue) -> None:
                 live.update(picture, refresh=True)
 
 
-def _read(read_keys: Callable[[float], list[str]], dialogue: Dialogue, news: News) -> None:
+def _read(read: Callable[[float], list[str]], dialogue: Dialogue, news: News) -> None:
     """Turn keys into requests until the terminal is gone."""
     try:
         while True:
-            for key in read_keys(0.1):
+            for key in read(0.1):
                 at = SYSTEM_CLOCK.now()
                 if (request := dialogue.press(key)) is not None:
                     message = {"command": request.command, "text": request.text, "at": at}
