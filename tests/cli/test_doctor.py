@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from modaltouch.system import versions
-from modaltouch.window import machine
+from modaltouch.window import machine, opening
 from modaltouch.window.interface import WindowError
 
 
@@ -26,7 +26,7 @@ def test_each_missing_library_is_reported_with_its_package(monkeypatch: pytest.M
     assert found.state == "fault"
     assert found.found == "missing: libGLU.so.1 (libglu1-mesa), libfontconfig.so.1 (libfontconfig1)"
     assert found.remedy == "apt install libglu1-mesa libfontconfig1"
-    packages = [package for check in machine.examine_machine(quick=True) for package in check.packages]
+    packages = [package for check in opening.examine_machine(quick=True) for package in check.packages]
     assert packages[:3] == ["libglu1-mesa", "libfontconfig1", "libportaudio2"]
 
 
@@ -55,7 +55,7 @@ def test_a_window_error_identifies_the_missing_library(monkeypatch: pytest.Monke
 @pytest.mark.window
 def test_a_letter_is_drawn() -> None:
     """In a separate process, since a window has one display."""
-    program = "from modaltouch.window import machine; print(machine._window().state)"
+    program = "from modaltouch.window import opening; print(opening._draw_letter().state)"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert done.stdout.split()[-1] == "ok"
 
@@ -66,8 +66,8 @@ def test_a_window_that_does_not_open_is_a_fault_with_its_remedy(monkeypatch: pyt
     def fail() -> None:
         raise WindowError("there is no display; log in at a screen")
 
-    monkeypatch.setattr("modaltouch.window.machine.some_display", fail)
-    found = machine._window()
+    monkeypatch.setattr("modaltouch.window.opening.some_display", fail)
+    found = opening._draw_letter()
     assert (found.state, found.found, found.remedy) == ("fault", "there is no display", "log in at a screen")
 
 

@@ -20,18 +20,18 @@ if TYPE_CHECKING:
         TrialInterrupted,
         WindowError,
     )
-    from modaltouch.window.machine import examine_machine, some_display
+    from modaltouch.window.machine import some_display
     from modaltouch.window.masking import MaskingNoise
-    from modaltouch.window.opening import WindowOptions
+    from modaltouch.window.opening import WindowOptions, examine_machine
     from modaltouch.window.simulated import Answerer
 else:
     __getattr__ = lazily(
         __name__,
         {
             "interface": "AnswerWindow Event Masking Presentation SessionStopped TrialInterrupted WindowError",
-            "machine": "examine_machine some_display",
+            "machine": "some_display",
             "masking": "MaskingNoise",
-            "opening": "WindowOptions",
+            "opening": "WindowOptions examine_machine",
             "simulated": "Answerer",
         },
     )

@@ -12,7 +12,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
 from typing import Any, Literal, NamedTuple
@@ -233,27 +233,14 @@ class MachineCheck(NamedTuple):
     packages: Sequence[str] = ()  # missing Debian packages
 
 
-def examine_machine(results: Path = Path("results"), *, quick: bool = False) -> tuple[MachineCheck, ...]:
-    """Check what a session needs on this machine, including a test drawing; no instrument is opened.
+def examine_installation() -> tuple[MachineCheck, ...]:
+    """Check what the window needs to be installed."""
+    return _software(), _display(), _libraries(), _fonts()
 
-    Parameters
-    ----------
-    results : Path
-        Folder where sessions will be recorded.
-    quick : bool
-        Whether to check only installed software, without window, sound device and disk.
-    """
-    return (
-        _software(),
-        _display(),
-        _libraries(),
-        _fonts(),
-        *(() if quick else (_window(),)),
-        _sound(quick=quick),
-        _usb(),
-        _precedence(),
-        *(() if quick else (_disk(results),)),
-    )
+
+def examine_devices(results: Path, *, quick: bool) -> tuple[MachineCheck, ...]:
+    """Check sound, USB, priority and, unless `quick`, the disk with the folder of the results."""
+    return _sound(quick=quick), _usb(), _precedence(), *(() if quick else (_disk(results),))
 
 
 def _software() -> MachineCheck:
@@ -292,21 +279,6 @@ def _fonts() -> MachineCheck:
         return MachineCheck("fonts", "ok", "Latin, Greek, Cyrillic, Arabic, Hebrew, Devanagari, Chinese, Japanese")
     remedy = f"where texts are in other scripts, apt install {' '.join(packages)}, or name a font in the texts"
     return MachineCheck("fonts", "warning", "no letters for some scripts", remedy, packages)
-
-
-def _window() -> MachineCheck:
-    """Draw a letter in the window, which requires a display, OpenGL, fonts and PsychoPy."""
-    from modaltouch.window.layout import Box, Picture, Words
-    from modaltouch.window.screen import Screen
-
-    try:
-        with some_display() as where, closing(Screen(size=(320, 200), title="modaltouch doctor")) as screen:
-            screen.draw(Picture("letter", (Words("A", Box(0.0, 0.0, 0.8, 0.8), 0.5, "#ffffff"),)))
-            screen.flip()
-            renderer = screen.describe()["renderer"]
-    except WindowError as error:
-        return MachineCheck("window", "fault", *str(error).split("; ", 1))
-    return MachineCheck("window", "ok", f"a letter is drawn on {where} ({renderer})")
 
 
 def _sound(*, quick: bool) -> MachineCheck:

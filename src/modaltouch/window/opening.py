@@ -1,4 +1,4 @@
-"""Options of the answer window: opening for a person or a robot, the legibility of texts, and the timing in it."""
+"""Options of the answer window: opening for a person or a robot, legible texts, timing, and checks of the machine."""
 
 from __future__ import annotations
 
@@ -16,8 +16,9 @@ import numpy as np
 
 from modaltouch.protocol import Schedule
 from modaltouch.system import SYSTEM_CLOCK, Clock
-from modaltouch.window.interface import POLL_INTERVAL
+from modaltouch.window.interface import POLL_INTERVAL, WindowError
 from modaltouch.window.layout import THEMES, Box, Picture, Spans, Words, rectangle
+from modaltouch.window.machine import MachineCheck, examine_devices, examine_installation, some_display
 from modaltouch.window.typesetting import Typesetter, find_font
 
 if TYPE_CHECKING:
@@ -125,8 +126,6 @@ class WindowOptions:
         WindowError
             If no window can be opened.
         """
-        from modaltouch.window.machine import some_display
-
         with some_display() as display, closing(self._screen(title="modaltouch doctor")) as screen:
             return time_window(screen, display=display)
 
@@ -247,6 +246,34 @@ def smallest_type(
         ((0.714 * set_type(mark, size[1]).size, mark.text) for mark in words),
         key=lambda found: (found[0], -len(found[1]), found[1]),  # of words that share a size, the longest decides it
     )
+
+
+def examine_machine(results: Path = Path("results"), *, quick: bool = False) -> tuple[MachineCheck, ...]:
+    """Check what a session needs on this machine, including a test drawing; no instrument is opened.
+
+    Parameters
+    ----------
+    results : Path
+        Folder where sessions will be recorded.
+    quick : bool
+        Whether to check only installed software, without window, sound device and disk.
+    """
+    window = () if quick else (_draw_letter(),)
+    return *examine_installation(), *window, *examine_devices(results, quick=quick)
+
+
+def _draw_letter() -> MachineCheck:
+    """Draw a letter in the window, which requires a display, OpenGL, fonts and PsychoPy."""
+    from modaltouch.window.screen import Screen
+
+    try:
+        with some_display() as where, closing(Screen(size=(320, 200), title="modaltouch doctor")) as screen:
+            screen.draw(Picture("letter", (Words("A", Box(0.0, 0.0, 0.8, 0.8), 0.5, "#ffffff"),)))
+            screen.flip()
+            renderer = screen.describe()["renderer"]
+    except WindowError as error:
+        return MachineCheck("window", "fault", *str(error).split("; ", 1))
+    return MachineCheck("window", "ok", f"a letter is drawn on {where} ({renderer})")
 
 
 _TIMEOUT = 0.5
