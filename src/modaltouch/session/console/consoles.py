@@ -235,7 +235,7 @@ class TerminalConsole(Console):
     def requests(self) -> list[Request]:
         """Return the requests typed since the last call."""
         self._send()
-        *lines, self._unread = (self._unread + (self._heard.read(65536) or b"")).split(b"\n")
+        *lines, self._unread = (self._unread + (self._heard.read(4096) or b"")).split(b"\n")
         return [Request(**json.loads(line)) for line in lines]
 
     def close(self) -> None:
