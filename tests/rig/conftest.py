@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,9 +15,9 @@ from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig.afg3022b import AFG3022B
 from modaltouch.rig.connection import Patience
 from modaltouch.rig.generator import Generator
-from modaltouch.rig.pacing import LocalClient
 from modaltouch.rig.simulator import Simulator
 from modaltouch.rig.simulator.common import Behaviour
+from modaltouch.rig.simulator.instrument import LocalClient
 from modaltouch.rig.visa import VisaSession
 from modaltouch.stimulus.burst import Burst
 from modaltouch.system.clock import VirtualClock
@@ -55,11 +56,12 @@ class QuietGuard(LocalClient):
     """
 
     def __init__(self, clock: VirtualClock) -> None:
-        super().__init__(VisaSession(""), clock)
+        super().__init__(SimpleNamespace(n_starts=0), clock)
         self.told: list[str] = []
 
     def __call__(self, address: str, off: str) -> QuietGuard:
-        super().__init__(VisaSession(address), self._clock)
+        self._session = session = VisaSession(address)
+        self.open, self.exchange, self.close = session.open, session.exchange, session.close
         return self
 
     def arm(self, *, free_running: bool) -> None:
@@ -69,7 +71,7 @@ class QuietGuard(LocalClient):
         self.told.append("disarm")
 
     def release(self, *, clean: bool) -> None:
-        super().release(clean=clean)
+        self._session.release()
         self.told.append("clean" if clean else "left watching")
 
 

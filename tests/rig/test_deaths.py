@@ -16,9 +16,9 @@ from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig.connection import Patience
 from modaltouch.rig.generator import Generator
 from modaltouch.rig.interface import Firing, RigError, StimulusLost
-from modaltouch.rig.pacing import LocalClient
 from modaltouch.rig.player import RELAYS_SETTLE, Repetition
 from modaltouch.rig.simulator import Simulator
+from modaltouch.rig.simulator.instrument import LocalClient
 from modaltouch.rig.visa import VisaSession
 from modaltouch.stimulus.burst import Burst
 from modaltouch.system.clock import VirtualClock
@@ -107,6 +107,14 @@ class End:
     firing: Firing | None
 
 
+def client_of(ward: Ward, simulator: Simulator, clock: VirtualClock) -> LocalClient:
+    """Return a client in this process whose messages take the link."""
+    client = LocalClient(simulator._instrument, clock)
+    client.open, client.exchange, client.close = ward.open, ward.exchange, ward.close
+    client.release = lambda clean: ward.release()
+    return client
+
+
 def play(seed: int, simulator: Simulator, apparatus: Apparatus, clock: VirtualClock, burst: Burst) -> End:
     """Play bursts; the instrument fails at a random instant (half of the seeds) or before a random message."""
     rng = random.Random(seed)
@@ -117,7 +125,7 @@ def play(seed: int, simulator: Simulator, apparatus: Apparatus, clock: VirtualCl
         apparatus,
         patience=Patience(reply=0.2, copy=0.4, tries=2, pause=0.02),
         repetition=rng.choice(REPETITIONS),
-        start_guard=lambda address, off: LocalClient(ward, clock),
+        start_guard=lambda address, off: client_of(ward, simulator, clock),
         clock=clock,
     )
     with rig:

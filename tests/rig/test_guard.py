@@ -21,7 +21,7 @@ from modaltouch.rig.afg3022b import AFG3022B
 from modaltouch.rig.connection import Patience
 from modaltouch.rig.generator import Generator
 from modaltouch.rig.interface import LinkError, RigError
-from modaltouch.rig.pacing import PATIENCE
+from modaltouch.rig.pacing import PATIENCE, Report
 from modaltouch.rig.simulator import Simulator
 from modaltouch.rig.watchdog_client import WatchdogClient
 from modaltouch.stimulus.burst import Burst
@@ -152,11 +152,11 @@ def test_a_signal_during_an_exchange_does_not_shift_replies(rig: Generator, sing
 def test_the_rate_of_heartbeats_does_not_depend_on_the_calls(
     rig: Generator, dogs: list[WatchdogClient], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A thread writes one byte every 45 ms at most; the call itself writes nothing."""
+    """A thread asks once every 45 ms at most; the call itself writes nothing."""
     rig.fire(0.1)
     sent: list[str] = []
     send = dogs[0]._send
-    monkeypatch.setattr(dogs[0], "_send", lambda data: (sent.append(threading.current_thread().name), send(data)))
+    monkeypatch.setattr(dogs[0], "_send", lambda name: (sent.append(threading.current_thread().name), send(name)))
     started = time.perf_counter()
     while len(sent) < 5 and time.perf_counter() < started + 30:
         rig.heartbeat()
@@ -204,7 +204,7 @@ def test_heartbeats_are_sent_only_for_a_running_session(is_armed: bool, silence:
     dog._released = SimpleNamespace(wait=lambda period: rounds.pop())
     dog._armed = SimpleNamespace(wait=lambda period: is_armed, is_set=lambda: is_armed)
     dog._lost, dog._broken, dog._came_round = "", None, time.monotonic() - silence
-    dog._request = lambda letter, content, limit: sent.append(letter) or b"{}"
+    dog._request = lambda limit, name: sent.append(name) or Report()
     dog._keep_beating()
     assert len(sent) == n_sent
     assert (rounds, dog.beat(), dog._broken) == ([], "", None)

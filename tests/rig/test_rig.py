@@ -12,9 +12,8 @@ import pytest
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig import Generator, Simulator
 from modaltouch.rig.afg3022b import AFG3022B
-from modaltouch.rig.pacing import LocalClient
 from modaltouch.rig.simulator.faults import Kind
-from modaltouch.rig.simulator.instrument import DirectTransport
+from modaltouch.rig.simulator.instrument import LocalClient
 from modaltouch.stimulus.burst import Burst
 from modaltouch.system import VirtualClock
 
@@ -130,8 +129,9 @@ def test_a_power_cycle_ends_the_connection_within_a_process(apparatus: Apparatus
 
 def test_an_unread_reply_is_an_error_within_a_process(apparatus: Apparatus) -> None:
     """The next message interrupts it, -410, as over a network (IEEE 488.2, 6.3.2.3)."""
-    with Simulator(apparatus, clock=VirtualClock(0.0)) as simulator:
-        transport = DirectTransport(simulator._instrument)
+    clock = VirtualClock(0.0)
+    with Simulator(apparatus, clock=clock) as simulator:
+        transport = LocalClient(simulator._instrument, clock)
         transport.exchange(b"*IDN?\n", timeout=1.0, reply=False)
         assert transport.exchange(b"SYST:ERR?\n", timeout=1.0, reply=True).startswith(b"-410,")
         assert transport.exchange(b"SYST:ERR?\n", timeout=1.0, reply=True).startswith(b"0,")

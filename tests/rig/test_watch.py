@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import io
 import itertools
-import json
 import math
-import queue
-import struct
+import os
+import pickle
 import threading
 import time
 from collections.abc import Iterator
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -19,31 +17,9 @@ import pytest
 
 from modaltouch.rig import watchdog_process as watchdog
 from modaltouch.rig.afg3022b import AFG3022B
-from modaltouch.rig.interface import InUse
-from modaltouch.rig.pacing import Order, Pacer
-from modaltouch.rig.watchdog_process import (
-    ARM,
-    BEAT,
-    CLEAN,
-    CLOSE,
-    DISARM,
-    DONE,
-    END,
-    EXCHANGE,
-    FAILED,
-    FLAG,
-    LATE,
-    LONG_PERSISTENCE,
-    OPEN,
-    PERSISTENCE,
-    PLAY,
-    REPORT,
-    TAKEN,
-    TERMS,
-    WatchdogProcess,
-    frame,
-    read_frames,
-)
+from modaltouch.rig.interface import InUse, TransportError
+from modaltouch.rig.pacing import Order, Pacer, Report
+from modaltouch.rig.watchdog_process import LONG_PERSISTENCE, PERSISTENCE, WatchdogProcess
 from modaltouch.system.clock import SYSTEM_CLOCK, Clock, VirtualClock
 
 ASKED_OFF = AFG3022B.off
@@ -78,83 +54,61 @@ class Instrument:
         self.sent.append(b"broken" if broken else b"closed")
 
 
-class Pipe:
-    """Return what is written to it, as a pipe does, until it is closed."""
-
-    def __init__(self) -> None:
-        self._data = bytearray()
-        self._more = threading.Condition()
-        self._closed = False
-
-    def write(self, *requests: bytes) -> None:
-        with self._more:
-            self._data += b"".join(requests)
-            self._more.notify()
-
-    def close(self) -> None:
-        with self._more:
-            self._closed = True
-            self._more.notify()
-
-    def read(self, size: int) -> bytes:
-        with self._more:
-            self._more.wait_for(lambda: self._closed or len(self._data) >= size, timeout=5)
-            data = bytes(self._data[:size])
-            del self._data[:size]
-            return data
+Asked = tuple[str, dict[str, Any]]
 
 
-def serve(instrument: Instrument, *requests: bytes) -> list[tuple[bytes, int, bytes]]:
-    """Carry out requests until their end, and return the answers."""
-    answers = bytearray()
-    watch = WatchdogProcess(instrument, ASKED_OFF, limit=0.05, persistence=0.1)
-    watch.serve(io.BytesIO(b"".join(requests)), answers.extend)
-    return list(read_frames(io.BytesIO(bytes(answers))))
+def ask(name: str, **arguments: Any) -> Asked:
+    """Return a request; one to arm is for bursts that need triggers."""
+    return name, arguments or ({"free_running": False} if name == "arm" else {})
 
 
-def request(letter: bytes) -> bytes:
-    """Return a request with default content."""
-    return frame(letter, 0, FLAG.pack(False) if letter in (ARM, REPORT) else b"")
-
-
-def ask(number: int, message: bytes) -> bytes:
+def exchange(message: bytes) -> Asked:
     """Return the request for an exchange."""
-    return frame(EXCHANGE, number, TERMS.pack(1.0, True, False) + message)
+    return ask("exchange", message=message, timeout=1.0, reply=True)
+
+
+def serve(instrument: Instrument, *requests: Asked, rubbish: bytes = b"") -> list[Any]:
+    """Carry out requests until their end, and return number and content of each answer."""
+    answers = io.BytesIO()
+    watch = WatchdogProcess(instrument, ASKED_OFF, limit=0.05, persistence=0.1)
+    written = b"".join(pickle.dumps((number, *request)) for number, request in enumerate(requests))
+    watch.serve(io.BytesIO(written + rubbish), answers)
+    answers.seek(0)
+    told = []
+    while answers.tell() < len(answers.getvalue()):
+        told.append(pickle.load(answers))
+    return told
 
 
 @pytest.mark.parametrize(
     ("requests", "pressed"),
     [
-        ([], False),
-        ([CLEAN], False),
-        ([OPEN], True),
-        ([OPEN, CLEAN], False),
-        ([OPEN, ARM], True),
-        ([OPEN, ARM, BEAT], True),
-        ([OPEN, ARM, DISARM], True),
-        ([OPEN, ARM, DISARM, CLEAN], False),
-        ([OPEN, ARM, CLEAN], False),
+        ("", False),
+        ("release", False),
+        ("open", True),
+        ("open release", False),
+        ("open arm", True),
+        ("open arm look", True),
+        ("open arm disarm", True),
+        ("open arm disarm release", False),
+        ("open arm release", False),
     ],
 )
-def test_the_end_of_the_pipe_without_a_clean_end_switches_off(requests: list[bytes], pressed: bool) -> None:
+def test_the_end_of_the_pipe_without_a_clean_end_switches_off(requests: str, pressed: bool) -> None:
     """A session that opened the instrument and did not announce a clean end counts as dead (module docstring)."""
     instrument = Instrument()
-    serve(instrument, *map(request, requests))
+    serve(instrument, *map(ask, requests.split()))
     assert (OFF in instrument.sent) is pressed
 
 
 def test_answers_have_the_numbers_of_their_requests() -> None:
-    """Done and failed are distinguished; the message of an error is included."""
+    """A failure is an exception with the message of the error."""
     instrument = Instrument(b"reply\n", TimeoutError("too late"), b"0;0\n")
-    answers = serve(
-        instrument, frame(OPEN, 7), ask(8, b"*IDN?\n"), ask(9, b"*OPC?\n"), frame(CLOSE, 10, TERMS.pack(0, False, True))
-    )
-    assert answers == [
-        (DONE, 7, b"locked out"),
-        (DONE, 8, b"reply\n"),
-        (FAILED, 9, b"TimeoutError: too late"),
-        (DONE, 10, b""),
-    ]
+    requests = ask("open"), exchange(b"*IDN?\n"), exchange(b"*OPC?\n"), ask("close", broken=True)
+    opened, replied, failed, closed = serve(instrument, *requests)
+    assert (opened, replied, closed) == ((0, "locked out"), (1, b"reply\n"), (3, None))
+    assert failed[0] == 2
+    assert (type(failed[1]), str(failed[1])) == (TransportError, "TimeoutError: too late")
     assert instrument.sent[:3] == [b"*IDN?\n", b"*OPC?\n", b"broken"]
 
 
@@ -166,50 +120,84 @@ def test_an_instrument_of_another_program_is_not_touched() -> None:
             raise InUse("another program has locked it")
 
     instrument = Taken()
-    assert serve(instrument, frame(OPEN, 1)) == [(TAKEN, 1, b"another program has locked it")]
+    ((_, answer),) = serve(instrument, ask("open"))
+    assert (type(answer), str(answer)) == (InUse, "another program has locked it")
     assert instrument.sent == []
 
 
 @pytest.mark.parametrize(
-    "rubbish",
-    [
-        b"x",
-        bytes(13),
-        b"mtwd",
-        struct.pack(">4scII", b"mtwd", b"X", 1, 99),
-        struct.pack(">4scII", b"mtwx", CLEAN, 1, 0),
-    ],
+    "rubbish", [b"x", bytes(13), pickle.dumps((1, "release", {}))[:-1], pickle.dumps(7), pickle.dumps((1, "lock", {}))]
 )
 def test_invalid_data_in_the_pipe_counts_as_its_end(rubbish: bytes) -> None:
     """An invalid or incomplete request switches the outputs off."""
     instrument = Instrument()
-    serve(instrument, frame(OPEN, 1), rubbish)
+    serve(instrument, ask("open"), rubbish=rubbish)
     assert instrument.sent == [OFF]
 
 
-def silent(instrument: Instrument, *letters: bytes, seconds: float = 0.3) -> int:
+class Master:
+    """The client of a watchdog that runs in a thread."""
+
+    def __init__(self, instrument: Instrument, clock: Clock = SYSTEM_CLOCK, **options: Any) -> None:
+        theirs, self._requests = (os.fdopen(end, mode) for end, mode in zip(os.pipe(), ("rb", "wb"), strict=True))
+        self._answers, ours = (os.fdopen(end, mode) for end, mode in zip(os.pipe(), ("rb", "wb"), strict=True))
+        self.watch = WatchdogProcess(instrument, ASKED_OFF, clock=clock, **options)
+
+        def serve() -> None:
+            with theirs, ours:
+                self.watch.serve(theirs, ours)
+
+        self.serving = threading.Thread(target=serve)
+        self.serving.start()
+
+    def tell(self, name: str, **arguments: Any) -> None:
+        """Send a request without awaiting the answer."""
+        self._requests.write(pickle.dumps((1, *ask(name, **arguments))))
+        self._requests.flush()
+
+    def ask(self, name: str, **arguments: Any) -> Any:
+        """Return the answer to a request."""
+        self.tell(name, **arguments)
+        return self.read()
+
+    def read(self) -> Any:
+        """Return the next answer."""
+        return pickle.load(self._answers)[1]
+
+    def hang_up(self) -> None:
+        """Close the pipe, and wait for the end."""
+        self._requests.close()
+        self.serving.join(10)
+        self._answers.close()
+        assert not self.serving.is_alive()
+
+    def leave(self) -> None:
+        """End the bursts and the watchdog."""
+        self.ask("end")
+        self.tell("release")
+        self.hang_up()
+
+
+def silent(instrument: Instrument, names: list[str], seconds: float = 0.3) -> int:
     """Return how often an instrument is switched off during a silence after some requests."""
-    pipe = Pipe()
-    watch = WatchdogProcess(instrument, ASKED_OFF, limit=0.05, persistence=0.1)
-    serving = threading.Thread(target=watch.serve, args=(pipe, lambda data: None))
-    serving.start()
-    pipe.write(*map(request, letters))
+    master = Master(instrument, limit=0.05, persistence=0.1)
+    for name in names:
+        master.ask(name)
     time.sleep(seconds)
-    if {ARM} <= {*letters} and DISARM not in letters:  # on a busy machine the silence may begin late
+    if "arm" in names and "disarm" not in names:  # on a busy machine the silence may begin late
         assert instrument.is_off.wait(20)
     pressed = instrument.sent.count(OFF)
-    pipe.write(frame(CLEAN, 0))
-    serving.join(5)
+    master.leave()
     return pressed
 
 
 @pytest.mark.parametrize(
-    ("letters", "pressed"),
-    [((OPEN, ARM), 1), ((OPEN, ARM, BEAT), 1), ((OPEN,), 0), ((OPEN, BEAT), 0), ((OPEN, ARM, DISARM), 0)],
+    ("names", "pressed"),
+    [("open arm", 1), ("open arm look", 1), ("open", 0), ("open look", 0), ("open arm disarm", 0)],
 )
-def test_silence_switches_off_only_while_armed(letters: tuple[bytes, ...], pressed: int) -> None:
+def test_silence_switches_off_only_while_armed(names: str, pressed: int) -> None:
     """0.3 s without a heartbeat at a limit of 0.05 s: off, once; a heartbeat alone does not arm."""
-    assert silent(Instrument(), *letters) == pressed
+    assert silent(Instrument(), names.split()) == pressed
 
 
 def test_the_limit_on_silence_matches_the_readme() -> None:
@@ -220,19 +208,18 @@ def test_the_limit_on_silence_matches_the_readme() -> None:
 
 def test_heartbeats_keep_the_outputs_on() -> None:
     """A heartbeat every 0.02 s at a limit of half a second: never switched off, and the bursts continue."""
-    pipe, instrument = Pipe(), Instrument()
-    watch = WatchdogProcess(instrument, ASKED_OFF, limit=0.5)
-    serving = threading.Thread(target=watch.serve, args=(pipe, lambda data: None))
-    serving.start()
-    pipe.write(request(OPEN), request(ARM), frame(PLAY, 0, order(5)))
+    instrument = Instrument()
+    master = Master(instrument, limit=0.5)
+    for name in ("open", "arm"):
+        master.ask(name)
+    master.ask("play", order=order(5))
     for _ in range(15):
         time.sleep(0.02)
-        pipe.write(frame(BEAT, 0))
-    pressed, told = instrument.sent.count(OFF), json.loads(watch._encoded_report())
-    pipe.write(frame(END, 0), frame(CLEAN, 0))
-    serving.join(5)
+        told = master.ask("look")
+    pressed = instrument.sent.count(OFF)
+    master.leave()
     assert pressed == 0
-    assert told["ended"] == ""
+    assert told.ended == ""
 
 
 class Waiting(Instrument):
@@ -247,21 +234,16 @@ class Waiting(Instrument):
         return super().exchange(message, timeout=timeout, reply=reply)
 
 
-def test_heartbeats_are_received_during_a_long_exchange() -> None:
-    """Answered during the exchange, with the time of arrival; silence then counts from the end of the exchange."""
+def test_a_long_exchange_is_no_silence() -> None:
+    """Silence counts from the end of the exchange that the client awaits, however long it took."""
     instrument, clock = Waiting(), VirtualClock(50.0)
     master = Master(instrument, clock)
-    master.pipe.write(ask(1, b"*IDN?\n"), frame(BEAT, 2))
-    ((done, number, _),) = read_frames(io.BytesIO(master.answers.get(timeout=60)))
-    assert (done, number) == (DONE, 2)
+    master.tell("exchange", message=b"*IDN?\n", timeout=1.0, reply=True)
     clock.sleep(0.4)
     instrument.may_answer.set()
-    ((_, number, answer),) = read_frames(io.BytesIO(master.answers.get(timeout=60)))
-    assert (number, answer) == (1, b"0;0\n")
-    assert clock.now() - master.watch._heard == pytest.approx(0.4)
+    assert master.read() == b"0;0\n"
     assert master.watch._silence() == 0
-    master.pipe.write(frame(CLEAN, 0))
-    master.serving.join(10)
+    master.leave()
 
 
 class Sluggish(VirtualClock):
@@ -275,24 +257,16 @@ def test_the_watchdog_reports_its_own_delay() -> None:
     """It checks every 50 ms; any excess counts as its delay since it was armed."""
     watch = WatchdogProcess(Instrument(), ASKED_OFF, clock=Sluggish(50.0))
 
-    def late() -> float:
-        answered = watch._carry_out(LATE, b"", lambda content: None)
-        assert answered is not None
-        return float(answered[1])
-
-    def arm() -> None:
-        watch._carry_out(ARM, FLAG.pack(False), lambda content: None)
-
-    arm()
-    assert late() == 0
+    watch.arm(free_running=False)
+    assert watch.held_up() == 0
     off = threading.Event()
     watch.switch_off = lambda: bool(off.set()) or True  # type: ignore[method-assign]
     threading.Thread(target=watch._watch_client, daemon=True).start()
     assert off.wait(10)
-    assert late() == pytest.approx(0.3, abs=1e-6)
+    assert watch.held_up() == pytest.approx(0.3, abs=1e-6)
     watch._armed = threading.Event()
-    arm()
-    assert late() == 0
+    watch.arm(free_running=False)
+    assert watch.held_up() == 0
 
 
 def test_switching_off_is_repeated_over_new_sessions() -> None:
@@ -350,7 +324,7 @@ def test_a_failure_to_switch_off_is_repeated_on_the_terminal(free_running: bool,
     terminal, instrument = Terminal(clock), Dead(clock, math.inf)
     watch = WatchdogProcess(instrument, ASKED_OFF, say=terminal, clock=clock)
     if free_running:
-        watch._carry_out(ARM, FLAG.pack(True), lambda content: None)
+        watch.arm(free_running=True)
     assert watch.switch_off() is False
     times, words = zip(*terminal.said, strict=True)
     assert times[0] == pytest.approx(51.0, abs=0.6)
@@ -374,59 +348,47 @@ def test_the_end_of_a_warning_is_shown_only_after_a_warning(dead_for: float, sai
     assert clock.now() - 50 <= min(2 * dead_for + 0.05, dead_for + 0.5)
 
 
-class Master:
-    """The client of a watchdog that runs in a thread."""
-
-    def __init__(self, instrument: Instrument, clock: Clock = SYSTEM_CLOCK) -> None:
-        self.answers: queue.Queue[bytes] = queue.Queue()
-        self.pipe = Pipe()
-        self.watch = WatchdogProcess(instrument, ASKED_OFF, clock=clock)
-        self.serving = threading.Thread(target=self.watch.serve, args=(self.pipe, self.answers.put))
-        self.serving.start()
-
-    def ask(self, letter: bytes, content: bytes = b"") -> dict[str, Any]:
-        """Return the report that answers a request."""
-        self.pipe.write(frame(letter, 1, content))
-        ((done, _, answer),) = read_frames(io.BytesIO(self.answers.get(timeout=60)))
-        assert done == DONE
-        return dict(json.loads(answer))
-
-
 @pytest.fixture
 def master() -> Iterator[Master]:
     """Return the client of a watchdog that ends with the test."""
     master = Master(Instrument())
     yield master
-    master.pipe.write(frame(END, 0), frame(CLEAN, 0))
-    master.serving.join(10)
-    assert not master.serving.is_alive()
+    master.leave()
 
 
-def order(n_bursts: int, command: str = "*TRG") -> bytes:
+def order(n_bursts: int, command: str = "*TRG") -> Order:
     """Return an order for bursts 1,000 s apart, the first one due now."""
-    return json.dumps(asdict(Order(command, n_bursts, SYSTEM_CLOCK.now(), 1000.0, 0.05, 1.0))).encode()
+    return Order(command, n_bursts, SYSTEM_CLOCK.now(), 1000.0, 0.05, 1.0)
 
 
-@pytest.mark.parametrize("how", [END, REPORT, PLAY])
-def test_a_request_ends_the_bursts_between_two_of_them(master: Master, how: bytes) -> None:
+def played(master: Master, order: Order) -> Report:
+    """Return the report after the first burst."""
+    master.ask("play", order=order)
+    until = time.monotonic() + 60
+    while not ((report := master.ask("look")).first or report.ended):
+        assert time.monotonic() < until
+        time.sleep(1e-3)
+    return report
+
+
+@pytest.mark.parametrize("how", ["end", "report", "play"])
+def test_a_request_ends_the_bursts_between_two_of_them(master: Master, how: str) -> None:
     """The first is triggered and reported immediately; to end, report or play another order waits for no burst."""
-    first = master.ask(PLAY, order(5))
-    assert (first["due"], first["played"], first["ended"]) == (1, 1, "")
-    assert master.ask(BEAT) == first
+    first = played(master, order(5))
+    assert (first.due, first.played, first.ended) == (1, 1, "")
     pacing = master.watch._pacing
-    if how == END:
-        master.pipe.write(frame(END, 2))
-    elif how == REPORT:
-        assert master.ask(REPORT, FLAG.pack(False))["ended"] == "asked"
+    if how == "end":
+        master.ask("end")
+    elif how == "report":
+        assert master.ask("report", wait=False).ended == "asked"
     else:
-        assert master.ask(PLAY, order(1, "TRIG:SEQ:IMM"))["ended"] == "count"
+        assert played(master, order(1, "TRIG:SEQ:IMM")).ended == "count"
     pacing.join(10)
     assert not pacing.is_alive()
     instrument = master.watch._transport
-    assert instrument.sent == [b"*TRG\n", *([b"TRIG:SEQ:IMM\n"] if how == PLAY else [])]
+    assert instrument.sent == [b"*TRG\n", *([b"TRIG:SEQ:IMM\n"] if how == "play" else [])]
     assert not any(instrument.replies)
-    ended = master.ask(REPORT, FLAG.pack(True))
-    assert ended["ended"] == ("count" if how == PLAY else "asked")
+    assert master.ask("report", wait=True).ended == ("count" if how == "play" else "asked")
 
 
 def test_a_report_waits_for_the_last_burst_if_requested() -> None:
@@ -436,7 +398,7 @@ def test_a_report_waits_for_the_last_burst_if_requested() -> None:
     watch._pacer = pacer = Pacer(Order("*TRG", 1, 50.0, 0.2, 0.05, 0.1), lambda: None, lambda: 0.0, clock)
     pacer.step()
     for wait, now in ((False, 50.0), (True, 50.05), (True, 50.05)):
-        assert json.loads(watch._report(wait))["played"] == 1
+        assert watch.report(wait=wait).played == 1
         assert clock.now() == pytest.approx(now)
 
 
@@ -453,38 +415,33 @@ def test_a_report_after_a_failure_waits_for_an_accepted_burst(command: str, end:
 
     watch._pacer = Pacer(Order(command, 1, 50.0, 0.2, 0.05, 0.1), trigger, lambda: 0.0, clock)
     watch._pacer.step()
-    assert json.loads(watch._report(True))["ended"] == "failed"
+    assert watch.report(wait=True).ended == "failed"
     assert clock.now() == pytest.approx(end)
 
 
 def test_a_report_without_an_order_is_empty(master: Master) -> None:
     """Neither a report nor a look has any content."""
-    assert master.ask(REPORT, FLAG.pack(True)) == master.ask(BEAT) == {}
+    assert master.ask("report", wait=True) == master.ask("look") == Report()
 
 
 def test_the_end_of_the_pipe_ends_the_bursts() -> None:
     """The session is gone: no further burst."""
     master = Master(Instrument())
-    master.pipe.write(frame(OPEN, 0))
-    master.answers.get(timeout=60)
-    master.ask(PLAY, order(5))
+    master.ask("open")
+    played(master, order(5))
     pacing, pacer = master.watch._pacing, master.watch._pacer
-    master.pipe.close()
-    master.serving.join(10)
+    master.hang_up()
     pacing.join(10)
     assert pacer is not None
     assert pacer.report.ended == "asked"
 
 
 def test_bursts_requested_just_before_the_end_of_the_pipe_are_not_played() -> None:
-    """Killed right after its request, which waits for an exchange: the pipe has ended before it is carried out."""
-    instrument = Waiting()
+    """Killed right after its request: the end of the pipe follows."""
+    instrument = Instrument()
     master = Master(instrument)
-    later = Order("*TRG", 5, SYSTEM_CLOCK.now() + 1000.0, 1.0, 0.05, 1.0)
-    master.pipe.write(ask(1, b"*IDN?\n"), frame(PLAY, 2, json.dumps(asdict(later)).encode()))
-    master.pipe.close()
-    instrument.may_answer.set()
-    master.serving.join(10)
+    master.tell("play", order=Order("*TRG", 5, SYSTEM_CLOCK.now() + 1000.0, 1.0, 0.05, 1.0))
+    master.hang_up()
     master.watch._pacing.join(10)
     assert master.watch._pacer is not None
     assert master.watch._pacer.report.ended == "asked"
@@ -492,10 +449,9 @@ def test_bursts_requested_just_before_the_end_of_the_pipe_are_not_played() -> No
 
 
 def test_messages_and_answers_use_separate_streams(capfd: pytest.CaptureFixture[str]) -> None:
-    """Answers go through the pipe unchanged, messages to the terminal on separate lines."""
-    watchdog._answer(b"mtwd+")
+    """Answers go through the pipe, messages to the terminal on separate lines."""
     watchdog._say("it is on")
-    assert capfd.readouterr() == ("mtwd+", "\nmodaltouch: it is on\n")
+    assert capfd.readouterr() == ("", "\nmodaltouch: it is on\n")
 
 
 def test_the_watchdog_raises_its_priority(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -510,21 +466,17 @@ def test_the_watchdog_raises_its_priority(monkeypatch: pytest.MonkeyPatch) -> No
 def test_a_clean_end_closes_an_intact_session_in_order() -> None:
     """The instrument is notified, since it would keep the link otherwise."""
     instrument = Instrument()
-    serve(instrument, request(OPEN), request(CLEAN))
+    serve(instrument, ask("open"), ask("release"))
     assert instrument.sent == [b"closed"]
 
 
 def test_a_failed_trigger_is_reported_with_the_next_heartbeat() -> None:
     """A heartbeat is answered with the report of the bursts, which is empty before a stimulus begins."""
     master = Master(Instrument(OSError("gone"), b"0;0\n"))
-    failed = master.ask(PLAY, order(5))
-    assert (failed["played"], failed["ended"], failed["reason"]) == (0, "failed", "trigger 1 failed (OSError: gone)")
-    assert master.ask(BEAT) == failed
-    master.pipe.write(request(ARM), frame(LATE, 4))
-    ((_, number, _),) = read_frames(io.BytesIO(master.answers.get(timeout=60)))
-    assert number == 4, "the next stimulus is being prepared"
-    assert master.ask(BEAT) == {}, "a stimulus that has not begun cannot be lost"
-    assert master.ask(PLAY, order(5))["ended"] == ""
-    assert master.ask(BEAT)["ended"] == ""
-    master.pipe.write(frame(END, 0), frame(CLEAN, 0))
-    master.serving.join(10)
+    failed = played(master, order(5))
+    assert (failed.played, failed.ended, failed.reason) == (0, "failed", "trigger 1 failed (OSError: gone)")
+    assert master.ask("look") == failed
+    master.ask("arm")
+    assert master.ask("look") == Report(), "a stimulus that has not begun cannot be lost"
+    assert played(master, order(5)).ended == ""
+    master.leave()

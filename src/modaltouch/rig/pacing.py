@@ -1,18 +1,14 @@
-"""Bursts triggered one by one: the order, the pacer that triggers and counts them, and its report.
-
-`LocalClient` plays them in virtual time, without a separate process.
-"""
+"""Bursts triggered one by one: the order, the pacer that triggers and counts them, and its report."""
 
 from __future__ import annotations
 
 import threading
-import typing
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
-from modaltouch.rig.interface import Transport, describe_error
-from modaltouch.system import Clock, VirtualClock
+from modaltouch.rig.interface import describe_error
+from modaltouch.system import Clock
 
 LATEST = 0.05
 """Delay above which a burst is dropped, as a fraction of the period [1]."""
@@ -154,9 +150,8 @@ class Pacer:
         elif self._silence() > PATIENCE:
             report.ended = "stalled"
 
-    def run(self, on_first: Callable[[], None]) -> None:
-        """Play all bursts; `on_first` is called when it is known whether the first was played."""
-        reported = False
+    def run(self) -> None:
+        """Play all bursts."""
         while (due := self.due) is not None:
             left = due - self._clock.now()
             if left > ALERT:
@@ -165,85 +160,3 @@ class Pacer:
             else:
                 self._clock.sleep(left)
             self.step()
-            if not reported and (self.report.due or self.report.ended):
-                reported = True
-                on_first()
-
-
-ROUNDING = 1e-9
-"""Tolerance for rounding in sums of virtual times [s]."""
-
-
-class HeldTransport(Transport, typing.Protocol):
-    """A transport that is released by its only user."""
-
-    def release(self) -> None:
-        """Close the transport, and release the instrument to other programs."""
-
-
-class LocalClient:
-    """Watchdog client in virtual time, which plays bursts without a separate process.
-
-    It cannot outlive its process and is therefore only for a twin in the same process.
-    """
-
-    def __init__(self, transport: HeldTransport, clock: VirtualClock) -> None:
-        self._transport = transport
-        self._clock = clock
-        self._pacer: Pacer | None = None
-        self.open, self.exchange, self.close = transport.open, transport.exchange, transport.close
-
-    def arm(self, *, free_running: bool) -> None:
-        """Do nothing, since no other process watches this one."""
-
-    def held_up(self) -> float:
-        """Return 0, since nothing stalls in virtual time."""
-        return 0.0
-
-    def disarm(self) -> None:
-        """Do nothing."""
-
-    def beat(self) -> str:
-        """Return the reason if the bursts ended without a request, else an empty string."""
-        return self.look().lost
-
-    def play(self, order: Order) -> Report:
-        """Schedule bursts, advance the time until the first is played, and return the report."""
-        message = order.command.encode() + b"\n"
-        pacer = self._pacer = Pacer(
-            order,
-            lambda: self._transport.exchange(message, timeout=order.timeout, reply=False),
-            lambda: 0.0,
-            self._clock,
-        )
-
-        def step() -> None:
-            pacer.step()
-            if pacer.due is not None:
-                self._clock.call_at(pacer.due, step)
-
-        self._clock.call_at(order.first, step)
-        self._clock.sleep(order.first - self._clock.now() + ROUNDING)
-        return pacer.report
-
-    def look(self) -> Report:
-        """Return the report so far."""
-        return self._pacer.report if self._pacer is not None else Report()
-
-    def end(self) -> None:
-        """Trigger no further burst."""
-        if self._pacer is not None:
-            self._pacer.end()
-
-    def report(self, *, wait: bool) -> Report:
-        """Trigger no further burst and return the report; with `wait`, after the end of the last burst."""
-        if self._pacer is None:
-            return Report()
-        self._pacer.close()
-        if wait:
-            self._clock.sleep(self._pacer.silent_from - self._clock.now())
-        return self._pacer.report
-
-    def release(self, *, clean: bool) -> None:
-        """End the session with the instrument."""
-        self._transport.release()

@@ -3,44 +3,28 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import math
 import os
+import pickle
 import subprocess
 import sys
 import threading
 import time
-from dataclasses import asdict
+import typing
 from typing import Any
 
-from modaltouch.rig.interface import InUse, LinkError, RigError, TransportError
+from modaltouch.rig.interface import LinkError, RigError, TransportError
 from modaltouch.rig.pacing import LEASE, PATIENCE, Order, Report
-from modaltouch.rig.watchdog_process import (
-    ARM,
-    BEAT,
-    CLEAN,
-    CLOSE,
-    DISARM,
-    DONE,
-    END,
-    EXCHANGE,
-    FLAG,
-    HEAD,
-    LATE,
-    MARK,
-    OPEN,
-    PLAY,
-    REPORT,
-    TAKEN,
-    TERMS,
-    frame,
-)
+from modaltouch.rig.watchdog_process import LARGEST
 
 BEAT_PERIOD = LEASE / 4
 """Time between two heartbeats [s]."""
 
 ROUND = 0.05
 """Time between two checks for a stuck watchdog process or a stall of this process [s]."""
+
+POLL = 1e-3
+"""Time between two questions whether the first burst was played [s]."""
 
 OPEN_LIMIT = 20.0
 """Timeout for starting the process and opening the instrument [s]."""
@@ -95,22 +79,23 @@ class WatchdogClient:
             If the instrument cannot be reached, or the process cannot be started.
         """
         if self._process.poll() is not None:
-            _close_pipes(self._process)
+            _reap(self._process)
             self._armed.clear()
             self._process = self._start()
-        return self._request(OPEN, b"", OPEN_LIMIT).decode()
+        return str(self._request(OPEN_LIMIT, "open"))
 
     def exchange(self, message: bytes, *, timeout: float, reply: bool) -> bytes:
         """Send a message and return the reply, if one is expected; each may take up to `timeout` [s]."""
-        return self._request(EXCHANGE, TERMS.pack(timeout, reply, False) + message, 2 * timeout + OVERHEAD)
+        limit = 2 * timeout + OVERHEAD
+        return bytes(self._request(limit, "exchange", message=message, timeout=timeout, reply=reply))
 
     def close(self, *, broken: bool) -> None:
         """Close the VISA session; the process stays."""
-        self._request(CLOSE, TERMS.pack(0.0, False, broken), 2 * OVERHEAD)
+        self._request(2 * OVERHEAD, "close", broken=broken)
 
     def arm(self, *, free_running: bool) -> None:
         """Notify the process that outputs may be on and, if `free_running`, that they play until switched off."""
-        self._send(frame(ARM, 0, FLAG.pack(free_running)))
+        self._request(OVERHEAD, "arm", free_running=free_running)
         self._lost, self._broken, self._held_up = "", None, 0.0
         self._came_round = time.monotonic()
         self._armed.set()
@@ -141,27 +126,33 @@ class WatchdogClient:
 
     def play(self, order: Order) -> Report:
         """Start to play bursts; return the report when it is known whether the first was played."""
-        limit = max(order.first - time.perf_counter(), 0.0) + order.timeout + OVERHEAD
-        return _report(self._request(PLAY, json.dumps(asdict(order)).encode(), limit))
+        self._request(OVERHEAD, "play", order=order)
+        report, limit = Report(), order.first + order.timeout + OVERHEAD
+        while not (report.first or report.dropped or report.ended):
+            if time.perf_counter() > limit:
+                self._process.kill()
+            time.sleep(max(order.first - time.perf_counter(), POLL))
+            report = self.look()
+        return report
 
     def look(self) -> Report:
         """Return the report so far; the request is a heartbeat, too."""
-        return _report(self._request(BEAT, b"", OVERHEAD))
+        return typing.cast("Report", self._request(OVERHEAD, "look"))
 
     def end(self) -> None:
         """Trigger no further burst; never raises, since the next request detects a lost process."""
         with contextlib.suppress(LinkError):
-            self._send(frame(END, 0))
+            self._request(OVERHEAD, "end")
 
     def report(self, *, wait: bool) -> Report:
         """Trigger no further burst and return the report; with `wait`, after the end of the last burst."""
-        return _report(self._request(REPORT, FLAG.pack(wait), 2 * OVERHEAD))
+        return typing.cast("Report", self._request(2 * OVERHEAD, "report", wait=wait))
 
     def held_up(self) -> float:
         """Return the longest stall of this process or of the watchdog since `arm` [s]."""
         other = 0.0
         with contextlib.suppress(LinkError, TransportError):
-            other = float(self._request(LATE, b"", OVERHEAD))
+            other = self._request(OVERHEAD, "held_up")
         return max(self._held_up, other)
 
     def disarm(self) -> None:
@@ -169,24 +160,22 @@ class WatchdogClient:
         if self._armed.is_set():
             self._armed.clear()
             with contextlib.suppress(LinkError):
-                self._send(frame(DISARM, 0))
+                self._request(OVERHEAD, "disarm")
 
     def release(self, *, clean: bool) -> None:
         """Let the process exit; unless `clean`, it first switches the outputs off, without blocking this call."""
         self._released.set()
         with contextlib.suppress(LinkError):
             if clean:
-                self._send(frame(CLEAN, 0))
-        if self._process.stdin is not None:
-            with contextlib.suppress(OSError):
-                self._process.stdin.close()
+                self._send("release")
+        with contextlib.suppress(OSError):
+            self._process.stdin.close()
         reaper = threading.Thread(target=_reap, args=(self._process,), daemon=True, name="watchdog-reaper")
         reaper.start()
         if clean:
             reaper.join(2.0)
 
-    def _start(self) -> subprocess.Popen[bytes]:
-        self._came = bytearray()
+    def _start(self) -> Any:
         return subprocess.Popen(
             self._command,
             stdin=subprocess.PIPE,
@@ -194,64 +183,50 @@ class WatchdogClient:
             # At a terminal, the user is warned of outputs that cannot be switched off; the reader of a pipe would wait
             # until this process exits.
             stderr=None if sys.__stderr__ is not None and sys.__stderr__.isatty() else subprocess.DEVNULL,
-            bufsize=0,
+            # A request interrupted by a signal stays in the buffer, and is sent before the next one.
+            bufsize=LARGEST,
             # Pass on the module path of this process, in case the package is not installed.
             env={**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)},
             **_out_of_reach(),
         )
 
-    def _request(self, letter: bytes, content: bytes, limit: float) -> bytes:
-        """Send a request and return its answer."""
+    def _request(self, limit: float, name: str, **arguments: Any) -> Any:
+        """Call a method of the process, which may take up to `limit` [s], and return its result."""
         with self._asking:
-            self._number = (self._number + 1) % (1 << 32)
+            self._number += 1
             self._due = time.monotonic() + limit
             try:
-                self._send(frame(letter, self._number, content))
-                went, number, answer = self._answer()
+                self._send(name, **arguments)
+                number, answer = self._answer()
                 # Skip the answer to an earlier request, left unread because of a signal.
                 while number != self._number:
-                    went, number, answer = self._answer()
+                    number, answer = self._answer()
             finally:
                 self._due = math.inf
-        if went == TAKEN:
-            raise InUse(answer.decode())
-        if went != DONE:
-            raise TransportError(answer.decode())
+        if isinstance(answer, Exception):
+            raise answer
         return answer
 
-    def _send(self, data: bytes) -> None:
-        pipe = self._process.stdin
-        rest = memoryview(data)
+    def _send(self, name: str, **arguments: Any) -> None:
         try:
-            if pipe is None or pipe.closed:
-                raise BrokenPipeError("closed")
-            while rest:
-                rest = rest[os.write(pipe.fileno(), rest) :]
-        except OSError as error:
+            self._process.stdin.write(pickle.dumps((self._number, name, arguments)))
+            self._process.stdin.flush()
+        # A closed pipe raises ValueError.
+        except (OSError, ValueError) as error:
+            raise self._gone() from error
+
+    def _answer(self) -> Any:
+        # An interruption by a signal during this wait loses nothing.
+        if not self._process.stdout.peek(1):
+            raise self._gone()
+        try:
+            return pickle.load(self._process.stdout)
+        except (OSError, EOFError, pickle.UnpicklingError) as error:
             raise self._gone() from error
         except BaseException:
-            # After an interruption by a signal the rest of the request is lost, so the process cannot continue.
-            if len(rest) < len(data):
-                self._process.kill()
-            raise
-
-    def _answer(self) -> tuple[bytes, int, bytes]:
-        mark, letter, number, length = HEAD.unpack(self._read(HEAD.size))
-        if mark != MARK:
+            # The rest of this answer would be taken for the next one.
             self._process.kill()
-            raise self._gone()
-        return letter, number, self._read(length)
-
-    def _read(self, size: int) -> bytes:
-        pipe = self._process.stdout
-        while len(self._came) < size:
-            chunk = os.read(pipe.fileno(), max(size, 1 << 16)) if pipe is not None else b""
-            if not chunk:
-                raise self._gone()
-            self._came += chunk
-        data = bytes(self._came[:size])
-        del self._came[:size]
-        return data
+            raise
 
     def _gone(self) -> LinkError:
         with contextlib.suppress(subprocess.TimeoutExpired):
@@ -273,25 +248,12 @@ class WatchdogClient:
             was_overdue, asleep = now > self._due, time.monotonic()
 
 
-def _report(answer: bytes) -> Report:
-    values = json.loads(answer)
-    for name in ("first", "last"):
-        if values.get(name) is not None:
-            values[name] = tuple(values[name])
-    return Report(**values)
-
-
-def _reap(process: subprocess.Popen[bytes]) -> None:
+def _reap(process: Any) -> None:
     """Wait for a process to exit, so that neither a zombie nor an open pipe is left."""
     process.wait()
-    _close_pipes(process)
-
-
-def _close_pipes(process: subprocess.Popen[bytes]) -> None:
     for pipe in (process.stdin, process.stdout):
-        if pipe is not None:
-            with contextlib.suppress(OSError):
-                pipe.close()
+        with contextlib.suppress(OSError):
+            pipe.close()
 
 
 def _out_of_reach() -> dict[str, Any]:

@@ -7,48 +7,30 @@ at any time, even over an interface limited to a single session (USB). While arm
 switched off. The same happens when the pipe ends without `CLEAN` (the client was killed, possibly together with its
 display server).
 
-A request consists of a mark, a letter, a number, a length and that number of bytes. `OPEN`, `EXCHANGE`, `CLOSE`,
-`PLAY`, `REPORT`, `BEAT` and `LATE` are answered in the same format, with the number of the request and a letter for the
-outcome.
+A request is a pickled tuple of a number, the name of a method and its arguments; the answer has the same number, and
+the result of the method or an exception. The client alone holds the pipe, and awaits an answer before the next request.
 """
 
 from __future__ import annotations
 
 import contextlib
-import functools
 import gc
-import json
 import logging
 import os
-import queue
+import pickle
 import signal
-import struct
 import sys
 import threading
 import typing
-from collections.abc import Callable, Iterator
-from dataclasses import asdict
+from collections.abc import Callable
 
-from modaltouch.rig.interface import InUse, Transport, describe_error
-from modaltouch.rig.pacing import PATIENCE, Order, Pacer
+from modaltouch.rig.interface import InUse, Transport, TransportError, describe_error
+from modaltouch.rig.pacing import PATIENCE, Order, Pacer, Report
 from modaltouch.rig.visa import VisaSession
 from modaltouch.system import SYSTEM_CLOCK, Clock
 
-OPEN, EXCHANGE, CLOSE, ARM, BEAT, DISARM, CLEAN = b"O", b"X", b"Z", b"A", b".", b"D", b"C"
-PLAY, END, REPORT, LATE = b"P", b"E", b"R", b"L"
-DONE, FAILED, TAKEN = b"+", b"-", b"!"
-
-HEAD = struct.Struct(">4scII")
-"""Header of a request or an answer: mark, letter, number, length."""
-
-MARK = b"mtwd"
-"""Start of a request or an answer."""
-
-TERMS = struct.Struct(">d??")
-"""Parameters of `EXCHANGE` (before its message) and of `CLOSE`: timeout [s], reply expected, session broken."""
-
-FLAG = struct.Struct(">?")
-"""Parameter of `ARM` (whether the outputs play until switched off) and `REPORT` (whether to await the last burst)."""
+OF_TRANSPORT = ("open", "exchange", "close")
+"""Requests for the transport; all others are for the methods of `WatchdogProcess`."""
 
 PERSISTENCE = 30.0
 """Time for which it keeps trying to reach an instrument that plays only when triggered [s]."""
@@ -60,6 +42,9 @@ WORD_PERIOD = 10.0
 """Time between two warnings at the terminal that outputs may be on [s]."""
 
 REPLY_TIMEOUT = 1.0
+
+LARGEST = 1 << 20
+"""Size of the buffer for a request: larger than any record [bytes]."""
 
 
 class WatchdogProcess:
@@ -100,103 +85,69 @@ class WatchdogProcess:
         self._say = say
         self._clock = clock
         self._busy = threading.Lock()
-        self._answering = threading.Lock()
         self._armed = threading.Event()
         self._plays_by_itself = False
         self._reached = False
-        self._heard = self._served = self._held_up = 0.0
+        self._heard = self._held_up = 0.0
         self._pacer: Pacer | None = None
         self._pacing = threading.Thread()
 
-    def serve(self, requests: typing.BinaryIO, answer: Callable[[bytes], object]) -> None:
-        """Serve requests until `CLEAN`, or until the pipe ends, and then switch the outputs off."""
-
-        def reply(letter: bytes, number: int, content: bytes) -> None:
-            # If the answer is not read, the requests end as well.
-            with self._answering, contextlib.suppress(OSError):
-                answer(frame(letter, number, content))
-
-        waiting: queue.SimpleQueue[tuple[bytes, int, bytes] | None] = queue.SimpleQueue()
+    def serve(self, requests: typing.BinaryIO, answers: typing.BinaryIO) -> None:
+        """Serve requests until `release`, or until the pipe ends, and then switch the outputs off."""
         threading.Thread(target=self._watch_client, daemon=True, name="patrol").start()
-        threading.Thread(target=self._listen, args=(requests, waiting, reply), daemon=True, name="listener").start()
-        while (request := waiting.get()) is not None:
-            letter, number, content = request
-            if letter == CLEAN:
-                with self._busy:
-                    self._transport.close(broken=False)
-                return
-            answered = self._carry_out(letter, content, functools.partial(reply, DONE, number))
-            self._served = self._clock.now()
-            if answered is not None:
-                reply(answered[0], number, answered[1])
-        # End bursts ordered in the last moment, too.
-        self._end_bursts()
+        # Whatever is no request, or cannot be answered, counts as the end of the pipe.
+        with contextlib.suppress(Exception):
+            while True:
+                number, name, arguments = pickle.load(requests)
+                self._heard = self._clock.now()
+                if name == "release":
+                    with self._busy:
+                        self._transport.close(broken=False)
+                    return
+                pickle.dump((number, self._carry_out(name, arguments)), answers)
+                answers.flush()
+        self.end()
         with self._busy:
             if self._reached and self.switch_off():
                 with contextlib.suppress(Exception):
                     for message in self._last:
                         self._transport.exchange(message, timeout=REPLY_TIMEOUT, reply=False)
 
-    def _listen(
-        self,
-        requests: typing.BinaryIO,
-        waiting: queue.SimpleQueue[tuple[bytes, int, bytes] | None],
-        reply: Callable[[bytes, int, bytes], None],
-    ) -> None:
-        """Receive requests as they arrive; a heartbeat counts immediately, even during an earlier exchange."""
-        try:
-            for letter, number, content in read_frames(requests):
-                self._heard = self._clock.now()
-                if letter == BEAT:
-                    reply(DONE, number, self._encoded_report())
-                else:
-                    waiting.put((letter, number, content))
-        finally:
-            self._end_bursts()
-            waiting.put(None)
-
-    def _carry_out(
-        self, letter: bytes, content: bytes, answer_later: Callable[[bytes], None]
-    ) -> tuple[bytes, bytes] | None:
-        if letter == ARM:
-            self._end_bursts()
-            # The outcome of earlier bursts does not concern the stimulus that begins now.
-            self._pacer, (self._plays_by_itself,), self._held_up = None, FLAG.unpack(content), 0.0
-            self._armed.set()
-        elif letter == DISARM:
-            self._armed.clear()
-        elif letter == LATE:
-            return DONE, b"%f" % self._held_up
-        elif letter == PLAY:
-            self._play(Order(**json.loads(content)), answer_later)
-        elif letter == END:
-            self._end_bursts()
-        elif letter == REPORT:
-            return DONE, self._report(*FLAG.unpack(content))
-        elif letter in (OPEN, EXCHANGE, CLOSE):
+    def _carry_out(self, name: str, arguments: dict[str, typing.Any]) -> object:
+        if name not in OF_TRANSPORT:
+            return getattr(self, name)(**arguments)
+        with self._busy:
             try:
-                with self._busy:
-                    return DONE, self._use(letter, content)
+                outcome = getattr(self._transport, name)(**arguments)
+                self._reached = True
+            except InUse as error:
+                return error
             # Backends raise VisaIOError, OSError, ValueError and plain Exception.
             except Exception as error:
-                in_use = isinstance(error, InUse)
-                return (TAKEN, str(error).encode()) if in_use else (FAILED, describe_error(error).encode())
-        return None
+                return TransportError(describe_error(error))
+            finally:
+                # Meanwhile the client was waiting, not silent.
+                self._heard = self._clock.now()
+        return outcome
 
-    def _use(self, letter: bytes, content: bytes) -> bytes:
-        if letter == OPEN:
-            shut = self._transport.open()
-            self._reached = True
-            return shut.encode()
-        timeout, reply, broken = TERMS.unpack_from(content)
-        if letter == CLOSE:
-            self._transport.close(broken=broken)
-            return b""
-        return self._transport.exchange(content[TERMS.size :], timeout=timeout, reply=reply)
+    def arm(self, *, free_running: bool) -> None:
+        """Expect heartbeats, since outputs may be on; if `free_running`, they play until switched off."""
+        self.end()
+        # The outcome of earlier bursts does not concern the stimulus that begins now.
+        self._pacer, self._plays_by_itself, self._held_up = None, free_running, 0.0
+        self._armed.set()
 
-    def _play(self, order: Order, answer: Callable[[bytes], None]) -> None:
-        """Start to trigger bursts; answer with the report when it is known whether the first was played."""
-        self._end_bursts()
+    def disarm(self) -> None:
+        """Expect no heartbeats, since the outputs are off."""
+        self._armed.clear()
+
+    def held_up(self) -> float:
+        """Return the longest stall of this process since `arm` [s]."""
+        return self._held_up
+
+    def play(self, order: Order) -> None:
+        """Start to trigger bursts."""
+        self.end()
         if self._pacing.is_alive():
             self._pacing.join()
         message = order.command.encode() + b"\n"
@@ -205,30 +156,27 @@ class WatchdogProcess:
             with self._busy:
                 self._transport.exchange(message, timeout=order.timeout, reply=False)
 
-        pacer = self._pacer = Pacer(order, trigger, lambda: self._clock.now() - self._heard, self._clock)
-        self._pacing = threading.Thread(
-            target=pacer.run, args=(lambda: answer(self._encoded_report()),), daemon=True, name="pacer"
-        )
+        self._pacer = Pacer(order, trigger, self._silence, self._clock)
+        self._pacing = threading.Thread(target=self._pacer.run, daemon=True, name="pacer")
         self._pacing.start()
 
-    def _end_bursts(self) -> None:
-        if (pacer := self._pacer) is not None:
-            pacer.end()
+    def look(self) -> Report:
+        """Return the report so far."""
+        return Report() if self._pacer is None else self._pacer.report
 
-    def _report(self, wait: bool) -> bytes:
+    def end(self) -> None:
+        """Trigger no further burst."""
+        if self._pacer is not None:
+            self._pacer.end()
+
+    def report(self, *, wait: bool) -> Report:
         """End the bursts and return the report; with `wait`, after the end of the last burst."""
-        if self._pacer is None:
-            return self._encoded_report()
-        self._pacer.end()
+        self.end()
         if self._pacing.is_alive():
             self._pacing.join()
-        if wait:
+        if wait and self._pacer is not None:
             self._clock.sleep(self._pacer.silent_from - self._clock.now())
-        return self._encoded_report()
-
-    def _encoded_report(self) -> bytes:
-        # `ARM` may remove the pacer while a heartbeat is answered.
-        return b"{}" if (pacer := self._pacer) is None else json.dumps(asdict(pacer.report)).encode()
+        return self.look()
 
     def _watch_client(self) -> None:
         """Switch the outputs off whenever an armed client becomes silent."""
@@ -238,15 +186,15 @@ class WatchdogProcess:
             self._held_up = max(self._held_up, self._clock.now() - asleep - self._limit / 20)
             if self._silence() <= self._limit:
                 continue
-            self._end_bursts()
+            self.end()
             with self._busy:
                 if self._armed.is_set() and self._silence() > self._limit:
                     self._armed.clear()
                     self.switch_off()
 
     def _silence(self) -> float:
-        """Return the time since the last request arrived or was completed [s]."""
-        return self._clock.now() - max(self._heard, self._served)
+        """Return the time since the last request arrived, or an exchange was completed [s]."""
+        return self._clock.now() - self._heard
 
     def switch_off(self) -> bool:
         """Switch the outputs off, over new sessions if necessary; return whether the instrument confirmed it."""
@@ -279,24 +227,6 @@ class WatchdogProcess:
                 self._transport.open()
 
 
-def frame(letter: bytes, number: int, content: bytes = b"") -> bytes:
-    """Encode a request or an answer for the pipe."""
-    return HEAD.pack(MARK, letter, number, len(content)) + content
-
-
-def read_frames(stream: typing.BinaryIO) -> Iterator[tuple[bytes, int, bytes]]:
-    """Yield letter, number and content of each request until the stream ends or is malformed."""
-    while True:
-        head = stream.read(HEAD.size)
-        if len(head) < HEAD.size:
-            return
-        mark, letter, number, length = HEAD.unpack(head)
-        content = stream.read(length)
-        if mark != MARK or len(content) < length:
-            return
-        yield letter, number, content
-
-
 def _import_visa() -> None:
     """Import PyVISA without the packages needed only for arrays and discovery, which halves the import time."""
     for name in ("numpy", "psutil"):
@@ -323,15 +253,9 @@ def main(address: str, off: str) -> int:
             signal.signal(getattr(signal, name), signal.SIG_IGN)
     _import_visa()
     _take_precedence()
-    with open(0, "rb", buffering=1 << 18, closefd=False) as requests:
-        WatchdogProcess(VisaSession(address), off, say=_say).serve(requests, _answer)
+    with open(0, "rb", buffering=LARGEST, closefd=False) as requests, open(1, "wb", closefd=False) as answers:
+        WatchdogProcess(VisaSession(address), off, say=_say).serve(requests, answers)
     return 0
-
-
-def _answer(data: bytes) -> None:
-    view = memoryview(data)
-    while view:
-        view = view[os.write(1, view) :]
 
 
 def _say(sentence: str) -> None:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from modaltouch.protocol import Apparatus
 from modaltouch.rig.simulator.afg import afg_twin
 from modaltouch.rig.simulator.common import Behaviour
-from modaltouch.rig.simulator.instrument import DirectTransport, SimulatedInstrument
+from modaltouch.rig.simulator.instrument import LocalClient, SimulatedInstrument
 from modaltouch.rig.simulator.timeline import Delays, Playback
 from modaltouch.rig.simulator.twin import Twin
 from modaltouch.system import SYSTEM_CLOCK, Clock, VirtualClock
@@ -148,9 +148,7 @@ class Simulator(AbstractContextManager["Simulator"]):
         clock = self.afg.clock
         if not isinstance(clock, VirtualClock):
             return {"address": self.address, "clock": clock}
-        from modaltouch.rig.pacing import LocalClient
-
-        client = LocalClient(DirectTransport(self._instrument), clock)
+        client = LocalClient(self._instrument, clock)
         return {"address": "simulated", "clock": clock, "start_guard": lambda address, off: client}
 
     @property

@@ -1,4 +1,4 @@
-"""A simulated generator as seen by its transport: messages in, replies out."""
+"""A simulated generator as seen by its transport, messages in, replies out; in virtual time, by the driver itself."""
 
 from __future__ import annotations
 
@@ -7,8 +7,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from modaltouch.rig.pacing import Order, Pacer, Report
 from modaltouch.rig.simulator.common import GeneratorState
 from modaltouch.rig.simulator.scpi import CommandTable, ScpiError
+from modaltouch.system import VirtualClock
 
 
 @dataclass(frozen=True)
@@ -43,11 +45,20 @@ class SimulatedInstrument:
         return Reply(b";".join(replies) + b"\n" if replies else b"")
 
 
-class DirectTransport:
-    """The transport of a driver in the same process: no network, and no wait for a reply that comes too late."""
+ROUNDING = 1e-9
+"""Tolerance for rounding in sums of virtual times [s]."""
 
-    def __init__(self, instrument: SimulatedInstrument) -> None:
+
+class LocalClient:
+    """Watchdog client of a driver in the same process, in virtual time: no network, and no process to watch.
+
+    It cannot outlive its process and is therefore only for a twin in the same process.
+    """
+
+    def __init__(self, instrument: SimulatedInstrument, clock: VirtualClock) -> None:
         self._instrument = instrument
+        self._clock = clock
+        self._pacer: Pacer | None = None
         self._start, self._unread = instrument.n_starts, False
 
     def open(self) -> str:
@@ -56,7 +67,7 @@ class DirectTransport:
         return "no other program can reach it"
 
     def exchange(self, message: bytes, *, timeout: float, reply: bool) -> bytes:
-        """Have a message executed and return the reply, if one is expected."""
+        """Have a message executed and return the reply, if one is expected, without waiting for one that is late."""
         if self._unread:
             self._instrument.afg.fail(ScpiError(-410))
         is_open = self._start == self._instrument.n_starts
@@ -68,8 +79,49 @@ class DirectTransport:
             raise TimeoutError(f"no reply within {timeout:g} s")
         return received.data if reply else b""
 
-    def close(self, *, broken: bool) -> None:
-        """Do nothing, since nothing is held."""
+    def do_nothing(self, **_: bool) -> None:
+        """Do nothing, since nothing is held and no other process watches this one."""
 
-    def release(self) -> None:
-        """Do nothing, since nothing is held."""
+    arm = disarm = close = release = do_nothing
+
+    def held_up(self) -> float:
+        """Return 0, since nothing stalls in virtual time."""
+        return 0.0
+
+    def beat(self) -> str:
+        """Return the reason if the bursts ended without a request, else an empty string."""
+        return self.look().lost
+
+    def play(self, order: Order) -> Report:
+        """Schedule bursts, advance the time until the first is played, and return the report."""
+        message = order.command.encode() + b"\n"
+
+        def trigger() -> None:
+            self.exchange(message, timeout=order.timeout, reply=False)
+
+        def step() -> None:
+            pacer.step()
+            if pacer.due is not None:
+                self._clock.call_at(pacer.due, step)
+
+        pacer = self._pacer = Pacer(order, trigger, self.held_up, self._clock)
+        self._clock.call_at(order.first, step)
+        self._clock.sleep(order.first - self._clock.now() + ROUNDING)
+        return pacer.report
+
+    def look(self) -> Report:
+        """Return the report so far."""
+        return Report() if self._pacer is None else self._pacer.report
+
+    def end(self) -> None:
+        """Trigger no further burst."""
+        if self._pacer is not None:
+            self._pacer.end()
+
+    def report(self, *, wait: bool) -> Report:
+        """Trigger no further burst and return the report; with `wait`, after the end of the last burst."""
+        if self._pacer is not None:
+            self._pacer.close()
+            if wait:
+                self._clock.sleep(self._pacer.silent_from - self._clock.now())
+        return self.look()
