@@ -29,7 +29,6 @@ REPETITION_PERIOD = 1 / 7
 N_POINTS = 125_000
 STEPS = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
 N_CHANGES = 3
-N_ERRORS = 40
 N_TRIGGERS, TRIGGER_PERIOD = 50, 0.05
 
 State = Literal["found", "person", "unanswered"]
@@ -47,12 +46,6 @@ def _settings(connection: Connection) -> Finding:
     )
 
 
-IDLE_LEVEL: Finding = (
-    "person",
-    "cannot be seen over the bus",
-    "it does not matter, since every burst of this program begins and ends at 0 V; to find out, play a record with "
-    "unequal ends and look at an oscilloscope between two bursts",
-)
 SKEW: Finding = (
     "person",
     "cannot be seen over the bus",
@@ -131,22 +124,15 @@ def _limits(connection: Connection) -> Finding:
     return "found", f"4 Vpp above a limit of 1 V is {how}; the level reads {reply:g} Vpp", "the limit holds"
 
 
-def _error_queue(connection: Connection) -> Finding:
-    connection.controls.clear_errors()
-    for _ in range(N_ERRORS):
-        connection.controls.ask("*OPC?;:NONSENSE:HEADER")
-    errors = connection.controls.pending_errors()
-    if not errors:
-        return "found", "no error after an undefined header", "errors go unseen: rely on what is read back"
-    depth = f"{len(errors)} entries" if len(errors) < N_ERRORS else f"at least {N_ERRORS} entries"
-    return "found", f"first {errors[0]}, last {errors[-1]}; {depth}", "the driver empties it after every setting"
-
-
 def _trigger(connection: Connection, scope: Scope | None = None) -> Finding:
-    controls = connection.controls
-    _await_trigger(connection)
-    controls.apply_each(connection.instrument.commands.pulses if scope is not None else ())
-    command = controls.trigger_command()
+    instrument, controls = connection.instrument, connection.controls
+    # Both channels wait, at the standby amplitude, for commands that trigger one cycle of their waveform.
+    controls.apply(instrument.on_all(instrument.commands.stopped))
+    for channel in instrument.channels:
+        controls.apply_each(connection.limits.quiet_settings(channel))
+        controls.apply_each([entry.filled(channel=channel) for entry in instrument.commands.triggered])
+    controls.apply_each(instrument.commands.pulses if scope is not None else ())
+    command = instrument.commands.trigger
     sent, began, taken = np.empty(N_TRIGGERS), np.full((N_TRIGGERS, 2), np.nan), np.empty(N_TRIGGERS)
 
     def send() -> None:
@@ -183,32 +169,6 @@ def _trigger(connection: Connection, scope: Scope | None = None) -> Finding:
     )
 
 
-def _await_trigger(connection: Connection) -> None:
-    """Let both channels wait, at the standby amplitude, for commands that trigger one cycle of their waveform."""
-    instrument, controls = connection.instrument, connection.controls
-    controls.apply(instrument.on_all(instrument.commands.stopped))
-    for channel in instrument.channels:
-        controls.apply_each(connection.limits.quiet_settings(channel))
-        controls.apply_each([entry.filled(channel=channel) for entry in instrument.commands.triggered])
-
-
-def _after_link_loss(connection: Connection) -> Finding:
-    controls = connection.controls
-    # In burst mode without a trigger, the output is at rest.
-    _await_trigger(connection)
-    controls.outputs_on()
-    controls.close(broken=True)
-    found = connection.restore("question 12", (), lambda: None)
-    state = "still on" if any(found.outputs) else "off"
-    return (
-        "found",
-        f"{state} when the session was opened again (at rest, the level low)",
-        "a lost link does not switch them off: that is what the watchdog is for"
-        if any(found.outputs)
-        else "the instrument switches them off itself",
-    )
-
-
 def _amplitude(connection: Connection) -> Finding:
     instrument, controls = connection.instrument, connection.controls
     zero, most = instrument.converter.mid_code, 2 * instrument.highest_output
@@ -228,14 +188,11 @@ def _amplitude(connection: Connection) -> Finding:
 
 QUESTIONS: tuple[tuple[int, str, Callable[[Connection], Finding]], ...] = (
     (0, "Does it accept the driver's settings?", _settings),
-    (1, "Where does the output rest between bursts?", lambda connection: IDLE_LEVEL),
     (2, "How exactly does the trigger timer set 1/7 s?", _timer),
     (3, "How long does storing a record take?", _copy_time),
     (6, "Does a change of amplitude click or glitch?", _ranges),
     (7, "Is a level above the voltage limits refused or cut?", _limits),
-    (8, "What does the error queue say, and how much does it hold?", _error_queue),
     (10, "How far apart do the channels start?", lambda connection: SKEW),
-    (12, "What do the outputs do when the link is lost?", _after_link_loss),
     (13, "How soon after its command does a burst begin?", _trigger),
     (14, "Does an amplitude refer to all codes or to the record?", _amplitude),
 )
