@@ -554,19 +554,6 @@ def test_a_wired_firing_is_confirmed_by_its_settings(
         assert rig.firing.confirmed is confirmed
 
 
-@pytest.mark.parametrize("knows", [True, False])
-def test_the_trigger_command_suits_the_instrument(
-    simulator: Simulator, open_generator: Callable[..., Generator], burst: Burst, heard: Any, knows: bool
-) -> None:
-    """TRIG:SEQ:IMM where the instrument supports it; *TRG where that is an undefined header (-113)."""
-    if not knows:
-        simulator.faults.inject("wrong_reply", when="SEQ:IMM", value='-113,"Undefined header"')
-    rig = open_generator()
-    rig.load(burst)
-    assert rig._player.order(1, 0.0, 0.1).command == ("TRIG:SEQ:IMM" if knows else "*TRG")
-    assert rig.fire(0.1).started
-
-
 def test_every_setting_is_followed_by_an_error_query(loaded: Generator, heard: Any) -> None:
     """Each message that sets something ends with SYST:ERR?."""
     loaded.fire(0.1)

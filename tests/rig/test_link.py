@@ -163,24 +163,6 @@ def test_an_error_of_an_upload_is_logged_as_it_was_said(link: Callable[..., Any]
     assert heard.of("instrument_errors") == []
 
 
-@pytest.mark.parametrize(
-    ("replies", "command", "n_sent"),
-    [
-        ([NO_ERROR], "TRIG", 1),
-        ([b'-113,"Undefined header"', b"1", NO_ERROR], "*TRG", 2),
-        ([b'-211,"Trigger ignored"', b"1"], "TRIG", 2),
-    ],
-)
-def test_a_trigger_that_the_instrument_knows_is_taken(
-    link: Callable[..., Any], replies: list[bytes], command: str, n_sent: int
-) -> None:
-    """Only an undefined header (SCPI-99, 21.8.9) means that it does not; an error it left is cleared."""
-    opened, transport = link(replies)
-    opened._table = replace(opened._table, triggers=("TRIG", "*TRG"))
-    assert opened.trigger_command() == command
-    assert transport.sent == [":TRIG;:SYST:ERR?", "*CLS;*OPC?"][:n_sent]
-
-
 def test_many_settings_are_asked_for_in_messages_that_an_instrument_can_hold(link: Callable[..., Any]) -> None:
     """Twelve queries a message; what differs is named in the order of the settings."""
     levels = [AFG3022B.level(1, volts) for volts in range(1, 26)]

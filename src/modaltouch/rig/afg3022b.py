@@ -151,7 +151,7 @@ AFG3022B = Instrument(
         # Nothing is connected to the trigger input unless stated in the apparatus file.
         stopped=Setting("TRIG:SOUR", "EXT", replies=("EXT", "EXTERNAL")),
         wired=Setting("TRIG:SOUR", "EXT", replies=("EXT", "EXTERNAL")),
-        triggers=("TRIG:SEQ:IMM", "*TRG"),
+        trigger="TRIG:SEQ:IMM",
         align="SOUR1:PHAS:INIT",
         # The instrument may round the period to as few as four digits.
         timer=Setting("TRIG:TIM", "period", "S", tolerance=5e-4),
@@ -161,5 +161,5 @@ AFG3022B = Instrument(
         marks=(Setting("DATA:POIN", "mark", of="EMEM", tolerance=0.0),),
     ),
     records=EditMemory(n_memories=4),
-    questions=(0, 1, 2, 3, 6, 7, 8, 10, 12, 13),
+    questions=(0, 2, 3, 6, 7, 10, 13),
 )

@@ -129,7 +129,7 @@ class Connection:
             if "::" not in self.address:
                 way = "give a VISA address such as TCPIP::192.168.1.20::INSTR, or find it"
             raise RigError(
-                f"no generator answers at {self.address}: {error}{self._reported()}; no output was switched on; {way} "
+                f"no generator answers at {self.address}: {error}; no output was switched on; {way} "
                 "with `modaltouch rig list`"
             ) from error
         except Unconfirmed as error:
@@ -184,14 +184,6 @@ class Connection:
             f"{doing} failed, and so did {self.patience.tries} new connections to {self.address}: {last}; "
             f"{self._last_resort()}; check that the generator is on and connected"
         ) from last
-
-    def _reported(self) -> str:
-        """Return the error queue, read over a new connection, since a rejected query gets no reply."""
-        errors = []
-        with contextlib.suppress(LinkError):
-            self.controls.open()
-            errors = self.controls.pending_errors()
-        return f" (it reports {', '.join(errors)})" if errors else ""
 
     def _last_resort(self) -> str:
         """Try once more to switch the outputs off, and return a phrase with their known state."""

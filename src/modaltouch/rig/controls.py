@@ -22,7 +22,7 @@ from modaltouch.rig.interface import (
     describe_error,
 )
 
-NO_ERROR, UNDEFINED_HEADER = 0, -113
+NO_ERROR = 0
 QUERIES_PER_MESSAGE = 12
 MOST_ERRORS = 64
 
@@ -169,20 +169,6 @@ class Controls:
         if _error_number(replies[-1]) != NO_ERROR:
             errors = [replies[-1], *self.pending_errors()]
         return tuple(not is_off for is_off in are_off[:n]), tuple(errors)
-
-    def trigger_command(self) -> str:
-        """Return the trigger command: the first in the table that the instrument does not report as undefined.
-
-        Call it with the outputs off, since trying the commands triggers bursts.
-        """
-        *first, last = self._table.triggers
-        for command in first:
-            error = _error_number(self.ask(f":{command};:SYST:ERR?"))
-            if error != NO_ERROR:
-                self.clear_errors()
-            if error != UNDEFINED_HEADER:
-                return command
-        return last
 
     def outputs_on(self) -> None:
         """Switch both outputs on in one message."""

@@ -101,7 +101,7 @@ class Generator(contextlib.AbstractContextManager["Generator"]):
             clock=clock,
         )
         repetition = repetition or apparatus.generator.repeats
-        self._player = Player(self._connection.controls, self._connection.limits, repetition, clock)
+        self._player = Player(self._connection.controls, self._connection.limits, repetition)
         self._connection.open()
         self.identity, self.address = self._connection.identity, address
         self._opened_in = time.perf_counter() - began

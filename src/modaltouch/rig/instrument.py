@@ -126,8 +126,8 @@ class Commands:
         Settings for a ``{channel}`` to play its waveform once per trigger.
     stopped, wired : Setting
         Trigger source: commands only, or the trigger input; per ``{channel}`` if the channels have separate sources.
-    triggers : tuple of str
-        Commands that trigger a burst on all channels; the first one known to the instrument is used.
+    trigger : str
+        Command that triggers a burst on all channels.
     align : str
         Command that restarts repeating records at their first sample, on all channels.
     pulses : tuple of Setting
@@ -149,7 +149,7 @@ class Commands:
     triggered: tuple[Setting, ...]
     stopped: Setting
     wired: Setting
-    triggers: tuple[str, ...]
+    trigger: str
     align: str
     pulses: tuple[Setting, ...] = ()
     timer: Setting | None = None

@@ -207,7 +207,7 @@ KEYSIGHT_33500B = Instrument(
         stopped=Setting("TRIG{channel}:SOUR", "BUS"),
         wired=Setting("TRIG{channel}:SOUR", "EXT", replies=("EXT", "EXTERNAL")),
         # One command for both channels; unverified: the skew between them (`modaltouch rig check`, question 10).
-        triggers=("*TRG",),
+        trigger="*TRG",
         align="FUNC:ARB:SYNC",
         # The connector is also the trigger input: an external trigger source switches its pulses off.
         pulses=(Setting("OUTP:TRIG", "ON"),),
@@ -215,5 +215,5 @@ KEYSIGHT_33500B = Instrument(
     ),
     records=ChannelMemories(n_memories=4),
     # The questions on the trigger timer and on copying from the edit memory apply to the AFG3022B only.
-    questions=(0, 1, 6, 7, 8, 10, 12, 13, 14),
+    questions=(0, 6, 7, 10, 13, 14),
 )

@@ -14,7 +14,6 @@ from modaltouch.rig.instrument import Limits, Setting
 from modaltouch.rig.interface import Repetition, RigError, Unconfirmed
 from modaltouch.rig.pacing import Order
 from modaltouch.stimulus import Burst
-from modaltouch.system import Clock
 
 LARGEST_STEP = 0.01
 """Largest magnitude of the first and last sample of a record, as a fraction of full scale [1]."""
@@ -33,15 +32,13 @@ class Player:
     the usual one of the bursts.
     """
 
-    def __init__(self, controls: Controls, limits: Limits, repetition: Repetition, clock: Clock) -> None:
-        self._clock = clock
+    def __init__(self, controls: Controls, limits: Limits, repetition: Repetition) -> None:
         self._controls = controls
         self._limits = limits
         self._instrument = limits.instrument
         self._table = limits.instrument.commands
         self.repetition: Repetition = repetition
         self._usual: Repetition = repetition
-        self._trigger_command = ""
         self._bursts: tuple[Burst, ...] = ()
         self._chosen = 0
         self._by_burst: dict[int, tuple[Setting, ...]] = {}
@@ -77,8 +74,7 @@ class Player:
         """Set the bursts to be played and select the first; `replay` uploads them.
 
         Without `repetition`, they are repeated as usual. Raises RigError if a burst has other channels than the
-        instrument, does not begin and end at rest, has more records than there are memories, or is to be repeated by a
-        timer that the instrument lacks.
+        instrument, does not begin and end at rest, or is to be repeated by a timer that the instrument lacks.
         """
         self._bursts, self._settings, self._levels = (), (), ()
         self.repetition = repetition or self._usual
@@ -95,12 +91,6 @@ class Player:
                     "give each output an actuator set in the apparatus file"
                 )
             _refuse_steps(burst)
-        n_records, n_memories = max(map(self._n_records, bursts), default=0), self._instrument.records.n_memories
-        if n_records > n_memories:
-            raise RigError(
-                f"a burst has {n_records} records, but the generator has {n_memories} memories; the outputs are off; "
-                "use a generator with more memories"
-            )
         self._bursts, self._chosen = tuple(bursts), 0
 
     def _n_records(self, *bursts: Burst) -> int:
@@ -136,10 +126,6 @@ class Player:
         mark = 2.0 * (500 + zlib.crc32("".join(self._controls.stored.values()).encode()) % MARKS)
         locks += [each.filled(mark=mark) for each in self._table.marks]
         self._controls.apply_each([*by_burst[self._chosen], *locks])
-        if self.repetition == "single" and not self._trigger_command:
-            self._trigger_command = self._controls.trigger_command()
-            # The search for the command may have triggered a burst, with the outputs off, which must end first.
-            self._clock.sleep(2 * max(burst.duration for burst in self._bursts))
         guarded = self._limits.guarded_settings()
         self._by_burst = {number: (*guarded, *settings, *locks) for number, settings in by_burst.items()}
         self._settings = self._by_burst[self._chosen]
@@ -204,7 +190,7 @@ class Player:
 
     def order(self, n_bursts: int, first: float, timeout: float) -> Order:
         """Return the order for a pacer: the `first` burst due then, each to be accepted within `timeout` [s]."""
-        return Order(self._trigger_command, n_bursts, first, self.period, self.duration, timeout)
+        return Order(self._table.trigger, n_bursts, first, self.period, self.duration, timeout)
 
     def set_levels(self, commanded: tuple[float, ...]) -> tuple[str, ...]:
         """Set both amplitudes in one message and return the values read back."""
