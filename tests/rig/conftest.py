@@ -15,9 +15,8 @@ from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig.afg3022b import AFG3022B
 from modaltouch.rig.connection import Patience
 from modaltouch.rig.generator import Generator
-from modaltouch.rig.simulator import Simulator
+from modaltouch.rig.simulator import LocalClient, Simulator
 from modaltouch.rig.simulator.common import Behaviour
-from modaltouch.rig.simulator.instrument import LocalClient
 from modaltouch.rig.visa import VisaSession
 from modaltouch.stimulus.burst import Burst
 from modaltouch.system.clock import VirtualClock

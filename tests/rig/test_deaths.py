@@ -17,8 +17,7 @@ from modaltouch.rig.connection import Patience
 from modaltouch.rig.generator import Generator
 from modaltouch.rig.interface import Firing, RigError, StimulusLost
 from modaltouch.rig.player import RELAYS_SETTLE, Repetition
-from modaltouch.rig.simulator import Simulator
-from modaltouch.rig.simulator.instrument import LocalClient
+from modaltouch.rig.simulator import LocalClient, Simulator
 from modaltouch.rig.visa import VisaSession
 from modaltouch.stimulus.burst import Burst
 from modaltouch.system.clock import VirtualClock

@@ -12,8 +12,8 @@ import pytest
 
 import modaltouch.rig
 from modaltouch.protocol.apparatus import Apparatus
+from modaltouch.rig import instrument_of, instruments
 from modaltouch.rig.afg3022b import AFG3022B
-from modaltouch.rig.catalogue import instrument_of, instruments
 from modaltouch.rig.instrument import Limits, Setting
 from modaltouch.rig.interface import RigError
 from modaltouch.rig.keysight33500b import KEYSIGHT_33500B

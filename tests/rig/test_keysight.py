@@ -18,7 +18,7 @@ from test_faults import KINDS, WRONG, counted
 from modaltouch.preflight.design_inputs import design, find_design_inputs
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.findings import Findings
-from modaltouch.rig.catalogue import instrument_of
+from modaltouch.rig import instrument_of
 from modaltouch.rig.checklist import QUESTIONS, check_rig
 from modaltouch.rig.connection import Patience
 from modaltouch.rig.generator import Generator

@@ -13,7 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from modaltouch.rig.pacing import LATEST, LEASE, PATIENCE, Order, Pacer, Report
-from modaltouch.rig.simulator.instrument import LocalClient, Reply
+from modaltouch.rig.simulator import LocalClient
+from modaltouch.rig.simulator.common import Reply
 from modaltouch.system.clock import SYSTEM_CLOCK, VirtualClock
 
 PERIOD = 1 / 7

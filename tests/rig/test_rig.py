@@ -12,8 +12,8 @@ import pytest
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig import Generator, Simulator
 from modaltouch.rig.afg3022b import AFG3022B
+from modaltouch.rig.simulator import LocalClient
 from modaltouch.rig.simulator.faults import Kind
-from modaltouch.rig.simulator.instrument import LocalClient
 from modaltouch.stimulus.burst import Burst
 from modaltouch.system import VirtualClock
 

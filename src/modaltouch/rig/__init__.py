@@ -18,9 +18,10 @@ from typing import TYPE_CHECKING
 from modaltouch.system import lazily
 
 if TYPE_CHECKING:
-    from modaltouch.rig.catalogue import instrument_of
+    from modaltouch.protocol import Apparatus
     from modaltouch.rig.checklist import check_rig
     from modaltouch.rig.generator import Generator
+    from modaltouch.rig.instrument import Instrument
     from modaltouch.rig.interface import Firing, Rig, RigError, StimulusLost
     from modaltouch.rig.scope import Acquisition, Recording, Scope
     from modaltouch.rig.simulator import Simulator
@@ -29,7 +30,6 @@ else:
     __getattr__ = lazily(
         __name__,
         {
-            "catalogue": "instrument_of",
             "checklist": "check_rig",
             "generator": "Generator",
             "interface": "Firing Rig RigError StimulusLost",
@@ -53,3 +53,24 @@ __all__ = [
     "find_instruments",
     "instrument_of",
 ]
+
+
+def instruments() -> tuple[Instrument, ...]:
+    """Return all supported generators; the first is used for any other model named in an apparatus file."""
+    from modaltouch.rig.afg3022b import AFG3022B
+    from modaltouch.rig.keysight33500b import KEYSIGHT_33500B
+
+    return (
+        AFG3022B,
+        KEYSIGHT_33500B,
+    )
+
+
+def instrument_of(apparatus: Apparatus) -> Instrument:
+    """Return the generator of an apparatus."""
+    from modaltouch.rig.afg3022b import AFG3022B
+
+    model = apparatus.generator.model
+    if model in AFG3022B.models:
+        return AFG3022B
+    return next((each for each in instruments() if model in each.models), AFG3022B)

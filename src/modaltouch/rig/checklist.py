@@ -16,7 +16,7 @@ from typing import Any, Literal
 import numpy as np
 
 from modaltouch.protocol import Apparatus
-from modaltouch.rig.catalogue import instrument_of
+from modaltouch.rig import instrument_of
 from modaltouch.rig.connection import Connection, Patience
 from modaltouch.rig.controls import split_reply
 from modaltouch.rig.interface import LinkError, Rig, Unconfirmed

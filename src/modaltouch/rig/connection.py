@@ -8,14 +8,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeAlias
 
 from modaltouch.protocol import Apparatus
-from modaltouch.rig.catalogue import instrument_of, instruments
+from modaltouch.rig import instrument_of, instruments
 from modaltouch.rig.controls import Controls, Log
 from modaltouch.rig.instrument import Setting
 from modaltouch.rig.interface import InUse, LinkError, RigError, Unconfirmed
 from modaltouch.system import SYSTEM_CLOCK, Clock
 
 if TYPE_CHECKING:
-    from modaltouch.rig.simulator.instrument import LocalClient
+    from modaltouch.rig.simulator import LocalClient
     from modaltouch.rig.watchdog_client import WatchdogClient
 
 BurstPlayer: TypeAlias = "WatchdogClient | LocalClient"

@@ -16,7 +16,7 @@ from dataclasses import replace
 from typing import Any
 
 from modaltouch.protocol import Apparatus
-from modaltouch.rig.catalogue import instrument_of
+from modaltouch.rig import instrument_of
 from modaltouch.rig.connection import BurstPlayer, Connection, OutputState, Patience, start_watchdog
 from modaltouch.rig.controls import Log
 from modaltouch.rig.interface import MANY, Bursts, Firing, LinkError, Repetition, RigError, StimulusLost, Unconfirmed

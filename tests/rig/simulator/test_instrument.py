@@ -7,8 +7,7 @@ import math
 import pytest
 
 from modaltouch.rig.simulator.afg import afg_twin
-from modaltouch.rig.simulator.common import Behaviour
-from modaltouch.rig.simulator.instrument import SimulatedInstrument
+from modaltouch.rig.simulator.common import Behaviour, SimulatedInstrument
 from modaltouch.system.clock import VirtualClock
 
 NO_ERROR = '0,"No error"'

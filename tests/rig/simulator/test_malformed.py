@@ -18,7 +18,7 @@ import pyvisa
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig.simulator import Simulator
 from modaltouch.rig.simulator.afg import afg_twin
-from modaltouch.rig.simulator.instrument import SimulatedInstrument
+from modaltouch.rig.simulator.common import SimulatedInstrument
 from modaltouch.rig.simulator.scpi import TEXTS
 
 NUMERIC = {

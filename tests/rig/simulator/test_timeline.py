@@ -9,8 +9,7 @@ import pytest
 from scipy.stats import kstest
 
 from modaltouch.rig.simulator.afg import afg_twin
-from modaltouch.rig.simulator.common import Behaviour
-from modaltouch.rig.simulator.instrument import SimulatedInstrument
+from modaltouch.rig.simulator.common import Behaviour, SimulatedInstrument
 from modaltouch.rig.simulator.timeline import FINEST, Delays, PlayedBurst
 from modaltouch.system.clock import VirtualClock
 

@@ -19,9 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.protocol import Apparatus
+from modaltouch.rig.pacing import Order, Pacer, Report
 from modaltouch.rig.simulator.afg import afg_twin
-from modaltouch.rig.simulator.common import Behaviour
-from modaltouch.rig.simulator.instrument import LocalClient, SimulatedInstrument
+from modaltouch.rig.simulator.common import Behaviour, Reply, SimulatedInstrument
+from modaltouch.rig.simulator.scpi import ScpiError
 from modaltouch.rig.simulator.timeline import Delays, Playback
 from modaltouch.rig.simulator.twin import Twin
 from modaltouch.system import SYSTEM_CLOCK, Clock, VirtualClock
@@ -267,3 +268,85 @@ class Simulator(AbstractContextManager["Simulator"]):
 
     def __exit__(self, *exc: object) -> None:
         self.close()
+
+
+ROUNDING = 1e-9
+"""Tolerance for rounding in sums of virtual times [s]."""
+
+
+class LocalClient:
+    """Watchdog client of a driver in the same process, in virtual time: no network, and no process to watch.
+
+    It cannot outlive its process and is therefore only for a twin in the same process.
+    """
+
+    def __init__(self, instrument: SimulatedInstrument, clock: VirtualClock) -> None:
+        self._instrument = instrument
+        self._clock = clock
+        self._pacer: Pacer | None = None
+        self._start, self._unread = instrument.n_starts, False
+
+    def open(self) -> str:
+        """Begin a connection, and return how other programs are locked out."""
+        self._start, self._unread = self._instrument.n_starts, False
+        return "no other program can reach it"
+
+    def exchange(self, message: bytes, *, timeout: float, reply: bool) -> bytes:
+        """Have a message executed and return the reply, if one is expected, without waiting for one that is late."""
+        if self._unread:
+            self._instrument.afg.fail(ScpiError(-410))
+        is_open = self._start == self._instrument.n_starts
+        received = self._instrument.execute(message) if is_open else Reply(hang_up=True)
+        self._unread = bool(received.data) and not reply
+        if received.hang_up:
+            raise ConnectionResetError("the instrument closed the connection")
+        if reply and (not received.data or received.delay > timeout):
+            raise TimeoutError(f"no reply within {timeout:g} s")
+        return received.data if reply else b""
+
+    def do_nothing(self, **_: bool) -> None:
+        """Do nothing, since nothing is held and no other process watches this one."""
+
+    arm = disarm = close = release = do_nothing
+
+    def held_up(self) -> float:
+        """Return 0, since nothing stalls in virtual time."""
+        return 0.0
+
+    def beat(self) -> str:
+        """Return the reason if the bursts ended without a request, else an empty string."""
+        return self.look().lost
+
+    def play(self, order: Order) -> Report:
+        """Schedule bursts, advance the time until the first is played, and return the report."""
+        message = order.command.encode() + b"\n"
+
+        def trigger() -> None:
+            self.exchange(message, timeout=order.timeout, reply=False)
+
+        def step() -> None:
+            pacer.step()
+            if pacer.due is not None:
+                self._clock.call_at(pacer.due, step)
+
+        pacer = self._pacer = Pacer(order, trigger, self.held_up, self._clock)
+        self._clock.call_at(order.first, step)
+        self._clock.sleep(order.first - self._clock.now() + ROUNDING)
+        return pacer.report
+
+    def look(self) -> Report:
+        """Return the report so far."""
+        return Report() if self._pacer is None else self._pacer.report
+
+    def end(self) -> None:
+        """Trigger no further burst."""
+        if self._pacer is not None:
+            self._pacer.end()
+
+    def report(self, *, wait: bool) -> Report:
+        """Trigger no further burst and return the report; with `wait`, after the end of the last burst."""
+        if self._pacer is not None:
+            self._pacer.close()
+            if wait:
+                self._clock.sleep(self._pacer.silent_from - self._clock.now())
+        return self.look()

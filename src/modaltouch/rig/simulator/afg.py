@@ -223,8 +223,7 @@ def afg_twin(model: str, behaviour: Behaviour | None, **hardware: Any) -> tuple[
     """Return the state of a simulated AFG3022B, whatever the model, and its command table."""
     afg = Afg(behaviour or Behaviour(), **hardware)
     groups = (_memories, _user_memories, _waveform, _levels, _triggers)
-    forced = ("*TRG", "TRIGger[:SEQuence][:IMMediate]")
-    return afg, common.command_table(afg, groups, forced, "AFG3000", "{:.4E}")
+    return afg, common.command_table(afg, groups, "AFG3000", "{:.4E}")
 
 
 def _waveform(afg: Afg) -> dict[str, Command]:

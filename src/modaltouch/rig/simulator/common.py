@@ -1,4 +1,4 @@
-"""Common parts of all simulated generators: error queue, status, trigger, outputs, and their commands."""
+"""Common parts of all simulated generators: messages, error queue, status, trigger, outputs, and their commands."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 import threading
 from abc import ABC, abstractmethod
 from collections import ChainMap, deque
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any, Generic, Literal, TypeVar
 
@@ -239,26 +239,41 @@ class GeneratorState(ABC, Generic[C]):
 State = GeneratorState[Any]
 
 
-def noticed(state: State, commands: Mapping[str, Command], forced: tuple[str, ...]) -> dict[str, Command]:
-    """Wrap commands so that a change of settings truncates a running burst; those in `forced` are unchanged."""
+@dataclass(frozen=True)
+class Reply:
+    """The response of an instrument to a message."""
 
-    def changing(carry_out: Handler) -> Handler:
-        def change(channel: int, arguments: Arguments) -> None:
-            with state.changing():
-                carry_out(channel, arguments)
+    data: bytes = b""  # response message; empty if the message contained no query
+    delay: float = 0.0  # time until it can be read [s]; infinite for a reply that never arrives
+    hang_up: bool = False  # whether the connection is reset immediately
 
-        return change
 
-    return {
-        header: command if header in forced or command.set is None else replace(command, set=changing(command.set))
-        for header, command in commands.items()
-    }
+class SimulatedInstrument:
+    """Executes program messages from any link, one at a time."""
+
+    def __init__(self, afg: GeneratorState[Any], table: CommandTable) -> None:
+        self.afg = afg
+        self.busy = threading.RLock()  # held while a message is executed
+        # Executes a message that a fault affects; returns None for one that no fault affects.
+        self.intercept: Callable[[bytes, int], Reply | None] = lambda message, link: None
+        self.n_starts = 0  # power-ons after the first, each of which ends all connections
+        self._table = table
+
+    def execute(self, message: bytes, link: int = 1) -> Reply:
+        """Execute a message received over a link."""
+        return self.intercept(message, link) or self.run(message, link)
+
+    def run(self, message: bytes, link: int) -> Reply:
+        """Execute a message without faults; link 0 is the front panel."""
+        with self.busy:
+            self.afg.link = link
+            replies = self._table.run(message, fail=self.afg.fail)
+        return Reply(b";".join(replies) + b"\n" if replies else b"")
 
 
 def command_table(
     state: State,
     groups: Iterable[Callable[[Any], dict[str, Command]]],
-    forced: tuple[str, ...],
     family: str,
     form: str,
     largest_reply: int = LARGEST_REPLY,
@@ -269,8 +284,6 @@ def command_table(
     ----------
     state, groups
         The generator, and functions that return its own commands.
-    forced : tuple of str
-        Headers that change no setting and must not be delayed.
     family, form : str
         ``AFG3000`` or ``33500B``, whose other settings are not simulated, and the format of their numbers.
     largest_reply : int
@@ -282,8 +295,8 @@ def command_table(
 
         return not_simulated(family, form)
 
-    commands = noticed(state, ChainMap(*(group(state) for group in (common_commands, *groups))), forced)
-    return CommandTable(commands, state.n_channels, largest_reply, further)
+    commands = ChainMap(*(group(state) for group in (common_commands, *groups)))
+    return CommandTable(commands, state.n_channels, largest_reply, further, state.changing)
 
 
 def common_commands(state: State) -> dict[str, Command]:

@@ -9,7 +9,7 @@ import time
 from dataclasses import dataclass
 from typing import Literal
 
-from modaltouch.rig.simulator.instrument import Reply, SimulatedInstrument
+from modaltouch.rig.simulator.common import Reply, SimulatedInstrument
 from modaltouch.rig.simulator.scpi import ScpiError
 
 Kind = Literal[

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -283,13 +284,14 @@ class CommandTable:
 
     Headers are written as in manuals, such as ``[SOURce#]:VOLTage[:LEVel]``: brackets enclose optional nodes, ``#`` is
     a channel suffix, and ``|`` separates synonyms of one node. `further` returns additional commands; it is called for
-    the first header that is not in `commands`.
+    the first header that is not in `commands`. Every command, not a query, is executed in a context of `changing`.
     """
 
     commands: Mapping[str, Command]
     n_channels: int
     largest_reply: int = LARGEST_REPLY
     further: Callable[[], Mapping[str, Command]] | None = None
+    changing: Callable[[], contextlib.AbstractContextManager[None]] = contextlib.nullcontext
     _patterns: list[tuple[re.Pattern[str], Command]] = field(init=False)
     _known: dict[str, tuple[Command, int]] = field(default_factory=dict, init=False)
 
@@ -334,7 +336,8 @@ class CommandTable:
                     handler = command.get if unit.query else command.set
                     if handler is None:
                         raise ScpiError(-113, unit.header + ("?" if unit.query else ""))
-                    reply = handler(channel, unit.arguments)
+                    with contextlib.nullcontext() if unit.query else self.changing():
+                        reply = handler(channel, unit.arguments)
                 except ScpiError as error:
                     fail(error)
                     if -200 < error.code <= -100:

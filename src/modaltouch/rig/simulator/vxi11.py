@@ -20,7 +20,7 @@ import typing
 from dataclasses import dataclass, field
 
 from modaltouch.rig.interface import RigError
-from modaltouch.rig.simulator.instrument import Reply, SimulatedInstrument
+from modaltouch.rig.simulator.common import Reply, SimulatedInstrument
 from modaltouch.rig.simulator.scpi import ScpiError
 
 SUCCESS, PROGRAM_UNAVAILABLE = 0, 1
