@@ -18,8 +18,7 @@ from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig import visa
 from modaltouch.rig.generator import Generator
 from modaltouch.rig.interface import InUse, RigError
-from modaltouch.rig.simulator import Simulator
-from modaltouch.rig.simulator.vxi11 import Links
+from modaltouch.rig.simulator import Simulator, vxi11
 from modaltouch.rig.visa import VisaSession, find_by, find_instruments
 
 
@@ -114,13 +113,16 @@ def test_reconnecting_waits_for_an_instrument_to_notice_a_reset(
     single_link: Simulator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """If it notices a reset 0.3 s late, reopening succeeds; another session is refused immediately."""
-    forget = Links.forget
+    read = vxi11.read_record
 
-    def forget_late(links, numbers):
-        time.sleep(0.3)
-        forget(links, numbers)
+    def notice_late(stream, limit):
+        try:
+            return read(stream, limit)
+        except (EOFError, OSError):
+            time.sleep(0.3)
+            raise
 
-    monkeypatch.setattr(Links, "forget", forget_late)
+    monkeypatch.setattr(vxi11, "read_record", notice_late)
     session = VisaSession(single_link.address)
     session.open()
     session.close(broken=True)

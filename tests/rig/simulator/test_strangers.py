@@ -321,7 +321,7 @@ def test_raw_sockets_and_links_reach_the_same_instrument(raw: Any, visa: Any, si
     raw.write_raw(b"SOUR1:FREQ 1234\nSOUR1:FREQ?\nOUTP1?\n")
     assert (float(raw.read()), raw.read()) == (1234.0, "0")
     assert float(visa.query("SOUR1:FREQ?")) == 1234.0
-    assert len(simulator.server.links) == 2
+    assert simulator.server.n_links == 2
     simulator.faults.inject("dropped_connection", when="FREQ")
     raw.write("SOUR1:FREQ?")
     with pytest.raises((pyvisa.VisaIOError, ConnectionError)):

@@ -1,7 +1,6 @@
 """The twin, a simulated rig on the loopback interface: generator behind a VXI-11 server, amplifier, beam, fingers.
 
-``modaltouch rig simulate`` runs one in a separate process. At its address, ``inst0`` is the instrument and ``panel0``
-its front panel, which other programs can use while the instrument is in use, like a person at the real instrument.
+``modaltouch rig simulate`` runs one in a separate process.
 """
 
 from __future__ import annotations

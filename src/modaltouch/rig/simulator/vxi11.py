@@ -1,6 +1,6 @@
 """A VXI-11 server on the loopback interface for one simulated instrument, which also accepts raw sockets.
 
-It serves the core channel (`Links`) over ONC RPC (RFC 5531) without a portmapper: the address contains the port,
+It serves the core channel over ONC RPC (RFC 5531) without a portmapper: the address contains the port,
 ``TCPIP::127.0.0.1,<port>::inst0::INSTR``. A connection that begins with text carries SCPI line by line,
 ``TCPIP::127.0.0.1::<port>::SOCKET``; no accepted RPC record begins with such a byte.
 """
@@ -101,11 +101,8 @@ LARGEST_MESSAGE = 1 << 24
 LONGEST_WAIT = 30.0
 """Longest wait for a reply, even if a client requests a longer one [s]."""
 
-INSTRUMENT, PANEL = "inst0", "panel0"
-"""Device names of the instrument and of its front panel, which is not subject to faults and the session limit."""
-
-PANEL_SESSIONS = 16
-"""Maximum number of links to the front panel."""
+INSTRUMENT = "inst0"
+"""Device name of the instrument."""
 
 _CREATE_LINK, _WRITE, _READ, _READ_STATUS, _TRIGGER, _CLEAR = 10, 11, 12, 13, 14, 15
 _REMOTE, _LOCAL, _ENABLE_SERVICE, _DESTROY_LINK = 16, 17, 20, 23
@@ -118,132 +115,17 @@ _REASON_COUNT, _REASON_TERMINATOR, _REASON_END = 1, 2, 4
 @dataclass
 class _Link:
     number: int
-    panel: bool
     arriving: bytearray = field(default_factory=bytearray)
     leaving: bytes = b""
     ready_at: float = 0.0
 
 
+Links = dict[int, _Link]
+"""Links of a connection, by number; those of other connections are not accessible."""
+
+
 class _Refused(Exception):  # noqa: N818
     """A call is rejected with an error code (VXI-11, B.5.2)."""
-
-
-class Links:
-    """The links of all connections; locks are not supported, since no driver uses them.
-
-    Parameters
-    ----------
-    device : SimulatedInstrument
-        The instrument.
-    closing : threading.Event
-        Set when the server closes, which ends all waits.
-    """
-
-    def __init__(self, device: SimulatedInstrument, closing: threading.Event) -> None:
-        self._device = device
-        self._closing = closing
-        self._links: dict[int, _Link] = {}
-        self._numbers = itertools.count(1)
-        self._guard = threading.RLock()
-        # Each procedure with the number of bytes after its error code, which are zero for a rejected call.
-        self._procedures: dict[int, tuple[typing.Callable[[_Link, bytes], bytes | None], int]] = {
-            _WRITE: (self._write, 4),
-            _READ: (self._read, 8),
-            _READ_STATUS: (lambda link, _: struct.pack(">I", device.afg.status_byte | (16 if link.leaving else 0)), 4),
-            _TRIGGER: (lambda link, _: device.run(b"*TRG", 0 if link.panel else link.number).data, 0),
-            _CLEAR: (self._clear, 0),
-            **dict.fromkeys((_REMOTE, _LOCAL, _ENABLE_SERVICE), (lambda link, _: None, 0)),
-            _DESTROY_LINK: (lambda link, _: self.forget([link.number]), 0),
-        }
-
-    def __len__(self) -> int:
-        return len(self._links)
-
-    def call(self, procedure: int, parameters: bytes, own: set[int]) -> bytes:
-        """Return the results of a procedure: an error code and its return values."""
-        if procedure != _CREATE_LINK and procedure not in self._procedures:
-            return struct.pack(">i", _NOT_SUPPORTED)
-        carry_out, size = self._procedures.get(procedure, (None, 12))
-        try:
-            if carry_out is None:
-                return struct.pack(">i", _NO_ERROR) + self._create_link(parameters, own)
-            (number,) = struct.unpack_from(">i", parameters)
-            # Links of other connections are not accessible.
-            if number not in own or number not in self._links:
-                raise _Refused(_INVALID_LINK)
-            return struct.pack(">i", _NO_ERROR) + (carry_out(self._links[number], parameters) or b"")
-        except _Refused as refused:
-            return struct.pack(">i", *refused.args) + bytes(size)
-
-    def forget(self, numbers: typing.Iterable[int]) -> None:
-        """Remove links."""
-        with self._guard:
-            for number in numbers:
-                self._links.pop(number, None)
-
-    def open(self, own: set[int], *, panel: bool = False) -> _Link:
-        """Add a link to the links `own` of a connection and return it."""
-        with self._guard:
-            n_links = sum(link.panel == panel for link in self._links.values())
-            if n_links >= (PANEL_SESSIONS if panel else self._device.afg.behaviour.max_sessions):
-                raise _Refused(_OUT_OF_RESOURCES)
-            link = _Link(next(self._numbers), panel)
-            self._links[link.number] = link
-            own.add(link.number)
-        return link
-
-    def _create_link(self, parameters: bytes, own: set[int]) -> bytes:
-        _, lock, _, length = struct.unpack_from(">iIII", parameters)
-        name = parameters[16 : 16 + length].decode("latin1")
-        if name not in (INSTRUMENT, PANEL):
-            raise _Refused(_NOT_ACCESSIBLE)
-        if lock:
-            raise _Refused(_NOT_SUPPORTED)
-        link = self.open(own, panel=name == PANEL)
-        return struct.pack(">iII", link.number, 0, LARGEST_WRITE)
-
-    def _write(self, link: _Link, parameters: bytes) -> bytes:
-        *_, flags, length = struct.unpack_from(">iIIiI", parameters)
-        data = parameters[20 : 20 + length]
-        link.arriving += data
-        if len(link.arriving) > LARGEST_MESSAGE:
-            link.arriving.clear()
-            self._device.afg.fail(ScpiError(-363))
-        elif flags & _FLAG_END:
-            message, link.arriving = bytes(link.arriving), bytearray()
-            self._carry_out(link, message)
-        return struct.pack(">I", len(data))
-
-    def _carry_out(self, link: _Link, message: bytes) -> None:
-        if link.leaving:
-            self._device.afg.fail(ScpiError(-410))
-            link.leaving = b""
-        reply = self._device.run(message, 0) if link.panel else self._device.execute(message, link.number)
-        if reply.hang_up:
-            raise HangUp
-        link.leaving, link.ready_at = reply.data, time.monotonic() + reply.delay
-
-    def _read(self, link: _Link, parameters: bytes) -> bytes:
-        _, size, io_timeout, _, flags, terminator = struct.unpack_from(">iIIIii", parameters)
-        if not link.leaving:
-            self._device.afg.fail(ScpiError(-420))
-            link.ready_at = float("inf")
-        wait = link.ready_at - time.monotonic()
-        if wait > 0:
-            patience = min(io_timeout / 1000, LONGEST_WAIT)
-            self._closing.wait(min(wait, patience))
-            if wait > patience:
-                raise _Refused(_TIMEOUT)
-        data, reason = link.leaving[:size], _REASON_COUNT
-        if flags & _FLAG_TERMINATOR and terminator in data:
-            data, reason = data[: data.index(terminator) + 1], _REASON_TERMINATOR
-        link.leaving = link.leaving[len(data) :]
-        if not link.leaving:
-            reason |= _REASON_END
-        return struct.pack(">i", reason) + opaque(data)
-
-    def _clear(self, link: _Link, parameters: bytes) -> None:
-        link.arriving, link.leaving = bytearray(), b""
 
 
 CORE_PROGRAM = 0x0607AF
@@ -251,6 +133,8 @@ CORE_PROGRAM = 0x0607AF
 
 class Vxi11Server:
     """Server of an instrument for any number of connections, each in a separate thread.
+
+    Locks are not supported, since no driver uses them.
 
     Parameters
     ----------
@@ -262,10 +146,19 @@ class Vxi11Server:
 
     def __init__(self, device: SimulatedInstrument, port: int = 0) -> None:
         self.device = device
-        self._connections: set[socket.socket] = set()
+        self._connections: dict[socket.socket, Links] = {}
         self._guard = threading.RLock()
         self._closing = threading.Event()
-        self.links = Links(device, self._closing)
+        self._numbers = itertools.count(1)
+        # Each procedure with the number of bytes after its error code, which are zero for a rejected call.
+        self._procedures: dict[int, tuple[typing.Callable[[_Link, bytes], bytes | None], int]] = {
+            _WRITE: (self._write, 4),
+            _READ: (self._read, 8),
+            _READ_STATUS: (lambda link, _: struct.pack(">I", device.afg.status_byte | (16 if link.leaving else 0)), 4),
+            _TRIGGER: (lambda link, _: device.run(b"*TRG", link.number).data, 0),
+            _CLEAR: (self._clear, 0),
+            **dict.fromkeys((_REMOTE, _LOCAL, _ENABLE_SERVICE, _DESTROY_LINK), (lambda link, _: None, 0)),
+        }
         self._listener: socket.socket | None = None
         self.port = port
         self.listen()
@@ -311,7 +204,7 @@ class Vxi11Server:
     def drop_connections(self) -> None:
         """Reset every open connection, as if unplugged."""
         with self._guard:
-            connections, self._connections = self._connections, set()
+            connections, self._connections = self._connections, {}
         for connection in connections:
             # Wakes the serving thread, which closes the connection; the client sees a reset.
             with contextlib.suppress(OSError):
@@ -332,30 +225,29 @@ class Vxi11Server:
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             # A close is a reset, as if unplugged.
             connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+            links: Links = {}
             with self._guard:
-                self._connections.add(connection)
-            threading.Thread(target=self._serve, args=(connection,), daemon=True, name="vxi11-link").start()
+                self._connections[connection] = links
+            threading.Thread(target=self._serve, args=(connection, links), daemon=True, name="vxi11-link").start()
 
-    def _serve(self, connection: socket.socket) -> None:
-        own: set[int] = set()
+    def _serve(self, connection: socket.socket, links: Links) -> None:
         try:
             with connection, connection.makefile("rb") as stream:
                 if b"\t" <= connection.recv(1, socket.MSG_PEEK) < b"\x80":
-                    self._serve_text(connection, stream, self.links.open(own).number)
+                    self._serve_text(connection, stream, self._open(links))
                 while True:
                     call = read_record(stream, 4 * LARGEST_WRITE)
                     # A call over a connection being reset from either side is ignored.
                     was_reset = connection.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
                     if connection not in self._connections or was_reset:
                         return
-                    body = self._answer(call, own)
+                    body = self._answer(call, links)
                     connection.sendall(struct.pack(">I", _LAST_FRAGMENT | len(body)) + body)  # a record of one fragment
         except (HangUp, _Refused, struct.error, OSError, EOFError, ValueError):
             return
         finally:
             with self._guard:
-                self._connections.discard(connection)
-            self.links.forget(own)
+                self._connections.pop(connection, None)
 
     def _serve_text(self, connection: socket.socket, stream: io.BufferedIOBase, link: int) -> None:
         while True:
@@ -368,10 +260,91 @@ class Vxi11Server:
                 self._closing.wait(reply.delay)
                 connection.sendall(reply.data)
 
-    def _answer(self, call: bytes, own: set[int]) -> bytes:
+    def _answer(self, call: bytes, links: Links) -> bytes:
         transaction, program, procedure, parameters = read_call(call)
         if program != CORE_PROGRAM:
             return accept(transaction, PROGRAM_UNAVAILABLE)
         if procedure == 0:
             return accept(transaction)
-        return accept(transaction) + self.links.call(procedure, parameters, own)
+        return accept(transaction) + self.call(procedure, parameters, links)
+
+    def call(self, procedure: int, parameters: bytes, links: Links) -> bytes:
+        """Return the results of a procedure for the links of a connection: an error code and its return values."""
+        if procedure != _CREATE_LINK and procedure not in self._procedures:
+            return struct.pack(">i", _NOT_SUPPORTED)
+        carry_out, size = self._procedures.get(procedure, (None, 12))
+        try:
+            if carry_out is None:
+                return struct.pack(">i", _NO_ERROR) + self._create_link(parameters, links)
+            (number,) = struct.unpack_from(">i", parameters)
+            if number not in links:
+                raise _Refused(_INVALID_LINK)
+            link = links.pop(number) if procedure == _DESTROY_LINK else links[number]
+            return struct.pack(">i", _NO_ERROR) + (carry_out(link, parameters) or b"")
+        except _Refused as refused:
+            return struct.pack(">i", *refused.args) + bytes(size)
+
+    @property
+    def n_links(self) -> int:
+        """Number of open links."""
+        return sum(map(len, list(self._connections.values())))
+
+    def _open(self, links: Links) -> int:
+        """Add a link to those of a connection and return its number."""
+        with self._guard:
+            if self.n_links >= self.device.afg.behaviour.max_sessions:
+                raise _Refused(_OUT_OF_RESOURCES)
+            number = next(self._numbers)
+            links[number] = _Link(number)
+        return number
+
+    def _create_link(self, parameters: bytes, links: Links) -> bytes:
+        _, lock, _, length = struct.unpack_from(">iIII", parameters)
+        if parameters[16 : 16 + length] != INSTRUMENT.encode():
+            raise _Refused(_NOT_ACCESSIBLE)
+        if lock:
+            raise _Refused(_NOT_SUPPORTED)
+        return struct.pack(">iII", self._open(links), 0, LARGEST_WRITE)
+
+    def _write(self, link: _Link, parameters: bytes) -> bytes:
+        *_, flags, length = struct.unpack_from(">iIIiI", parameters)
+        data = parameters[20 : 20 + length]
+        link.arriving += data
+        if len(link.arriving) > LARGEST_MESSAGE:
+            link.arriving.clear()
+            self.device.afg.fail(ScpiError(-363))
+        elif flags & _FLAG_END:
+            message, link.arriving = bytes(link.arriving), bytearray()
+            self._carry_out(link, message)
+        return struct.pack(">I", len(data))
+
+    def _carry_out(self, link: _Link, message: bytes) -> None:
+        if link.leaving:
+            self.device.afg.fail(ScpiError(-410))
+            link.leaving = b""
+        reply = self.device.execute(message, link.number)
+        if reply.hang_up:
+            raise HangUp
+        link.leaving, link.ready_at = reply.data, time.monotonic() + reply.delay
+
+    def _read(self, link: _Link, parameters: bytes) -> bytes:
+        _, size, io_timeout, _, flags, terminator = struct.unpack_from(">iIIIii", parameters)
+        if not link.leaving:
+            self.device.afg.fail(ScpiError(-420))
+            link.ready_at = float("inf")
+        wait = link.ready_at - time.monotonic()
+        if wait > 0:
+            patience = min(io_timeout / 1000, LONGEST_WAIT)
+            self._closing.wait(min(wait, patience))
+            if wait > patience:
+                raise _Refused(_TIMEOUT)
+        data, reason = link.leaving[:size], _REASON_COUNT
+        if flags & _FLAG_TERMINATOR and terminator in data:
+            data, reason = data[: data.index(terminator) + 1], _REASON_TERMINATOR
+        link.leaving = link.leaving[len(data) :]
+        if not link.leaving:
+            reason |= _REASON_END
+        return struct.pack(">i", reason) + opaque(data)
+
+    def _clear(self, link: _Link, parameters: bytes) -> None:
+        link.arriving, link.leaving = bytearray(), b""
