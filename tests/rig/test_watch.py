@@ -17,7 +17,7 @@ import pytest
 
 from modaltouch.rig import watchdog_process as watchdog
 from modaltouch.rig.afg3022b import AFG3022B
-from modaltouch.rig.interface import InUse, TransportError
+from modaltouch.rig.interface import InUse, LinkError
 from modaltouch.rig.pacing import Order, Pacer, Report
 from modaltouch.rig.watchdog_process import LONG_PERSISTENCE, PERSISTENCE, WatchdogProcess
 from modaltouch.system.clock import SYSTEM_CLOCK, Clock, VirtualClock
@@ -108,7 +108,7 @@ def test_answers_have_the_numbers_of_their_requests() -> None:
     opened, replied, failed, closed = serve(instrument, *requests)
     assert (opened, replied, closed) == ((0, "locked out"), (1, b"reply\n"), (3, None))
     assert failed[0] == 2
-    assert (type(failed[1]), str(failed[1])) == (TransportError, "TimeoutError: too late")
+    assert (type(failed[1]), str(failed[1])) == (LinkError, "TimeoutError: too late")
     assert instrument.sent[:3] == [b"*IDN?\n", b"*OPC?\n", b"broken"]
 
 

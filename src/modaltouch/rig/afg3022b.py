@@ -71,10 +71,10 @@ class EditMemory:
 
     def _upload_once(self, controls: Controls, memory: str, codes: NDArray[np.uint16]) -> None:
         controls.send_block("DATA:DATA EMEM", codes.astype(">u2").tobytes())
-        (n_points,) = controls.complete("the upload", "*OPC?", "DATA:POIN? EMEM")
+        (n_points,) = controls.complete("", "DATA:POIN? EMEM")
         if n_points != str(codes.size):
             raise Unconfirmed(f"{codes.size} points were sent, but the generator counts {n_points}")
-        _complete(controls, f"DATA:COPY USER{memory},EMEM")
+        controls.complete(f"DATA:COPY USER{memory},EMEM")
         if not self._verified(controls, memory, codes):
             raise Unconfirmed(f"USER{memory} does not hold the record that was sent, after two uploads")
 
@@ -88,23 +88,19 @@ class EditMemory:
         return self._spots_agree(controls, memory, codes)
 
     def _read_back(self, controls: Controls, memory: str) -> bytes:
-        _complete(controls, f"DATA:COPY EMEM,USER{memory}")
+        controls.complete(f"DATA:COPY EMEM,USER{memory}")
         return controls.ask_block("DATA:DATA? EMEM")
 
     def _spots_agree(self, controls: Controls, memory: str, codes: NDArray[np.uint16]) -> bool:
         """Test whether a memory agrees with a record in length, largest points and evenly spaced points."""
         # If the copies to be read back were lost, the edit memory would still hold what was sent.
-        _complete(controls, f"DATA:COPY EMEM,USER{memory}")
+        controls.complete(f"DATA:COPY EMEM,USER{memory}")
         controls.log("record_spot_check", n_spots=N_SPOTS, why="its blocks cannot be read back")
         if controls.ask("DATA:POIN? EMEM") != str(codes.size):
             return False
         strongest = np.argsort(np.abs(codes.astype(int) - int(np.median(codes))))[-N_SPOTS // 2 :]
         spread = np.linspace(0, codes.size - 1, N_SPOTS // 2).astype(int)
         return all(controls.ask(f"DATA:DATA:VAL? EMEM,{at + 1}") == str(codes[at]) for at in {*strongest, *spread})
-
-
-def _complete(controls: Controls, command: str) -> None:
-    controls.complete(command, f":{command};*OPC?")
 
 
 LOCKED = Setting("DATA:LOCK:STAT", "ON", of="USER{memory}")

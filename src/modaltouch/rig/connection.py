@@ -94,10 +94,11 @@ class Connection:
         On any failure the watchdog is released: nothing was switched on, and another instrument is left as it is.
         Raises RigError if no such instrument responds, or it does not accept its settings.
         """
-        with contextlib.ExitStack() as unless_open:
-            unless_open.callback(self.guard.release, clean=True)
+        try:
             self._take_over()
-            unless_open.pop_all()
+        except BaseException:
+            self.guard.release(clean=True)
+            raise
 
     def _take_over(self) -> None:
         """Open the connection, identify the instrument, and set it to a known state."""

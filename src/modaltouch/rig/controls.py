@@ -16,7 +16,6 @@ from modaltouch.rig.interface import (
     InUse,
     LinkError,
     Transport,
-    TransportError,
     Unconfirmed,
     block_bounds,
     describe_error,
@@ -90,7 +89,7 @@ class Controls:
         def read(reply: bytes, facts: dict[str, str]) -> str:
             text = reply.decode("latin1").strip()
             if not (text.isascii() and text.isprintable()):
-                raise TransportError(f"reply {text[:100]!r} is not text")
+                raise LinkError(f"reply {text[:100]!r} is not text")
             facts["reply"] = text
             return text
 
@@ -204,10 +203,6 @@ class Controls:
             wrong += _differences(part, replies)
         return wrong
 
-    def command(self, command: str) -> None:
-        """Send a command that has no setting to read back, and check the error queue."""
-        self._refuse_errors(command, [self.ask(f":{command};:SYST:ERR?")])
-
     def store(self, records: Sequence[tuple[int, NDArray[np.uint16]]]) -> list[str]:
         """Store the codes for each channel, if not yet stored; verify them, and return the names of their memories.
 
@@ -227,14 +222,13 @@ class Controls:
             self.log("upload_repeated", memory=memory, reason=str(error))
             upload()
 
-    def complete(self, what: str, message: str, *queries: str) -> list[str]:
-        """Send a message, wait for completion, check the error queue, and return the replies to further queries."""
-        whole = ";:".join([message, "SYST:ERR?", *queries])
+    def complete(self, command: str = "", *queries: str) -> list[str]:
+        """Wait until a command is completed, or an upload; check the errors, and return replies to further queries."""
+        what = command or "the upload"
+        whole = ";:".join([f":{command};*OPC?" if command else "*OPC?", "SYST:ERR?", *queries])
         replies = split_reply(self.ask(whole, timeout=self._copy_timeout))
         if len(replies) != len(queries) + 2:
             raise Unconfirmed(f"to '{what}' the generator answers {replies}")
-        if _error_number(replies[1]) != NO_ERROR:
-            self.log("instrument_errors", errors=replies[1:2])
         self._refuse_errors(what, replies[1:2])
         return replies[2:]
 

@@ -36,10 +36,6 @@ class InUse(LinkError):  # noqa: N818
     """The instrument is in use by another program."""
 
 
-class TransportError(Exception):
-    """A failure at the other end of a transport, already described by its text."""
-
-
 class StimulusLost(RigError):  # noqa: N818
     """The stimulus ended before `Rig.end` or `Rig.stop` was called: stop, and present it again."""
 
@@ -208,8 +204,8 @@ def block_bounds(reply: bytes) -> tuple[int, int]:
 
 
 def describe_error(error: BaseException) -> str:
-    """Return type and text of an error in one line; for a TransportError, the text alone."""
+    """Return type and text of an error in one line; for a LinkError, the text alone."""
     text = " ".join(str(error).split())[:200]
-    if isinstance(error, TransportError):
+    if isinstance(error, LinkError):
         return text
     return f"{type(error).__name__}: {text}" if text else type(error).__name__

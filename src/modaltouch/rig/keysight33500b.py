@@ -81,13 +81,12 @@ class ChannelMemories:
         for known in [memory for memory in controls.stored if memory.startswith(f"{channel}:")]:
             del controls.stored[known]
         # Names in use are rejected (error 786), even if the record under that name is corrupt.
-        clear = f"SOUR{channel}:DATA:VOL:CLE"
-        controls.complete(clear, f":{clear};*OPC?")
+        controls.complete(f"SOUR{channel}:DATA:VOL:CLE")
         controls.apply([Setting("FORM:BORD", "NORM", replies=("NORM", "NORMAL"))])
         for name, codes in wanted.items():
             block = (codes.astype(int) - ZERO).astype(">i2").tobytes()
             controls.send_block(f"SOUR{channel}:DATA:ARB:DAC {name}", block)
-            controls.complete("the upload", "*OPC?")
+            controls.complete()
             if not _verified(controls, channel, name, codes):
                 raise Unconfirmed(
                     f"{name} of output {channel} does not hold the record that was sent, after two uploads"
@@ -132,13 +131,12 @@ def _read_back(controls: Controls, channel: int, name: str) -> NDArray[np.int_] 
     """Return the codes of a record from the file written by the instrument; None if there is no such file."""
     # Unverified: that the file contains the selected record, and the format of its header.
     controls.apply([Setting(f"SOUR{channel}:FUNC:ARB", f'"{name}"', replies=(f'"{name}"', name))])
-    store = f"MMEM:STOR:DATA{channel} {FILE}"
     try:
-        controls.complete(store, f":{store};*OPC?")
+        controls.complete(f"MMEM:STOR:DATA{channel} {FILE}")
     except Unconfirmed:
         return None
     content = controls.ask_block(f"MMEM:UPL? {FILE}")
-    controls.complete("MMEM:DEL", f":MMEM:DEL {FILE};*OPC?")
+    controls.complete(f"MMEM:DEL {FILE}")
     try:
         head, _, body = content.decode("ascii").partition("Data:")
         # Files of any data type other than codes cannot be used.

@@ -57,7 +57,6 @@ class Report:
     # first, last: instants at which the trigger of the first or the last burst was sent, and accepted [s]
     first: tuple[float, float] | None = None
     last: tuple[float, float] | None = None
-    latest: float = 0.0  # longest delay of a trigger sent [s]
     # why it ended: ``count`` (all bursts were due), ``asked``, ``stalled`` (no heartbeat) or ``failed``; else empty
     ended: Ending = ""
     reason: str = ""
@@ -132,7 +131,6 @@ class Pacer:
         taken = self._clock.now()
         report.played += 1
         report.first, report.last = report.first or (sent, taken), (sent, taken)
-        report.latest = max(report.latest, sent - due)
         if taken - due > order.period / 2:
             # The burst may have begun at any instant in this interval: the rhythm was not kept, so no count is claimed.
             report.reason = f"trigger {report.due} was accepted {(taken - due) * 1e3:.0f} ms after it was due"

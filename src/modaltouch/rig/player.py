@@ -183,7 +183,7 @@ class Player:
     def switch_on(self) -> None:
         """Switch the outputs on; enable the timer or trigger input, or restart a continuous record."""
         if self._continuous:
-            self._controls.command(self._table.align)
+            self._controls.complete(self._table.align)
         self._controls.outputs_on()
         if self._let_go != self._stopped:
             self._controls.apply(self._let_go)

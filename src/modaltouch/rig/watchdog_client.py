@@ -13,7 +13,7 @@ import time
 import typing
 from typing import Any
 
-from modaltouch.rig.interface import LinkError, RigError, TransportError
+from modaltouch.rig.interface import LinkError, RigError
 from modaltouch.rig.pacing import LEASE, PATIENCE, Order, Report
 from modaltouch.rig.watchdog_process import LARGEST
 
@@ -36,8 +36,8 @@ OVERHEAD = 3.0
 class WatchdogClient:
     """Client of a process that holds the VISA session and switches the outputs off if this process dies or stalls.
 
-    If the watchdog process itself dies or gets stuck, the next `open` replaces it. A request raises TransportError if
-    it fails, and LinkError if the process has died.
+    If the watchdog process itself dies or gets stuck, the next `open` replaces it. A request raises LinkError if it
+    fails or the process has died.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ class WatchdogClient:
         ------
         InUse
             If another program has the instrument.
-        TransportError, OSError
+        LinkError, OSError
             If the instrument cannot be reached, or the process cannot be started.
         """
         if self._process.poll() is not None:
@@ -118,9 +118,9 @@ class WatchdogClient:
                 continue
             try:
                 lost = self.look().lost
-            except (LinkError, TransportError) as error:
+            except LinkError as error:
                 # A request that failed meanwhile has already raised in the session.
-                self._broken = self._broken or LinkError(str(error))
+                self._broken = self._broken or error
             else:
                 self._lost = self._lost or lost
 
@@ -151,7 +151,7 @@ class WatchdogClient:
     def held_up(self) -> float:
         """Return the longest stall of this process or of the watchdog since `arm` [s]."""
         other = 0.0
-        with contextlib.suppress(LinkError, TransportError):
+        with contextlib.suppress(LinkError):
             other = self._request(OVERHEAD, "held_up")
         return max(self._held_up, other)
 

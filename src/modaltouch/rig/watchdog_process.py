@@ -24,7 +24,7 @@ import threading
 import typing
 from collections.abc import Callable
 
-from modaltouch.rig.interface import InUse, Transport, TransportError, describe_error
+from modaltouch.rig.interface import InUse, LinkError, Transport, describe_error
 from modaltouch.rig.pacing import PATIENCE, Order, Pacer, Report
 from modaltouch.rig.visa import VisaSession
 from modaltouch.system import SYSTEM_CLOCK, Clock
@@ -124,7 +124,7 @@ class WatchdogProcess:
                 return error
             # Backends raise VisaIOError, OSError, ValueError and plain Exception.
             except Exception as error:
-                return TransportError(describe_error(error))
+                return LinkError(describe_error(error))
             finally:
                 # Meanwhile the client was waiting, not silent.
                 self._heard = self._clock.now()

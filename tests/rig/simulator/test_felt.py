@@ -99,10 +99,13 @@ def test_peaks_are_added_at_unequal_rates(playback: Callable[..., Playback], twi
     assert together == pytest.approx(alone)
 
 
-def test_a_tripped_amplifier_moves_nothing(playback: Callable[..., Playback], twin: Twin) -> None:
+def test_a_tripped_amplifier_moves_nothing(playback: Callable[..., Playback], simulator: Simulator) -> None:
     """The amplifier's output is off."""
-    twin.tripped = True
-    assert twin.felt([playback(), playback()], [0.0]).tolist() == [0.0]
+    simulator.afg.user[1] = playback().record
+    simulator.front_panel("SOUR1:FUNC USER1;FREQ 20;:OUTP1 ON")
+    assert simulator.felt_velocity([0.0]) > 0
+    simulator.twin.tripped = True
+    assert simulator.felt_velocity([0.0]).tolist() == [0.0]
 
 
 def test_a_zone_stands_for_its_centre(playback: Callable[..., Playback], simulator: Simulator) -> None:

@@ -12,7 +12,6 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Generic, Literal, TypeVar
 
 from modaltouch.rig.simulator.scpi import (
-    LARGEST_REPLY,
     Arguments,
     Command,
     CommandTable,
@@ -276,7 +275,6 @@ def command_table(
     groups: Iterable[Callable[[Any], dict[str, Command]]],
     family: str,
     form: str,
-    largest_reply: int = LARGEST_REPLY,
 ) -> CommandTable:
     """Return the command table of a generator: the common commands, its own groups, and settings not simulated.
 
@@ -286,8 +284,6 @@ def command_table(
         The generator, and functions that return its own commands.
     family, form : str
         ``AFG3000`` or ``33500B``, whose other settings are not simulated, and the format of their numbers.
-    largest_reply : int
-        Capacity of the output queue [bytes].
     """
 
     def further() -> dict[str, Command]:
@@ -296,7 +292,7 @@ def command_table(
         return not_simulated(family, form)
 
     commands = ChainMap(*(group(state) for group in (common_commands, *groups)))
-    return CommandTable(commands, state.n_channels, largest_reply, further, state.changing)
+    return CommandTable(commands, state.n_channels, further, state.changing)
 
 
 def common_commands(state: State) -> dict[str, Command]:

@@ -194,7 +194,7 @@ def keysight_twin(model: str, behaviour: Behaviour | None, **hardware: Any) -> t
     state = Trueform(behaviour or Behaviour(queue_depth=20), **hardware)
     state.identity = f"Agilent Technologies,{model},SIMULATED,4.00-1.19-2.00-58-00"
     groups = (_waveform, _data, _levels, _triggers)
-    return state, common.command_table(state, groups, "33500B", NUMBER, largest_reply=1 << 22)
+    return state, common.command_table(state, groups, "33500B", NUMBER)
 
 
 def _waveform(state: Trueform) -> dict[str, Command]:

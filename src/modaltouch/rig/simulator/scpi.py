@@ -45,7 +45,6 @@ TEXTS = {
     -363: "Input buffer overrun",
     -410: "Query INTERRUPTED",
     -420: "Query UNTERMINATED",
-    -430: "Query DEADLOCKED",
 }
 """Standard error texts (SCPI-99, volume 2, chapter 21.8)."""
 
@@ -70,13 +69,8 @@ class ScpiError(Exception):
         super().__init__(f'{code},"{text}"')
 
 
-@dataclass(frozen=True)
-class MessageUnit:
-    """One command or query of a message: header without the question mark, and arguments as sent."""
-
-    header: str
-    query: bool
-    arguments: tuple[Argument, ...]
+MessageUnit = tuple[str, bool, tuple[Argument, ...]]
+"""One command or query of a message: header, without the question mark of a query; whether it is one; arguments."""
 
 
 def read_message(message: bytes) -> Iterator[MessageUnit]:
@@ -93,7 +87,7 @@ def read_message(message: bytes) -> Iterator[MessageUnit]:
             raise ScpiError(-112, found[1][:20].decode("latin1"))
         header, query = found[1].decode("ascii"), bool(found[2])
         arguments, at = _read_arguments(message, found.end())
-        yield MessageUnit(header, query, arguments)
+        yield header, query, arguments
 
 
 def _read_arguments(message: bytes, at: int) -> tuple[tuple[Argument, ...], int]:
@@ -261,11 +255,6 @@ def flag(state: bool) -> str:
     return "1" if state else "0"
 
 
-LARGEST_REPLY = 1 << 20
-"""Capacity of an output queue [bytes]: four records of an AFG3022B."""
-
-QUERY_DEADLOCKED = -430
-
 Handler = Callable[[int, tuple[Argument, ...]], "str | bytes | None"]
 """Handler of a command: takes channel (header suffix, default 1) and arguments; for a query it returns the reply."""
 
@@ -289,7 +278,6 @@ class CommandTable:
 
     commands: Mapping[str, Command]
     n_channels: int
-    largest_reply: int = LARGEST_REPLY
     further: Callable[[], Mapping[str, Command]] | None = None
     changing: Callable[[], contextlib.AbstractContextManager[None]] = contextlib.nullcontext
     _patterns: list[tuple[re.Pattern[str], Command]] = field(init=False)
@@ -328,16 +316,16 @@ class CommandTable:
         A command error ends the message; after an execution error the next unit is executed. `fail` gets each error.
         """
         replies: list[bytes] = []
-        path, size = "", 0
+        path = ""
         try:
-            for unit in read_message(message):
-                command, channel, path = self._resolve(unit.header, path)
+            for header, query, arguments in read_message(message):
+                command, channel, path = self._resolve(header, path)
                 try:
-                    handler = command.get if unit.query else command.set
+                    handler = command.get if query else command.set
                     if handler is None:
-                        raise ScpiError(-113, unit.header + ("?" if unit.query else ""))
-                    with contextlib.nullcontext() if unit.query else self.changing():
-                        reply = handler(channel, unit.arguments)
+                        raise ScpiError(-113, header + ("?" if query else ""))
+                    with contextlib.nullcontext() if query else self.changing():
+                        reply = handler(channel, arguments)
                 except ScpiError as error:
                     fail(error)
                     if -200 < error.code <= -100:
@@ -345,13 +333,8 @@ class CommandTable:
                     continue
                 if reply is not None:
                     replies.append(reply if isinstance(reply, bytes) else reply.encode("ascii"))
-                    size += len(replies[-1])
-                    if size > self.largest_reply:
-                        raise ScpiError(QUERY_DEADLOCKED, f"more than {self.largest_reply} bytes were asked for")
         except ScpiError as error:
             fail(error)
-            if error.code == QUERY_DEADLOCKED:
-                return []
         return replies
 
     def _resolve(self, header: str, path: str) -> tuple[Command, int, str]:

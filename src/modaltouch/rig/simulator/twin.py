@@ -92,7 +92,7 @@ class Twin:
         plays. Positions are from mid-beam [m]; by default, one finger is at each of them.
         """
         level = max((abs(playback.amplitude) for playback in playbacks if playback is not None), default=0.0)
-        if self.tripped or level == 0:
+        if level == 0:
             return np.zeros(len(positions))
         setting, scale, stretch = tuple(playbacks), 1.0, self.stretch(playbacks)
         if self._is_linear(playbacks):
