@@ -34,9 +34,6 @@ FORGETTING = 0.9
 UNMEASURED = 1e-3
 """Assumed upper bound of an unmeasured trigger latency [s]."""
 
-MOST_AWAITED = 5
-"""Number of bursts within which a stimulus must start: it begins with the first burst played."""
-
 MOST_DROPPED = 0.1
 """Fraction of dropped bursts above which a stimulus without a fixed number of bursts is presented again, if at least
 two were dropped [1]; a single dropped burst is only recorded."""
@@ -236,10 +233,6 @@ class Generator(contextlib.AbstractContextManager["Generator"]):
         elif self._player.repetition == "single":
             order = self._player.order(n_bursts, due, self._patience.trigger)
             report = self._connection.guard.play(order)
-            while report.first is None and not report.ended and report.due < MOST_AWAITED:
-                # The first burst was late and dropped, so the stimulus begins with the next.
-                clock.sleep(self._player.period / 4)
-                report = self._connection.guard.look()
             if report.first is None:
                 self.firing = replace(firing, stalled=report.ended != "failed")
                 raise LinkError(report.reason or "this computer was held up: no burst could be played in time")

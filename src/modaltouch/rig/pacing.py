@@ -25,6 +25,9 @@ ALERT = 0.02
 HELD_UP = 0.05
 """Stall of a process above which a failure is not attributed to the instrument [s]."""
 
+MOST_AWAITED = 5
+"""Number of bursts within which a stimulus must start: it begins with the first burst that is not dropped."""
+
 Ending = Literal["", "count", "asked", "stalled", "failed"]
 
 

@@ -93,10 +93,6 @@ class Player:
             _refuse_steps(burst)
         self._bursts, self._chosen = tuple(bursts), 0
 
-    def _n_records(self, *bursts: Burst) -> int:
-        """Return the number of different records of bursts."""
-        return len({codes.tobytes() for burst in bursts for codes in self._records(burst)})
-
     def holds(self, which: int) -> bool:
         """Test whether the records of a burst are stored in the instrument, so that settings suffice to select it."""
         return which in self._by_burst
@@ -111,7 +107,8 @@ class Player:
         if not self._bursts:
             return
         channels = self._instrument.channels
-        fit = self._n_records(*self._bursts) <= self._instrument.records.n_memories
+        different = {codes.tobytes() for burst in self._bursts for codes in self._records(burst)}
+        fit = len(different) <= self._instrument.records.n_memories
         held = dict(enumerate(self._bursts)) if fit else {self._chosen: self._bursts[self._chosen]}
         records = [each for burst in held.values() for each in zip(channels, self._records(burst), strict=True)]
         memories = self._controls.store(records)

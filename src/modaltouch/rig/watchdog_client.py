@@ -14,7 +14,7 @@ import typing
 from typing import Any
 
 from modaltouch.rig.interface import LinkError, RigError
-from modaltouch.rig.pacing import LEASE, PATIENCE, Order, Report
+from modaltouch.rig.pacing import LEASE, MOST_AWAITED, PATIENCE, Order, Report
 from modaltouch.rig.watchdog_process import LARGEST
 
 BEAT_PERIOD = LEASE / 4
@@ -125,10 +125,10 @@ class WatchdogClient:
                 self._lost = self._lost or lost
 
     def play(self, order: Order) -> Report:
-        """Start to play bursts; return the report when it is known whether the first was played."""
+        """Start to play bursts; return the report after the first that is not dropped, or of the last awaited."""
         self._request(OVERHEAD, "play", order=order)
-        report, limit = Report(), order.first + order.timeout + OVERHEAD
-        while not (report.first or report.dropped or report.ended):
+        report, limit = Report(), order.first + MOST_AWAITED * order.period + order.timeout + OVERHEAD
+        while not (report.first or report.ended) and report.due < MOST_AWAITED:
             if time.perf_counter() > limit:
                 self._process.kill()
             time.sleep(max(order.first - time.perf_counter(), POLL))

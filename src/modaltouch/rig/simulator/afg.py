@@ -272,10 +272,16 @@ def _levels(afg: Afg) -> dict[str, Command]:
         factor = afg.channels[number].load_factor
         return quantity(arguments, {"V": 1.0}, -10 * factor, 10 * factor, default) / factor
 
-    def limit(side: str) -> Command:
-        return Command(set=lambda n, a: afg.change(n, **{side: volts(n, a)}), get=_get_level(afg, side, -10, 10))
+    def told(name: str, low: float = -10, high: float = 10) -> Callable[[int, Arguments], str]:
+        return common.get_number(afg, name, low, high, "{:.4E}", at_load=True)
 
-    vpp = _get_level(afg, "amplitude", LOWEST, HIGHEST)
+    def limit(side: str) -> Command:
+        return Command(
+            set=lambda n, a: afg.change(n, **{side: volts(n, a)}),
+            get=told(side),
+        )
+
+    vpp = told("amplitude", LOWEST, HIGHEST)
     level = "[SOURce#]:VOLTage[:LEVel][:IMMediate]"
     return {
         f"{level}[:AMPLitude]": Command(
@@ -285,7 +291,8 @@ def _levels(afg: Afg) -> dict[str, Command]:
         f"{level}:HIGH": common.edge(afg, 1, LOWEST, "{:.4E}"),
         f"{level}:LOW": common.edge(afg, -1, LOWEST, "{:.4E}"),
         f"{level}:OFFSet": Command(
-            set=lambda n, a: afg.change(n, offset=volts(n, a, 0.0)), get=_get_level(afg, "offset", -10, 10)
+            set=lambda n, a: afg.change(n, offset=volts(n, a, 0.0)),
+            get=told("offset"),
         ),
         "[SOURce#]:VOLTage:LIMit:HIGH": limit("limit_high"),
         "[SOURce#]:VOLTage:LIMit:LOW": limit("limit_low"),
@@ -324,16 +331,6 @@ def _triggers(afg: Afg) -> dict[str, Command]:
         "SOURce:ROSCillator:SOURce": common.keyword(afg, "clock_source", ("INTernal", "EXTernal")),
         "OUTPut:TRIGger:MODE": common.keyword(afg, "trigger_output", ("TRIGger", "SYNC")),
     }
-
-
-def _get_level(afg: Afg, name: str, low: float, high: float) -> Callable[[int, Arguments], str]:
-    """Return the handler of a query for a voltage, in volts at the configured load."""
-
-    def get(number: int, arguments: Arguments) -> str:
-        channel = afg.channels[number]
-        return f"{asked(arguments, getattr(channel, name), low, high) * channel.load_factor:.4E}"
-
-    return get
 
 
 ROOT = "TRACe|DATA"

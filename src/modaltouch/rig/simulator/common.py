@@ -27,7 +27,7 @@ from modaltouch.rig.simulator.scpi import (
     read_choice,
     whole,
 )
-from modaltouch.rig.simulator.timeline import Delays, Playback, Retrigger, Situation, Timeline
+from modaltouch.rig.simulator.timeline import Delays, Playback, Situation, Timeline
 from modaltouch.system import SYSTEM_CLOCK, Clock
 
 
@@ -43,8 +43,6 @@ class Behaviour:
     limit_violation: Literal["error", "clip"] = "error"
     max_sessions: int = 16  # maximum number of simultaneous links
     queue_depth: int = 32  # capacity of the error queue
-    # whether a trigger during a burst is ``ignored`` without an error or ``restarts`` the burst
-    retrigger: Retrigger = "ignored"
 
 
 SOURCE_IMPEDANCE = 50.0
@@ -104,7 +102,7 @@ class GeneratorState(ABC, Generic[C]):
 
     def __post_init__(self) -> None:
         self.errors: deque[str] = deque()
-        self.timeline = Timeline(self.delays, self.behaviour.retrigger, self.seed)
+        self.timeline = Timeline(self.delays, self.seed)
         self.power_on()
 
     @abstractmethod
@@ -350,11 +348,17 @@ def get_of(state: State, read: Callable[[Any], str]) -> Handler:
     return bare(lambda number: read(state.channels[number]))
 
 
-def get_number(state: State, name: str, low: float, high: float, form: str) -> Callable[[int, Arguments], str]:
-    """Return a handler that answers a query with a numeric setting of a channel, or with its limits."""
+def get_number(
+    state: State, name: str, low: float, high: float, form: str, *, at_load: bool = False
+) -> Callable[[int, Arguments], str]:
+    """Return a handler that answers a query with a numeric setting of a channel, or with its limits.
+
+    A voltage is given `at_load`.
+    """
 
     def get(number: int, arguments: Arguments) -> str:
-        value = asked(arguments, getattr(state.channels[number], name), low, high)
+        channel = state.channels[number]
+        value = asked(arguments, getattr(channel, name), low, high) * (channel.load_factor if at_load else 1.0)
         # SCPI infinity as printed by instruments; 9.9E37 has no exact binary form.
         return form.format(9.9).replace("E+00", "E+37") if math.isinf(value) else form.format(value)
 

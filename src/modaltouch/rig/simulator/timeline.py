@@ -6,7 +6,6 @@ import math
 import random
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Literal
 
 from modaltouch.stimulus import Converter
 
@@ -21,9 +20,6 @@ FINEST = 1e-3
 
 ROUNDING = 1e-9
 """Tolerance for a burst that directly follows the previous one [s]."""
-
-Retrigger = Literal["ignored", "restarts"]
-"""Effect of a trigger during a burst."""
 
 
 @dataclass(frozen=True)
@@ -97,16 +93,15 @@ class _Run:
 class Timeline:
     """Outputs of a generator over time, with settings constant between calls.
 
-    `retrigger` is the effect of a trigger during a burst, `seed` that of the phase of timer and pulses, and of the
+    A trigger during a burst is ignored, without an error. `seed` is that of the phase of timer and pulses, and of the
     latencies. `on_burst` is called with each burst when it ends; `triggers` are the onsets of the latest two triggered
     bursts since outputs or internal triggers were last changed [s]; `caught` is the output of each channel in the first
     burst shown at the trigger output after this was set to None; `shown` is the instant of the latest pulse at the
     trigger output after a command [s].
     """
 
-    def __init__(self, delays: Delays, retrigger: Retrigger = "ignored", seed: int = 0) -> None:
+    def __init__(self, delays: Delays, seed: int = 0) -> None:
         self._delays = delays
-        self._retrigger = retrigger
         self._random = random.Random(seed)
         self._phase = self._random.random()
         self.on_burst: Callable[[PlayedBurst], None] | None = None
@@ -219,10 +214,9 @@ class Timeline:
 
     def _take(self, now: float, begin: float, link: int | None) -> None:
         running = self._running.get(True)
-        if running is not None and now < running.end - ROUNDING and self._retrigger == "ignored":
+        if running is not None and now < running.end - ROUNDING:
             return
-        if running is not None:
-            self._end(None if now >= running.end - ROUNDING else begin, in_burst=True)
+        self._end(None, in_burst=True)
         self._begin(begin, link, in_burst=True)
         if True in self._running:
             self.triggers = (*self.triggers[-1:], begin)
