@@ -7,7 +7,7 @@ import math
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ from modaltouch.protocol import InputError
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.apparatus_sections import FingerSection, FingerSpread, Latency
 from modaltouch.rig.generator import Generator
+from modaltouch.rig.instrument import Setting
 from modaltouch.rig.interface import Bursts, RigError
 from modaltouch.rig.pacing import HELD_UP, Report
 from modaltouch.rig.player import RELAYS_SETTLE
@@ -237,13 +238,13 @@ def test_an_output_found_off_is_a_stall_only_where_this_computer_was_held_up(
 
 def test_outputs_go_on_a_tenth_of_a_second_before_a_burst(loaded: Generator, clock: VirtualClock) -> None:
     """All else is set at once; the relays have twice the time that they need."""
-    outputs_on, went_on = loaded._connection.controls.outputs_on, list[float]()
+    apply, went_on = loaded._connection.controls.apply, list[float]()
 
-    def note() -> None:
-        went_on.append(clock.now())
-        outputs_on()
+    def note(settings: Sequence[Setting]) -> tuple[str, ...]:
+        went_on.extend(clock.now() for setting in settings if setting.command == "OUTP1 ON")
+        return apply(settings)
 
-    loaded._connection.controls.outputs_on = note  # type: ignore[method-assign]
+    loaded._connection.controls.apply = note  # type: ignore[method-assign]
     due = clock.now() + 0.7
     assert loaded.fire(0.1, due=due).started
     assert went_on == pytest.approx([due - 2 * RELAYS_SETTLE], abs=1e-3)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import pytest
 
 from modaltouch.rig.generator import Generator
+from modaltouch.rig.instrument import Setting
 from modaltouch.rig.interface import RigError
 from modaltouch.rig.simulator import Simulator
 from modaltouch.stimulus.burst import Burst
@@ -53,14 +54,15 @@ def test_the_watchdog_is_armed_during_a_stimulus(loaded: Generator, guard: Any, 
 def test_an_interrupt_while_starting_leaves_outputs_off(loaded: Generator, simulator: Simulator) -> None:
     """Ctrl-C right after the outputs went on: it propagates after they have been switched off."""
     controls = loaded._connection.controls
-    outputs_on = controls.outputs_on
+    apply = controls.apply
 
-    def on_and_interrupt() -> None:
-        outputs_on()
-        assert simulator.outputs == (True, True)
-        raise KeyboardInterrupt
+    def on_and_interrupt(settings: Sequence[Setting]) -> tuple[str, ...]:
+        read_back = apply(settings)
+        if simulator.outputs == (True, True):
+            raise KeyboardInterrupt
+        return read_back
 
-    controls.outputs_on = on_and_interrupt
+    controls.apply = on_and_interrupt
     with pytest.raises(KeyboardInterrupt):
         loaded.fire(0.1)
     assert simulator.outputs == (False, False)

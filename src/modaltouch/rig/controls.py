@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import re
 import time
 import typing
 from collections.abc import Callable, Iterable, Sequence
@@ -169,10 +170,6 @@ class Controls:
             errors = [replies[-1], *self.pending_errors()]
         return tuple(not is_off for is_off in are_off[:n]), tuple(errors)
 
-    def outputs_on(self) -> None:
-        """Switch both outputs on in one message."""
-        self.apply(self._instrument.on_all(self._table.output))
-
     def apply(self, settings: Sequence[Setting]) -> tuple[str, ...]:
         """Apply settings in one message, read each back, check the error queue, and return the values read back."""
         commands = ";:".join(setting.command for setting in settings)
@@ -276,14 +273,8 @@ def describe_block(block: bytes) -> str:
 
 def split_reply(reply: str) -> list[str]:
     """Split the reply to a compound query at semicolons outside quotes."""
-    parts, quoted = [""], False
-    for letter in reply:
-        quoted ^= letter == '"'
-        if letter == ";" and not quoted:
-            parts.append("")
-        else:
-            parts[-1] += letter
-    return [part.strip() for part in parts]
+    # A semicolon outside quotes is followed by an even number of them.
+    return [part.strip() for part in re.split(r';(?=(?:[^"]*"[^"]*")*[^"]*$)', reply)]
 
 
 def _since(started: float) -> float:

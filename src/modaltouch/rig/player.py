@@ -181,7 +181,7 @@ class Player:
         """Switch the outputs on; enable the timer or trigger input, or restart a continuous record."""
         if self._continuous:
             self._controls.complete(self._table.align)
-        self._controls.outputs_on()
+        self._controls.apply(self._instrument.on_all(self._table.output))
         if self._let_go != self._stopped:
             self._controls.apply(self._let_go)
 

@@ -249,7 +249,14 @@ def test_everything_that_qcodes_reads_has_a_reply_and_can_be_set(apparatus_of: s
 
 @pytest.mark.parametrize(
     "command",
-    ["SOUR1:AM:STAT ON", "SOUR1:FREQ:MODE SWE", "SOUR1:PULS:WIDT 1ms", "TRIG:SLOP NEG", "SOUR1:AM:INT:FUNC:EFIL 'a'"],
+    [
+        "SOUR1:AM:STAT ON",
+        "SOUR1:VOLT:CONC ON",
+        "SOUR1:FREQ:MODE SWE",
+        "SOUR1:PULS:WIDT 1ms",
+        "TRIG:SLOP NEG",
+        "SOUR1:AM:INT:FUNC:EFIL 'a'",
+    ],
 )
 def test_settings_that_are_not_simulated_are_an_error(simulator: Simulator, command: str) -> None:
     """No modulation, sweep or pulse is simulated: -241, hardware missing, and the default stays."""

@@ -23,7 +23,6 @@ from modaltouch.rig.simulator.scpi import (
     exactly,
     flag,
     one,
-    quantity,
     read_boolean,
     read_choice,
     read_number,
@@ -82,7 +81,6 @@ class Afg(GeneratorState[Channel]):
         """Reset as ``*RST`` does; USER memories, status and errors are kept."""
         self.channels = {number: Channel() for number in range(1, self.n_channels + 1)}
         self.trigger_source, self.timer = "TIM", 1e-3
-        self.level_concurrent = self.frequency_concurrent = False
         self.trigger_output, self.clock_source = "TRIG", "INT"
 
     # memories; methods that change one are called with `lock` held
@@ -238,9 +236,8 @@ def _waveform(afg: Afg) -> dict[str, Command]:
 
     def frequency(number: int, arguments: Arguments) -> None:
         channel = afg.channels[number]
-        value = quantity(arguments, {"HZ": 1.0}, 1e-3, highest(channel), 1e6)
-        for target in afg.channels.values() if afg.frequency_concurrent else (channel,):
-            target.frequency = float(f"{value:.11e}")
+        value = read_number(one(arguments), {"HZ": 1.0}, 1e-3, highest(channel), 1e6)
+        channel.frequency = float(f"{value:.11e}")
 
     return {
         "[SOURce#]:FUNCtion[:SHAPe]": Command(set=shape, get=get_of(afg, lambda channel: channel.function)),
@@ -252,7 +249,6 @@ def _waveform(afg: Afg) -> dict[str, Command]:
                 afg, "frequency", 1e-3, highest(afg.channels[number]), "{:.11E}"
             )(number, arguments),
         ),
-        "[SOURce#]:FREQuency:CONCurrent[:STATe]": common.switch(afg, "frequency_concurrent"),
         "[SOURce#]:PHASe[:ADJust]": common.number(
             afg, "phase", {"RAD": 1.0, "DEG": math.pi / 180}, -math.pi, math.pi, "{:.4E}", 0.0
         ),
@@ -265,12 +261,11 @@ def _levels(afg: Afg) -> dict[str, Command]:
         channel = afg.channels[number]
         value = amplitude_in_vpp(one(arguments), channel)
         value = float(f"{value:.3e}") if value >= 1 else round(value, 4)
-        for each in afg.channels if afg.level_concurrent else (number,):
-            afg.change(each, amplitude=value / channel.load_factor)
+        afg.change(number, amplitude=value / channel.load_factor)
 
     def volts(number: int, arguments: Arguments, default: float | None = None) -> float:
         factor = afg.channels[number].load_factor
-        return quantity(arguments, {"V": 1.0}, -10 * factor, 10 * factor, default) / factor
+        return read_number(one(arguments), {"V": 1.0}, -10 * factor, 10 * factor, default) / factor
 
     def told(name: str, low: float = -10, high: float = 10) -> Callable[[int, Arguments], str]:
         return common.get_number(afg, name, low, high, "{:.4E}", at_load=True)
@@ -297,7 +292,6 @@ def _levels(afg: Afg) -> dict[str, Command]:
         "[SOURce#]:VOLTage:LIMit:HIGH": limit("limit_high"),
         "[SOURce#]:VOLTage:LIMit:LOW": limit("limit_low"),
         "[SOURce#]:VOLTage:UNIT": common.keyword(afg, "unit", ("VPP", "VRMS", "DBM")),
-        "[SOURce#]:VOLTage:CONCurrent[:STATe]": common.switch(afg, "level_concurrent"),
         "OUTPut#:IMPedance": common.number(
             afg, "load", {"OHM": 1.0}, 1, 10e3, "{:.4E}", common.SOURCE_IMPEDANCE, endless=True
         ),
@@ -315,7 +309,7 @@ def _triggers(afg: Afg) -> dict[str, Command]:
         channel.burst = on
 
     def timer(_: int, arguments: Arguments) -> None:
-        value = quantity(arguments, {"S": 1.0}, 1e-6, 500, 1e-3)
+        value = read_number(one(arguments), {"S": 1.0}, 1e-6, 500, 1e-3)
         afg.timer = float(f"{value:.{afg.behaviour.timer_digits - 1}e}")
 
     return {

@@ -22,9 +22,9 @@ from modaltouch.rig.simulator.scpi import (
     flag,
     is_word,
     one,
-    quantity,
     read_boolean,
     read_choice,
+    read_number,
     whole,
 )
 from modaltouch.rig.simulator.timeline import Delays, Playback, Situation, Timeline
@@ -381,7 +381,7 @@ def number(
     def change(number: int, arguments: Arguments) -> None:
         word = one(arguments)
         infinite = endless and isinstance(word, str) and is_word(word.upper(), "INFinity")
-        value = math.inf if infinite else quantity(arguments, units, low, high, default)
+        value = math.inf if infinite else read_number(one(arguments), units, low, high, default)
         setattr(state.channels[number], name, value if units or infinite else float(round(value)))
 
     return Command(set=change, get=get_number(state, name, low, high, form))
@@ -393,7 +393,7 @@ def edge(state: Any, sign: int, lowest: float, form: str) -> Command:
     def change(number: int, arguments: Arguments) -> None:
         channel = state.channels[number]
         factor = channel.load_factor
-        value = quantity(arguments, {"V": 1.0}, -10 * factor, 10 * factor, None) / factor
+        value = read_number(one(arguments), {"V": 1.0}, -10 * factor, 10 * factor, None) / factor
         other = channel.offset - sign * channel.amplitude / 2
         if sign * (value - other) < lowest * (1 - 1e-9):
             raise ScpiError(-222, f"{value * factor:g} V: the high level lies above the low one")

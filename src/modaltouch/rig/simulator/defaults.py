@@ -39,6 +39,8 @@ AFG3000: dict[str, Default] = {
     "[SOURce#]:FSKey:INTernal:RATE": (50.0, HERTZ),
     "[SOURce#]:FSKey:SOURce": ("INTernal", {}),
     "[SOURce#]:FSKey:STATe": (False, {}),
+    "[SOURce#]:FREQuency:CONCurrent[:STATe]": (False, {}),
+    "[SOURce#]:VOLTage:CONCurrent[:STATe]": (False, {}),
     "[SOURce#]:FREQuency:MODE": ("CW|FIXed", {}),
     "[SOURce#]:FREQuency:STARt": (100e3, HERTZ),
     "[SOURce#]:FREQuency:STOP": (1e6, HERTZ),

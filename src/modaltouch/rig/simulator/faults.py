@@ -83,8 +83,6 @@ class Faults:
 
     def take(self, message: bytes) -> dict[Kind, Fault]:
         """Return the faults that affect a message, at most one of each kind, and count them down."""
-        if not self._active:
-            return {}
         met: dict[Kind, Fault] = {}
         # Only the head of a message is searched, since the content of a block is irrelevant.
         head = message[:4096]

@@ -253,8 +253,8 @@ def _levels(state: Trueform) -> dict[str, Command]:
             return high * (channel.span if name == "amplitude" else 1.0)
 
         def change(n: int, arguments: Arguments) -> None:
-            most = most_of(state.channels[n])
-            value = scpi.quantity(arguments, {"V": 1.0, "VPP": 1.0}, -1e38, 1e38, None) / state.channels[n].load_factor
+            channel, most = state.channels[n], most_of(state.channels[n])
+            value = scpi.read_number(one(arguments), {"V": 1.0, "VPP": 1.0}, -1e38, 1e38) / channel.load_factor
             state.change(n, **{name: float(f"{min(max(value, low), most):.4g}")})
             if not low - 1e-9 <= value <= most + 1e-9 and abs(value) < 1e38:
                 # A value out of range is clipped and reported, unless it stands for MIN or MAX.

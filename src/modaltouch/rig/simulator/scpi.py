@@ -144,7 +144,7 @@ _MULTIPLIERS = {"G": 1e9, "MA": 1e6, "K": 1e3, "": 1.0, "M": 1e-3, "U": 1e-6, "N
 
 
 def read_number(
-    argument: Argument, *, units: Mapping[str, float], minimum: float, maximum: float, default: float | None = None
+    argument: Argument, units: Mapping[str, float], minimum: float, maximum: float, default: float | None = None
 ) -> float:
     """Convert an argument such as ``15E-1``, ``1500 mVPP`` or ``MIN`` to the unit with factor 1 in `units`.
 
@@ -236,11 +236,6 @@ def one(arguments: Arguments) -> Argument:
 def whole(arguments: Arguments, low: int, high: int) -> int:
     """Return the only argument as an integer."""
     return round(read_number(one(arguments), units={}, minimum=low, maximum=high))
-
-
-def quantity(arguments: Arguments, units: dict[str, float], low: float, high: float, default: float | None) -> float:
-    """Return the only argument as a number; see `read_number`."""
-    return read_number(one(arguments), units=units, minimum=low, maximum=high, default=default)
 
 
 def asked(arguments: Arguments, value: float, low: float, high: float) -> float:
@@ -354,18 +349,12 @@ def _pattern(header: str) -> str:
     """Return the regular expression, for upper-case names, of a header written as in manuals."""
     # An optional first node includes its colon.
     header = re.sub(r"^\[([^\]]*)\]:", r"[\1:]", header)
-    pattern = ""
-    for token in re.findall(r"\[|\]|:|#|\||\*?[A-Za-z]+\d*", header):
-        if token == "[":
-            pattern += "(?:"
-        elif token == "]":
-            pattern += ")?"
-        elif token == "#":
-            pattern += r"(\d*)"
-        elif token in (":", "|"):
-            pattern += token
-        else:
-            pattern += f"(?:{re.escape(short_form(token))}|{re.escape(token.upper())})"
+    signs = {"[": "(?:", "]": ")?", "#": r"(\d*)", ":": ":", "|": "|"}
+
+    def written(token: re.Match[str]) -> str:
+        return signs.get(token[0]) or f"(?:{re.escape(short_form(token[0]))}|{re.escape(token[0].upper())})"
+
+    pattern = re.sub(r"[][:#|]|\*?[A-Za-z]+\d*", written, header)
     # Put brackets around `A|B`, so that it stands for one node.
     node = r"\(\?:[^()]*\)"
     return re.sub(rf"{node}(?:\|{node})+", lambda found: f"(?:{found[0]})", pattern)
