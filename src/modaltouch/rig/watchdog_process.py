@@ -246,7 +246,7 @@ def _take_precedence() -> None:
         os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(1))
 
 
-def main(address: str, off: str) -> int:
+def main(address: str, off: str) -> None:
     """Run the watchdog for the client at the other end of standard input and output."""
     for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK"):
         if hasattr(signal, name):
@@ -255,14 +255,12 @@ def main(address: str, off: str) -> int:
     _take_precedence()
     with open(0, "rb", buffering=LARGEST, closefd=False) as requests, open(1, "wb", closefd=False) as answers:
         WatchdogProcess(VisaSession(address), off, say=_say).serve(requests, answers)
-    return 0
 
 
 def _say(sentence: str) -> None:
     with contextlib.suppress(OSError, ValueError):
         sys.stderr.write(f"\nmodaltouch: {sentence}\n")
-        sys.stderr.flush()
 
 
 if __name__ == "__main__":
-    sys.exit(main(*sys.argv[1:]))
+    main(*sys.argv[1:])

@@ -49,6 +49,7 @@ class Channel(OutputChannel):
 
 
 MAX_CODE = 16382  # of a point
+MIN_POINTS, MAX_POINTS = 2, 131_072  # of a record
 NUMBERS = (1, 2, 3, 4)
 MEMORIES = tuple(f"USER{number}" for number in NUMBERS)
 """Non-volatile memories, shared by both channels."""
@@ -67,8 +68,6 @@ class Afg(GeneratorState[Channel]):
     """
 
     identity: str = "TEKTRONIX,AFG3022B,SIMULATED,SCPI:99.0 FV:3.2.2"
-    min_points: int = 2
-    max_points: int = 131_072
     clip_amplitude: float = math.inf
     user: dict[int, bytes | None] = field(default_factory=lambda: dict.fromkeys(NUMBERS), init=False)
     locked: dict[int, bool] = field(default_factory=lambda: dict.fromkeys(NUMBERS, False), init=False)
@@ -79,7 +78,7 @@ class Afg(GeneratorState[Channel]):
 
     def reset(self) -> None:
         """Reset as ``*RST`` does; USER memories, status and errors are kept."""
-        self.channels = {number: Channel() for number in range(1, self.n_channels + 1)}
+        self.channels = {1: Channel(), 2: Channel()}
         self.trigger_source, self.timer = "TIM", 1e-3
         self.trigger_output, self.clock_source = "TRIG", "INT"
 
@@ -88,10 +87,10 @@ class Afg(GeneratorState[Channel]):
     def write_edit(self, block: bytes) -> None:
         """Replace the edit memory."""
         n_points, rest = divmod(len(block), 2)
-        if rest or n_points < self.min_points:
+        if rest or n_points < MIN_POINTS:
             raise ScpiError(-161, f"{len(block)} bytes")
-        if n_points > self.max_points:
-            raise ScpiError(-223, f"{n_points} points: at most {self.max_points}")
+        if n_points > MAX_POINTS:
+            raise ScpiError(-223, f"{n_points} points: at most {MAX_POINTS}")
         highest = int(np.frombuffer(block, ">u2").max())
         if highest > MAX_CODE:
             raise ScpiError(-222, f"code {highest}: at most {MAX_CODE}")
@@ -347,12 +346,12 @@ def _memories(afg: Afg) -> dict[str, Command]:
         if isinstance(size, str) and size.upper().startswith("USER"):
             afg.copy_from_user(_user(size))
         else:
-            afg.edit = blank_record(whole((size,), afg.min_points, afg.max_points))
+            afg.edit = blank_record(whole((size,), MIN_POINTS, MAX_POINTS))
 
     def points(channel: int, arguments: Arguments) -> str:
         name, *limit = arguments or ("EMEM",)
         _of_edit((name,), 1)
-        return f"{asked(tuple(limit), len(afg.edit) // 2, afg.min_points, afg.max_points):.0f}"
+        return f"{asked(tuple(limit), len(afg.edit) // 2, MIN_POINTS, MAX_POINTS):.0f}"
 
     def set_value(channel: int, arguments: Arguments) -> None:
         place, code = _of_edit(arguments, 3)

@@ -91,7 +91,6 @@ class GeneratorState(ABC, Generic[C]):
 
     # behaviour of the real instrument that is not publicly known
     behaviour: Behaviour = field(default_factory=Behaviour)
-    n_channels: int = 2
     delays: Delays = Delays()
     seed: int = 0  # seed of the timer's phase and of the latencies
     clock: Clock = SYSTEM_CLOCK
@@ -281,16 +280,16 @@ def command_table(
     state, groups
         The generator, and functions that return its own commands.
     family, form : str
-        ``AFG3000`` or ``33500B``, whose other settings are not simulated, and the format of their numbers.
+        ``AFG3000`` or ``KEYSIGHT_33500B``, whose other settings are not simulated, and the format of their numbers.
     """
 
     def further() -> dict[str, Command]:
-        from modaltouch.rig.simulator.defaults import not_simulated
+        from modaltouch.rig.simulator import defaults
 
-        return not_simulated(family, form)
+        return defaults.not_simulated(getattr(defaults, family), form)
 
     commands = ChainMap(*(group(state) for group in (common_commands, *groups)))
-    return CommandTable(commands, state.n_channels, further, state.changing)
+    return CommandTable(commands, len(state.channels), further, state.changing)
 
 
 def common_commands(state: State) -> dict[str, Command]:

@@ -87,12 +87,11 @@ KEYSIGHT_33500B: dict[str, Default] = {
 """Settings of a 33500B missing from its twin, with their values after ``*RST`` (the guide's factory settings)."""
 
 
-def not_simulated(family: str, form: str) -> dict[str, Command]:
+def not_simulated(defaults: dict[str, Default], form: str) -> dict[str, Command]:
     """Return the commands of settings that are not simulated: each reads as its default and rejects any other value.
 
     A driver can thus read and restore all settings, but change only simulated ones.
     """
-    defaults = {"AFG3000": AFG3000, "33500B": KEYSIGHT_33500B}[family]
     return {header: _fixed(default, units, form) for header, (default, units) in defaults.items()}
 
 

@@ -87,11 +87,11 @@ class Trueform(GeneratorState[TrueformChannel]):
 
     def forget(self) -> None:
         """Clear the records; files are kept."""
-        self.volatile: dict[int, dict[str, Codes]] = {n: {} for n in range(1, self.n_channels + 1)}
+        self.volatile: dict[int, dict[str, Codes]] = {1: {}, 2: {}}
 
     def reset(self) -> None:
         """Reset as ``*RST`` does; records, status and errors are kept."""
-        self.channels = {number: TrueformChannel() for number in range(1, self.n_channels + 1)}
+        self.channels = {1: TrueformChannel(), 2: TrueformChannel()}
         self.byte_order, self.trigger_output = "NORM", False
 
     @property
@@ -194,7 +194,7 @@ def keysight_twin(model: str, behaviour: Behaviour | None, **hardware: Any) -> t
     state = Trueform(behaviour or Behaviour(queue_depth=20), **hardware)
     state.identity = f"Agilent Technologies,{model},SIMULATED,4.00-1.19-2.00-58-00"
     groups = (_waveform, _data, _levels, _triggers)
-    return state, common.command_table(state, groups, "33500B", NUMBER)
+    return state, common.command_table(state, groups, "KEYSIGHT_33500B", NUMBER)
 
 
 def _waveform(state: Trueform) -> dict[str, Command]:
