@@ -1,4 +1,4 @@
-"""PyVISA driver of an arbitrary function generator, for every model in the catalogue.
+"""PyVISA driver of an arbitrary function generator, for every supported model.
 
 The outputs are off at all times except during a stimulus: after every failure they are switched off and read back, and
 if this process cannot do so, the watchdog process, which holds the VISA session, does. After a failed exchange a reply

@@ -86,8 +86,7 @@ class WatchdogClient:
 
     def exchange(self, message: bytes, *, timeout: float, reply: bool) -> bytes:
         """Send a message and return the reply, if one is expected; each may take up to `timeout` [s]."""
-        limit = 2 * timeout + OVERHEAD
-        return bytes(self._request(limit, "exchange", message=message, timeout=timeout, reply=reply))
+        return bytes(self._request(2 * timeout + OVERHEAD, "exchange", message=message, timeout=timeout, reply=reply))
 
     def close(self, *, broken: bool) -> None:
         """Close the VISA session; the process stays."""
