@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import pickle
 import signal
 import subprocess
 import sys
@@ -21,7 +22,7 @@ from modaltouch.rig.afg3022b import AFG3022B
 from modaltouch.rig.connection import Patience
 from modaltouch.rig.generator import Generator
 from modaltouch.rig.interface import LinkError, RigError
-from modaltouch.rig.pacing import PATIENCE, Report
+from modaltouch.rig.pacing import PATIENCE, Order, Report
 from modaltouch.rig.simulator import Simulator
 from modaltouch.rig.watchdog_client import WatchdogClient
 from modaltouch.stimulus.burst import Burst
@@ -208,6 +209,66 @@ def test_heartbeats_are_sent_only_for_a_running_session(is_armed: bool, silence:
     dog._keep_beating()
     assert len(sent) == n_sent
     assert (rounds, dog.beat(), dog._broken) == ([], "", None)
+
+
+class Gone:
+    """A process that is killed, and from then on is gone."""
+
+    pid = 7
+
+    def __init__(self, answer: bytes = b"", error: BaseException | None = None) -> None:
+        self.killed = False
+        # The unpickler itself peeks for more than a byte.
+        self.stdout = SimpleNamespace(peek=lambda size: b"x"[: size == 1], read=self.read, readline=self.read)
+        self._answer, self._error = answer, error
+
+    def read(self, size: int = -1) -> bytes:
+        if self._error is not None:
+            raise self._error
+        data, self._answer = self._answer[:size], self._answer[size:]
+        return data
+
+    def kill(self) -> None:
+        self.killed = True
+
+    def wait(self, timeout: float) -> None:
+        return None
+
+    def poll(self) -> int:
+        return -9
+
+
+def test_a_pacer_that_reports_nothing_is_killed() -> None:
+    """A trigger that never returns: the first burst is long overdue, and the outputs are unknown."""
+    dog: Any = object.__new__(WatchdogClient)
+    dog._process = process = Gone()
+
+    def request(limit: float, name: str, **_: object) -> Report:
+        if process.killed:
+            raise LinkError("it is gone")
+        return Report()
+
+    dog._request = request
+    with pytest.raises(LinkError, match="it is gone"):
+        dog.play(Order("*TRG", 5, time.perf_counter() - 60.0, 0.142, 0.05, 0.1))
+
+
+@pytest.mark.parametrize(
+    ("process", "raised"),
+    [
+        (Gone(error=KeyboardInterrupt()), KeyboardInterrupt),
+        (Gone(pickle.dumps((1, b"half of it"))[:-4]), LinkError),
+        (Gone(b"no pickle"), LinkError),
+    ],
+    ids=["interrupted", "truncated", "garbled"],
+)
+def test_an_answer_that_is_not_read_whole_is_no_answer(process: Gone, raised: type[BaseException]) -> None:
+    """The rest would be taken for the next one: the process is replaced."""
+    dog: Any = object.__new__(WatchdogClient)
+    dog._process = process
+    with pytest.raises(raised):
+        dog._answer()
+    assert process.killed
 
 
 def test_the_watchdog_uses_the_import_path_of_this_process(monkeypatch: pytest.MonkeyPatch) -> None:

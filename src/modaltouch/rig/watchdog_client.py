@@ -220,11 +220,11 @@ class WatchdogClient:
             raise self._gone()
         try:
             return pickle.load(self._process.stdout)
-        except (OSError, EOFError, pickle.UnpicklingError) as error:
-            raise self._gone() from error
-        except BaseException:
+        except BaseException as error:
             # The rest of this answer would be taken for the next one.
             self._process.kill()
+            if isinstance(error, Exception):
+                raise self._gone() from error
             raise
 
     def _gone(self) -> LinkError:
