@@ -198,9 +198,9 @@ def test_a_setting_that_reads_otherwise_is_refused(link: Callable[..., Any]) -> 
 def test_a_message_without_a_query_waits_for_no_reply(link: Callable[..., Any], heard: Any) -> None:
     """It is sent and logged once it was accepted."""
     opened, transport = link(b"never read")
-    opened.send("ABOR")
-    assert transport.sent == ["ABOR"]
-    assert [(facts["sent"], "reply" in facts) for facts in heard.of("scpi")] == [("ABOR", False)]
+    opened.send_block("DATA EMEM", b"ab")
+    assert transport.sent == ["DATA EMEM,#12ab"]
+    assert ["reply" in facts for facts in heard.of("scpi")] == [False]
 
 
 def test_a_setting_reported_as_an_error_is_refused_although_it_reads_back(link: Callable[..., Any]) -> None:

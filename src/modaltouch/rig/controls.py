@@ -96,10 +96,6 @@ class Controls:
 
         return self._exchange(query, query.encode("ascii"), timeout, read)
 
-    def send(self, message: str) -> None:
-        """Send a message without a query; return when the instrument has accepted it."""
-        self._exchange(message, message.encode("ascii"), None, None)
-
     def send_block(self, command: str, block: bytes) -> None:
         """Send a command whose last argument is a definite-length block."""
         length = str(len(block))
