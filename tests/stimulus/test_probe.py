@@ -156,6 +156,29 @@ def test_viscoelastic_fingers_are_fitted_with_maxwell_terms(beam, free):
     assert np.median(np.abs(responses(under.model) / exact - 1)) < 1e-2
 
 
+def test_viscoelastic_fingers_behind_a_slow_amplifier_are_where_they_are(table, beam):
+    """A corner of 35 kHz that is not in the table hides most of a Maxwell term's misfit, but not of its place."""
+    corner = 1 / (1 + 1j * FREQUENCY / 35e3)
+    relaxing = tuple(replace(each, maxwell=((1000.0, 1e-4),)) for each in TRUE)
+    off, on = measured(beam), measured(beam.touched(relaxing), seed=2)
+    free = replace(off, response=off.response * corner).untouched(table)
+    under = replace(on, response=on.response * corner).touched(free, EXPECTED)
+    spread = np.sqrt(np.diag(under.covariance))[under.n_beam :].reshape(2, -1)[:, 3]
+    places = [(finger.position - true.position) * 1e3 for finger, true in zip(under.model.fingers, TRUE, strict=True)]
+    assert np.all(np.abs(places) < 1.96 * spread)
+
+
+@pytest.mark.parametrize(("scale", "said"), [(1.03, "1.03"), (0.98, "0.98")])
+def test_a_sensitivity_that_changed_is_refused(beam, free, scale, said):
+    """A change between the probes with hands off and on; fingers fitted to it would put the level off by as much."""
+    on = measured(beam.touched(TRUE), seed=1)
+    with pytest.raises(
+        ValueError,
+        match=rf"modes move {said}\d times as fast .* allowed 0.990 to 1.010; the vibrometer's sensitivity or",
+    ):
+        replace(on, response=on.response * scale).touched(free, EXPECTED)
+
+
 def test_table_without_even_modes_is_refused(table):
     """Fingers couple even modes to the others, so a mode missing in the table would be ascribed to the fingers."""
     odd = replace(

@@ -51,6 +51,10 @@ _FINGER_DRIFT, _TERM_DRIFT = (0.3, 0.3, 0.5, 1.0), 0.5
 _GAIN_DRIFT, _DELAY_DRIFT = 0.03, 1.0
 """The same for the gain of a channel [1], and for the instant of a record relative to its trigger [us]."""
 
+_SCALE_DRIFT = 0.01
+"""Standard deviation of the change of all gains between the probes with hands off and on, and largest change accepted
+[1]. Without it, fingers would make up for a changed sensitivity, at the cost of the level."""
+
 _DELAYS = np.arange(0.0, 60e-6, 0.25e-6)
 """Grid of delays of the velocity [s]."""
 
@@ -65,7 +69,7 @@ tried, and above which the fit is rejected [1]."""
 _FELT = 3.0
 """Ratio of the misfits without and with a finger up to which it counts as absent; 190 for 0.02 g with 0.1 N s/m."""
 
-_TERMS_MUST_GAIN = 1.5
+_TERMS_MUST_GAIN = 1.2
 """Smallest ratio of the misfits without and with Maxwell terms for which the terms are used [1]."""
 
 _TERMS_DOUBT = 3.0
@@ -149,11 +153,13 @@ class ProbedBeam:
         return replace(self, model=moved, delay=self.delay + float(step[self.n_beam - 1]) * 1e-6)
 
     def under(self, fingers: Sequence[Finger]) -> ProbedBeam:
-        """Return the same beam with other fingers, which have wide priors."""
+        """Return the same beam with other fingers, which have wide priors, and an uncertain scale of all gains."""
         spreads = [[*_FINGER_SPREAD, *[_TERM_SPREAD] * len(finger.maxwell)] for finger in fingers]
         n, sizes = self.n_beam, np.concatenate(spreads)
         covariance = np.diag(np.append(np.zeros(n), sizes**2))
         covariance[:n, :n] = self.covariance[:n, :n]
+        gains = _SCALE_DRIFT * (self.model.modal_gain / _strongest(self.model)).ravel()
+        covariance[n - 1 - gains.size : n - 1, n - 1 - gains.size : n - 1] += np.outer(gains, gains)
         return replace(self, model=self.model.touched(tuple(fingers)), covariance=covariance)
 
     def with_drift(self) -> ProbedBeam:
@@ -303,6 +309,15 @@ class Probe:
                 f"most {_WORST:g} is allowed; check that each finger lies on its zone, that nothing else touches the "
                 "beam, and that spot, range and trigger of the vibrometer are those of the probe with hands off; probe "
                 "again"
+            )
+        before, now = (beam.model.modal_gain / _strongest(free.model) for beam in (free, found))
+        scale = float((before * now).sum() / (before**2).sum())
+        doubt = _SCALE_DRIFT * max(found.misfit, 1.0)
+        if abs(scale - 1) > doubt:
+            raise ValueError(
+                f"all modes move {scale:.3f} times as fast as with hands off and these fingers: allowed "
+                f"{1 - doubt:.3f} to {1 + doubt:.3f}; the vibrometer's sensitivity or the amplifier's gain "
+                "changed: let both warm up and leave their settings; take the hands off and start over"
             )
         for expected, finger in zip(fingers, found.model.fingers, strict=True):
             others = tuple(each for each in found.model.fingers if each is not finger)
