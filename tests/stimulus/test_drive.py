@@ -15,7 +15,6 @@ from modaltouch.stimulus.burst import Timing
 from modaltouch.stimulus.drive import FALL, RISE, Drive, Release, Steering, exact_drive
 from modaltouch.stimulus.dynamics import Amplifier, DiagonalSystem
 from modaltouch.stimulus.modes import ModalModel
-from modaltouch.stimulus.stimulus import design_stimulus
 from modaltouch.stimulus.target_field import TargetField
 
 EPS = np.finfo(float).eps
@@ -268,17 +267,6 @@ def test_focus_on_the_last_sample_cannot_be_braked(design):
     with pytest.raises(ValueError, match=r"0 samples are fewer than 18 conditions .* or release it `free`"):
         _ = design(timing=timing).voltage
     assert design(timing=timing, release="free").worst_modal_error(0.2) < 1e-5
-
-
-def test_unknown_law_and_release_are_refused(model):
-    """The messages list the allowed laws, releases and designs."""
-    arguments = (model, TargetField(), Timing(AFG3022B.converter), Amplifier(gain=25.0, limit=250.0))
-    with pytest.raises(ValueError, match=r"drive law 'best' is unknown; allowed: exact, paper"):
-        design_stimulus(*arguments, law="best")
-    with pytest.raises(ValueError, match=r"release 'slow' is unknown; allowed: braked, free"):
-        design_stimulus(*arguments, release="slow")
-    with pytest.raises(ValueError, match=r"the paper's law has no design of 'norm_4'; allowed: least_energy"):
-        design_stimulus(*arguments, law="paper", design="norm_4")
 
 
 @pytest.mark.parametrize("duration", [0.05, 12.0])

@@ -64,7 +64,7 @@ def test_the_reconstruction_error_is_that_of_a_fine_sum(model, level):
 
 
 def test_a_width_is_where_the_field_has_fallen_to_the_fraction(model):
-    """The width lies between the crossings nearest the centre; fractions outside 0 to 1 are refused."""
+    """The width lies between the crossings nearest the centre."""
     projection = Projection(model, TargetField())
     place = np.linspace(-0.05, 0.05, 100_001)
     for fraction in (0.3, 0.5, 0.9):
@@ -72,9 +72,6 @@ def test_a_width_is_where_the_field_has_fallen_to_the_fraction(model):
         left = place[:50_001][~above[:50_001]].max()
         right = place[50_000:][~above[50_000:]].min()
         assert projection.width(fraction) == pytest.approx(right - left, abs=4e-6)
-    for fraction in (0.0, 1.0, -0.5, 2.0):
-        with pytest.raises(ValueError, match=f"a width is asked for at {fraction} of the centre"):
-            projection.width(fraction)
 
 
 def test_the_default_target_field_is_that_of_the_paper():
@@ -87,13 +84,6 @@ def test_the_default_target_field_is_that_of_the_paper():
         target_field.n_decomposed,
         target_field.selection,
     ) == ("triangle", 0.056, 0.0, 50, 6)
-
-
-@pytest.mark.parametrize("points", [(), ((0.0, 1.0),), ((0.0, 1.0, 2.0), (0.1, 1.0, 2.0))])
-def test_too_few_or_malformed_points_are_refused(points):
-    """A sampled field needs at least two points, each with a velocity."""
-    with pytest.raises(ValueError, match=f"has {len(points)} points; give at least 2, each with a velocity"):
-        TargetField("sampled", points=points)
 
 
 def test_symmetric_wiring_mirrors_the_field(model):
@@ -146,25 +136,10 @@ def test_a_sampled_field_of_three_points_is_the_triangle(model):
     assert Projection(model, sampled).selected == (1, 3, 5, 7, 11, 13)
 
 
-@pytest.mark.parametrize(
-    ("points", "message"),
-    [
-        (((0.0, 1.0), (0.005, float("nan"))), r"a point of the sampled field is \(0.005, nan\)"),
-        (((0.0, 1.0),), r"has 1 points; give at least 2"),
-        (((0.0, 1.0), (0.0, 2.0)), r"from 0 m to 0 m; positions must increase"),
-        (((0.0, -1.0), (0.005, -2.0)), r"relative velocity -1 at its centre of 0 mm"),
-    ],
-)
-def test_invalid_points_of_a_sampled_field_are_refused(points, message):
-    """NaN, a single point, a repeated position, and a centre that moves backwards."""
-    with pytest.raises(ValueError, match=message):
-        TargetField("sampled", points=points)
-
-
-def test_a_width_at_the_full_height_is_refused(model):
-    """At 100 % of the centre a width is undefined."""
-    with pytest.raises(ValueError, match=r"a width is asked for at 1\.0 of the centre"):
-        Projection(model, TargetField()).width(1.0)
+def test_a_sampled_field_moves_forwards_at_its_centre():
+    """A centre that moves backwards has no level."""
+    with pytest.raises(ValueError, match="relative velocity -1 at its centre of 0 mm"):
+        TargetField("sampled", points=((0.0, -1.0), (0.005, -2.0)))
 
 
 def test_field_wider_than_the_beam_is_as_wide_as_the_beam(model):

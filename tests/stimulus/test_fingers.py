@@ -690,42 +690,12 @@ def test_a_contact_of_any_width_is_averaged(uneven_beam, width):
         np.testing.assert_allclose(finger.mean_shape(uneven_beam.shapes, 0.1), (at @ weights).astype(float), atol=1e-10)
 
 
-@pytest.mark.parametrize(
-    ("values", "said"),
-    [
-        ({"mass": -1e-4}, r"the mass of a finger is -0\.0001 kg; it must be 0 kg or above"),
-        ({"damping": -1.0}, r"the damping of a finger is -1\.0 N s/m; it must be 0 N s/m or above"),
-        ({"stiffness": -1.0}, r"the stiffness of a finger is -1\.0 N/m; it must be 0 N/m or above"),
-        ({"mass": float("nan")}, "the mass of a finger is nan"),
-        ({"damping": float("inf")}, "the damping of a finger is inf"),
-        ({"stiffness": float("nan")}, "the stiffness of a finger is nan"),
-        ({"position": float("nan")}, "the position of a finger is nan"),
-        ({"width": 0.0}, "the width of a contact is 0"),
-        ({"width": float("nan")}, "the width of a contact is nan"),
-        ({"maxwell": ((0.0, 1e-3),)}, "the stiffness of a Maxwell term is 0"),
-        ({"maxwell": ((900.0, 0.0),)}, "the relaxation time of a Maxwell term is 0"),
-        ({"maxwell": ((900.0, float("nan")),)}, "the relaxation time of a Maxwell term is nan"),
-        ({"second_mass": (0.0, 900.0, 0.5)}, "the second mass of a finger is 0"),
-        ({"second_mass": (1e-3, 0.0, 0.5)}, "the stiffness before a second mass is 0"),
-        ({"second_mass": (1e-3, 900.0, -0.5)}, "the damping of a second mass is -0.5 N s/m; it must be 0 N s/m or"),
-        ({"second_mass": (1e-3, 900.0, float("nan"))}, "the damping of a second mass is nan"),
-    ],
-)
-def test_impossible_values_of_a_finger_are_refused(values, said):
-    """The message has the given value and the allowed range."""
-    with pytest.raises(ValueError, match=said):
-        Finger(**{"position": 0.0, **values})
-
-
 def test_fingers_need_a_place_on_a_beam_of_known_mass(model, beam):
-    """Refused: a place off the beam, an unknown moving mass, and an impossible one."""
+    """Refused: a place off the beam, and an unknown moving mass."""
     with pytest.raises(ValueError, match="a finger lies at 51 mm, off the beam, which spans -50 to 50 mm"):
         beam.touched((Finger(0.051),))
     with pytest.raises(ValueError, match="fingers lie on a beam of unknown mass; give its moving mass"):
         model.touched((Finger(0.0),))
-    for mass in (0.0, -1.0, float("nan")):
-        with pytest.raises(ValueError, match="the moving mass of the beam is"):
-            replace(beam, mass=mass)
 
 
 @pytest.mark.parametrize("n", [12, 16, 24, 120])

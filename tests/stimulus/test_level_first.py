@@ -74,13 +74,6 @@ def test_the_beam_is_at_rest_at_the_end(first):
     assert np.abs(np.concatenate(first.system.read(reached))).max() <= 1e-11 * LEVEL
 
 
-@pytest.mark.parametrize("how", [{"law": "paper"}, {"design": "norm_4"}])
-def test_priority_level_needs_the_exact_law_of_least_energy(design, model, how):
-    """Other laws and designs are refused."""
-    with pytest.raises(ValueError, match="the priority level needs the law exact and the design least_energy, not"):
-        design(model, priority="level", **how)
-
-
 def test_only_mode_1_moves_below_a_kilohertz(design, model):
     """Mode 1 of Table I, at 229 Hz, is a rigid translation, so its velocity is the same at every point."""
     stimulus = design(model, amplifier=Amplifier(gain=25.0, limit=250.0))

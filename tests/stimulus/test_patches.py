@@ -54,12 +54,6 @@ def test_symmetric_pairs_drive_only_symmetric_modes():
 
 
 def test_impossible_patches_are_refused():
-    """A patch must have a positive length and lie on the beam."""
-    with pytest.raises(ValueError, match=r"a patch runs from 3 to -2 mm"):
-        patch_gains([3], [(0.003, -0.002)], 0.1)
+    """A patch must lie on the beam."""
     with pytest.raises(ValueError, match=r"position 60 mm is not on the beam"):
         patch_gains([3], [(0.04, 0.06)], 0.1)
-    with pytest.raises(ValueError, match=r"no patch is given"):
-        patch_gains([3], [], 0.1)
-    with pytest.raises(ValueError, match=r"derivative -1 of a mode shape"):
-        mode_shapes([3], [0.0], 0.1, -1)

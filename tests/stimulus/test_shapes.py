@@ -69,11 +69,3 @@ def test_point_off_the_beam_is_refused():
         mode_shapes([1], [0.06], 0.1)
     with pytest.raises(ValueError, match=r"position nan mm is not on the beam"):
         mode_shapes([1], [float("nan")], 0.1)
-
-
-def test_label_below_one_is_refused():
-    """Mode 1 is the rigid translation."""
-    with pytest.raises(ValueError, match=r"mode label 0 does not exist"):
-        mode_shapes([0], [0.0], 0.1)
-    with pytest.raises(ValueError, match=r"bending mode 0 does not exist"):
-        characteristic_root(0)

@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.stimulus.quantities import FloatArray, require_positive
+from modaltouch.stimulus.quantities import FloatArray
 
 _LONGEST_STRETCH = 1.05
 """Largest ratio of full scale to peak; it costs a fifteenth of a bit [1]."""
@@ -179,10 +179,6 @@ class Timing:
                 f"a burst of {self.n_samples} samples does not fit the generator, which holds 2 to "
                 f"{self.converter.max_points}: take 125000 over 50 ms, which it holds exactly 100 clocks each"
             )
-        require_positive("the duration of the burst", self.duration, "s", "the paper uses 50 ms")
-        require_positive("the repetition rate", self.repetition_rate, "Hz", "the paper uses 7 Hz")
-        require_positive("the clock rate", self.clock_rate, "Hz", "the generator's data sheet states it")
-        require_positive("the focusing instant", self.focusing_instant, "s", "the paper uses 25 ms")
         if self.duration * self.repetition_rate > 1 + 1e-12:
             raise ValueError(
                 f"a burst of {self.duration * 1e3:g} ms does not fit the period of "

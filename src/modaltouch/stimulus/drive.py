@@ -23,7 +23,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from modaltouch.stimulus.burst import Timing
 from modaltouch.stimulus.dynamics import Amplifier, DiagonalSystem
 from modaltouch.stimulus.modes import ModalModel
-from modaltouch.stimulus.quantities import ComplexArray, FloatArray, require_positive
+from modaltouch.stimulus.quantities import ComplexArray, FloatArray
 from modaltouch.stimulus.reachability import GramianSolver, ReachabilityGramian, Taper
 
 if TYPE_CHECKING:
@@ -43,9 +43,6 @@ Rounding = Literal["settled", "plain"]
 Design = Literal["least_energy", "norm_4", "norm_8", "least_peak"]
 
 Priority = Literal["field", "level"]
-
-MEANT = "the paper uses 0.08 to 0.2 m/s"
-"""Typical levels, for the error messages on levels."""
 
 RISE = 1.0e-3
 """Length of the taper at the start of the drive, and at both ends of the braking after the focusing instant [s]."""
@@ -78,38 +75,6 @@ class Drive:
     def before_focus(self) -> FloatArray:
         """Voltages that affect the focusing instant, (n_channels, n_before) array [V]."""
         return self.voltage[:, : self.n_before]
-
-
-def check_options(law: str, release: str, rounding: str, design: str, priority: str) -> None:
-    """Reject unknown options and options that exclude each other."""
-    for name, given, kind in (
-        ("drive law", law, Law),
-        ("release", release, Release),
-        ("rounding", rounding, Rounding),
-        ("design", design, Design),
-        ("priority", priority, Priority),
-    ):
-        if given not in get_args(kind):
-            raise ValueError(f"the {name} {given!r} is unknown; allowed: {', '.join(get_args(kind))}")
-    if priority == "level" and (law, design) != ("exact", "least_energy"):
-        raise ValueError(
-            f"the priority level needs the law exact and the design least_energy, not {law} and {design}; leave one out"
-        )
-    if law == "paper" and design != "least_energy":
-        raise ValueError(f"the paper's law has no design of {design!r}; allowed: least_energy, or the law exact")
-
-
-def check_levels(levels: tuple[float, ...], reference: float) -> None:
-    """Reject levels above the reference level, at which the codes fill the generator's range [m/s]."""
-    if not levels:
-        raise ValueError("no velocity level is given; give at least one")
-    for level in levels:
-        require_positive("the velocity level", level, "m/s", MEANT)
-        if level > reference * (1 + 1e-12):
-            raise ValueError(
-                f"the level of {level * 1e3:g} mm/s exceeds the reference of {reference * 1e3:g} mm/s, for "
-                f"which the codes fill the generator's range: design for the highest level"
-            )
 
 
 def check_drivable(model: ModalModel, target: FloatArray, timing: Timing) -> None:

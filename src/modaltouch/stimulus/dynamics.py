@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from modaltouch.stimulus.burst import Timing
 from modaltouch.stimulus.modes import ModalModel
-from modaltouch.stimulus.quantities import ComplexArray, FloatArray, require_not_negative, require_positive
+from modaltouch.stimulus.quantities import ComplexArray, FloatArray
 from modaltouch.stimulus.synthesis import BLOCK, CHUNK, decay, exponential_tables
 
 if TYPE_CHECKING:
@@ -55,14 +55,6 @@ class Amplifier:
     limit: float
     bandwidth: float | None = None
     delay: float = 0.0
-
-    def __post_init__(self) -> None:
-        """Reject unphysical values."""
-        require_positive("the gain of the amplifier", self.gain, "V/V", "measure it")
-        require_positive("the limit of the amplifier", self.limit, "V", "read it off its data sheet")
-        if self.bandwidth is not None:
-            require_positive("the bandwidth of the amplifier", self.bandwidth, "Hz", "give none if unknown")
-        require_not_negative("the delay of the amplifier", self.delay, "s", "measure it")
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,13 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.stimulus.burst import Timing
-from modaltouch.stimulus.quantities import (
-    ComplexArray,
-    FloatArray,
-    require_finite,
-    require_not_negative,
-    require_positive,
-)
+from modaltouch.stimulus.quantities import ComplexArray, FloatArray
 from modaltouch.stimulus.shapes import gauss_legendre
 
 _NODES = 12
@@ -83,21 +77,6 @@ class Finger:
     width: float = 0.01
     maxwell: tuple[tuple[float, float], ...] = ()
     second_mass: tuple[float, float, float] | None = None
-
-    def __post_init__(self) -> None:
-        """Reject unphysical values."""
-        require_finite("the position of a finger", self.position, "m", "give a point of the beam")
-        require_positive("the width of a contact", self.width, "m", "that of a fingertip is 10 mm")
-        for name, unit in (("mass", "kg"), ("damping", "N s/m"), ("stiffness", "N/m")):
-            remedy = "measure it, or take the typical one"
-            require_not_negative(f"the {name} of a finger", getattr(self, name), unit, remedy)
-        for stiffness, time in self.maxwell:
-            require_positive("the stiffness of a Maxwell term", stiffness, "N/m", "leave it out")
-            require_positive("the relaxation time of a Maxwell term", time, "s", "leave it out")
-        if self.second_mass is not None:
-            require_positive("the second mass of a finger", self.second_mass[0], "kg", "leave it out")
-            require_positive("the stiffness before a second mass", self.second_mass[1], "N/m", "leave it out")
-            require_not_negative("the damping of a second mass", self.second_mass[2], "N s/m", "give 0 for none")
 
     @property
     def loads_beam(self) -> bool:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from modaltouch.stimulus.quantities import EXTREME, FloatArray, require_positive
+from modaltouch.stimulus.quantities import FloatArray
 from modaltouch.stimulus.shapes import mode_shapes
 
 if TYPE_CHECKING:
@@ -59,57 +58,12 @@ class ModalModel:
     mass: float | None = None
 
     def __post_init__(self) -> None:
-        """Reject unphysical values."""
-        label = tuple(int(k) for k in self.label)
-        object.__setattr__(self, "label", label)
+        """Make the arrays read-only, and reject fingers off the beam or on one of unknown mass."""
         for name in ("natural_frequency", "damping_ratio", "modal_gain"):
             values = np.array(getattr(self, name), dtype=float)
             values.setflags(write=False)
             object.__setattr__(self, name, values)
-        require_positive("the length of the beam", self.length, "m", "measure the beam")
-        self._check_labels()
-        self._check_shapes()
-        self._check_fingers()
-        for k, frequency, ratio, gain in zip(
-            label, self.natural_frequency, self.damping_ratio, self.modal_gain, strict=True
-        ):
-            _check_mode(k, float(frequency), float(ratio), gain)
-
-    def _check_labels(self) -> None:
-        n_modes = len(self.label)
-        if n_modes == 0:
-            raise ValueError("no mode is modelled; a stimulus needs at least one: give its parameters")
-        if len(set(self.label)) < n_modes:
-            double = sorted({k for k in self.label if self.label.count(k) > 1})
-            raise ValueError(f"mode label {double[0]} is given twice; each label may appear once: remove one")
-        if min(self.label) < 1:
-            raise ValueError(f"mode label {min(self.label)} does not exist; labels count from 1")
-        for name, values in (
-            ("natural_frequency", self.natural_frequency),
-            ("damping_ratio", self.damping_ratio),
-            ("modal_gain", self.modal_gain[:, :1].ravel() if self.modal_gain.ndim == 2 else self.modal_gain[:0]),
-        ):
-            if values.shape != (n_modes,):
-                raise ValueError(
-                    f"{name} has shape {getattr(self, name).shape}, but {n_modes} modes are labelled: "
-                    f"give one value (for the gain one row of at least one channel) to each mode"
-                )
-
-    def _check_shapes(self) -> None:
-        if self.beam is not None and self.beam.length != self.length:
-            raise ValueError(
-                f"the Timoshenko beam is {self.beam.length:g} m long, the model {self.length:g} m: give one length"
-            )
-        if self.basis is not None and (self.basis.label, self.basis.length) != (self.label, self.length):
-            raise ValueError(
-                f"the measured basis has the modes {self.basis.label} on {self.basis.length:g} m, the model "
-                f"{self.label} on {self.length:g} m: give one shape to each mode, in the same order"
-            )
-
-    def _check_fingers(self) -> None:
-        if self.mass is not None:
-            require_positive("the moving mass of the beam", self.mass, "kg", "weigh the beam with its patches")
-        elif self.fingers:
+        if self.fingers and self.mass is None:
             raise ValueError("fingers lie on a beam of unknown mass; give its moving mass: weigh it with its patches")
         for finger in self.fingers:
             if abs(finger.position) > self.length / 2:
@@ -184,24 +138,3 @@ class ModalModel:
             some = slice(start, start + _POINTS)
             field[some] = modal_velocity @ self.shapes(place[some])
         return field
-
-
-def _check_mode(label: int, frequency: float, ratio: float, gain: FloatArray) -> None:
-    """Reject unphysical parameters of a mode, and gains too small or too large to compute with."""
-    require_positive(f"the natural frequency of mode {label}", frequency, "Hz", "identify the mode, or leave it out")
-    if not (math.isfinite(ratio) and 0 < ratio < 1):
-        raise ValueError(
-            f"the damping ratio of mode {label} is {ratio}; it must lie above 0 and below 1: "
-            f"give the ratio, not per cent, and identify the mode again if it does not decay"
-        )
-    if not np.isfinite(gain).all():
-        raise ValueError(
-            f"a modal gain of mode {label} is {gain[~np.isfinite(gain)][0]} m/s^2 per V; it must be a finite "
-            f"number: give 0 where a channel does not drive the mode"
-        )
-    lost = gain[(gain != 0) & ~((np.abs(gain) >= 1 / EXTREME) & (np.abs(gain) <= EXTREME))]
-    if lost.size:
-        raise ValueError(
-            f"a modal gain of mode {label} is {lost[0]:g} m/s^2 per V; its magnitude must lie between "
-            f"{1 / EXTREME:g} and {EXTREME:g}: give 0 where a channel does not drive the mode"
-        )

@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from modaltouch.stimulus.quantities import FloatArray, require_positive
+from modaltouch.stimulus.quantities import FloatArray
 from modaltouch.stimulus.shapes import mode_shapes, scaled_position
 
 WORST_CONDITION = 1e6
@@ -54,21 +54,6 @@ class TimoshenkoBeam:
     density: float = 2700.0
     poissons_ratio: float = 0.33
     shear_factor: float = 5 / 6
-
-    def __post_init__(self) -> None:
-        """Reject unphysical values."""
-        for name, unit in (
-            ("length", "m"),
-            ("thickness", "m"),
-            ("youngs_modulus", "Pa"),
-            ("density", "kg/m^3"),
-            ("shear_factor", ""),
-        ):
-            require_positive(f"the {name.replace('_', ' ')} of the beam", getattr(self, name), unit, "measure it")
-        if not -1 < self.poissons_ratio <= 0.5:
-            raise ValueError(
-                f"Poisson's ratio is {self.poissons_ratio}; it lies above -1 and up to 0.5: metals have 0.3"
-            )
 
     @cached_property
     def rotary(self) -> float:
@@ -150,8 +135,6 @@ class TimoshenkoBeam:
         """Return the frequency parameter of a bending mode, from the sign changes of the determinant."""
         from scipy.optimize import brentq
 
-        if bending < 1:
-            raise ValueError(f"bending mode {bending} does not exist; they count from 1")
         symmetric, wanted = bool(bending % 2), (bending + 1) // 2
         # The phase b beta of the n-th mode of one symmetry is about 2 pi n, less where both branches are trigonometric.
         phase = np.arange(1.0, (2 * wanted + 3) * math.pi, _STEP)
@@ -195,13 +178,6 @@ class MeasuredShapes:
         """Reject shapes that are linearly dependent; scale the others."""
         position = np.array(self.position, dtype=float)
         shape = np.array(self.shape, dtype=float)
-        if shape.shape != (len(self.label), position.size) or position.ndim != 1:
-            raise ValueError(
-                f"the array of shapes has the shape {shape.shape}, but {len(self.label)} modes are labelled on "
-                f"{position.size} points: give one row to each mode and one column to each point"
-            )
-        if not (np.isfinite(shape).all() and np.isfinite(position).all()):
-            raise ValueError("a measured shape or position is not a finite number: leave out that point or mode")
         if (np.diff(position) <= 0).any() or np.abs(position).max(initial=0.0) > self.length / 2 * (1 + 1e-9):
             raise ValueError(
                 f"the scan grid runs from {position[0] * 1e3:g} to {position[-1] * 1e3:g} mm; it must "
@@ -251,11 +227,6 @@ class MeasuredShapes:
     def project(self, field: ArrayLike) -> FloatArray:
         """Return the coefficients of a field on the scan grid by least squares, (n_modes,) array."""
         values = np.asarray(field, dtype=float)
-        if values.shape != self.position.shape:
-            raise ValueError(
-                f"the field has the shape {values.shape}, but the scan grid has {self.position.size} points: sample it "
-                "there"
-            )
         return np.asarray(np.linalg.lstsq(self.shape.T, values, rcond=None)[0])
 
     def at(self, position: ArrayLike) -> FloatArray:
@@ -276,13 +247,6 @@ def patch_gains(label: ArrayLike, patches: Sequence[tuple[float, float]], length
     moment pair does not drive the rigid modes; in practice the tape under the beam does, which is not modelled. The
     ends of each patch are from mid-beam [m]; raises ValueError if one extends beyond the beam or has no length.
     """
-    if not patches:
-        raise ValueError("no patch is given; give at least one as (left end, right end)")
-    for left, right in patches:
-        if not left < right:
-            raise ValueError(
-                f"a patch runs from {left * 1e3:g} to {right * 1e3:g} mm; its left end must lie left of its right end"
-            )
     ends = np.asarray(patches, dtype=float)
     slopes = mode_shapes(label, ends.ravel(), length, derivative=1).reshape(-1, *ends.shape)
     return np.asarray((slopes[:, :, 1] - slopes[:, :, 0]).sum(axis=1))

@@ -26,18 +26,11 @@ def characteristic_root(bending: int) -> float:
     bending : int
         Number n of the bending mode, from 1.
 
-    Raises
-    ------
-    ValueError
-        If `bending` is below 1.
-
     Examples
     --------
     >>> round(characteristic_root(1), 9)
     4.730040745
     """
-    if bending < 1:
-        raise ValueError(f"bending mode {bending} does not exist; they count from 1: labels 1 and 2 are rigid")
     middle = (2 * bending + 1) * math.pi / 2
     sign = 1.0 if bending % 2 else -1.0
     deviation = 0.0
@@ -68,7 +61,7 @@ def mode_shapes(label: ArrayLike, position: ArrayLike, length: float, derivative
     length : float
         Length of the beam [m].
     derivative : int
-        0 for the shapes, 1 for their slopes, 2 for their curvatures, and so on.
+        0 or above: 0 for the shapes, 1 for their slopes, 2 for their curvatures, and so on.
 
     Returns
     -------
@@ -78,18 +71,14 @@ def mode_shapes(label: ArrayLike, position: ArrayLike, length: float, derivative
     Raises
     ------
     ValueError
-        If a label is below 1, a position lies off the beam, or the derivative is negative.
+        If a position lies off the beam.
 
     References
     ----------
     Goncalves, Brennan, Peplow, Tang (2018); Khasawneh and Segalman (2019), arXiv 1811.03222.
     """
-    if derivative < 0:
-        raise ValueError(f"the derivative {derivative} of a mode shape is asked for; give 0 or above")
     labels = np.atleast_1d(np.asarray(label))
     y = scaled_position(position, length)
-    if labels.min(initial=1) < 1:
-        raise ValueError(f"mode label {int(labels.min())} does not exist; labels count from 1 (the rigid translation)")
     shapes = np.empty((labels.size, y.size))
     for kind in range(4):
         # Rigid translation, rigid rotation, symmetric and antisymmetric bending modes.

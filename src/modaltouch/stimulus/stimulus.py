@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike
 
 from modaltouch.stimulus.burst import Burst, Correction, Timing
 from modaltouch.stimulus.drive import (
-    MEANT,
     Design,
     Drive,
     Law,
@@ -20,14 +19,12 @@ from modaltouch.stimulus.drive import (
     Rounding,
     Steering,
     check_drivable,
-    check_levels,
-    check_options,
     exact_drive,
 )
 from modaltouch.stimulus.dynamics import Amplifier, DiagonalSystem
 from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.quantised import QuantisedStimulus, settle
-from modaltouch.stimulus.quantities import FloatArray, require_positive
+from modaltouch.stimulus.quantities import FloatArray
 from modaltouch.stimulus.target_field import Projection, TargetField
 from modaltouch.stimulus.vibration import history
 
@@ -221,7 +218,6 @@ class Stimulus:
 
     def volts_per_code(self, velocity: float) -> FloatArray:
         """Return the voltage of one code at the beam at a level [m/s], amplitudes rounded, (n_channels,) array [V]."""
-        require_positive("the velocity level", velocity, "m/s", MEANT)
         # Without calibrated amplitude factors, which only correct the output of the real generator at this level.
         burst = self.burst
         amplitude = burst.converter.amplitudes_at(burst.amplitude, velocity, burst.velocity, burst.shares)
@@ -342,9 +338,6 @@ def design_stimulus(
         If a mode, the field, the timing or a level is out of bounds; the message states the bound and a remedy.
     """
     played = (target_field.velocity,) if levels is None else tuple(levels)
-    check_options(law, release, rounding, design, priority)
-    check_levels(played, target_field.velocity)
-    require_positive("the load factor", load_factor, "", "1 into high impedance, 0.5 into 50 ohm")
     if amplifier.delay >= timing.focusing_instant:
         raise ValueError(
             f"the delay of the amplifier is {amplifier.delay:g} s, past the focusing instant of "

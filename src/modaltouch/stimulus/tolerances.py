@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from modaltouch.stimulus.dynamics import DiagonalSystem
 from modaltouch.stimulus.modes import ModalModel
-from modaltouch.stimulus.quantities import FloatArray, require_not_negative, require_positive
+from modaltouch.stimulus.quantities import FloatArray
 from modaltouch.stimulus.stimulus import Stimulus
 from modaltouch.stimulus.vibration import history
 
@@ -147,16 +147,7 @@ def scatter(
         Number of beams drawn, at least 2.
     seed : int
         Seed of the random numbers.
-
-    Raises
-    ------
-    ValueError
-        If a deviation is negative, or fewer than two beams are drawn.
     """
-    if n_draws < 2:
-        raise ValueError(f"{n_draws} beams are drawn; a scatter needs at least 2: draw 200")
-    for name, value in (("frequency", natural_frequency), ("damping", damping_ratio), ("gain", modal_gain)):
-        require_not_negative(f"the relative deviation of the {name}", value, "", "give the spread of the beams")
     rng = np.random.default_rng(seed)
     model = stimulus.model
     shapes = model.shapes(positions)
@@ -223,13 +214,7 @@ def cheapest_samples(finest: Stimulus, tolerance: float, positions: ArrayLike) -
     -------
     SampleCount
         At least 2.5 samples per cycle of the highest mode; the finest design if no other is sufficient.
-
-    Raises
-    ------
-    ValueError
-        If the tolerance is not above zero.
     """
-    require_positive("the tolerance on the field", tolerance, "", "1e-3 of the level is a good start")
     shapes, most = finest.model.shapes(positions), finest.timing.n_samples
     reference, focus = _history(finest), finest.timing.focusing_instant
     begin, end = max(0.0, focus - _AROUND), min(finest.timing.duration, focus + _AROUND)
