@@ -23,19 +23,16 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.stimulus.burst import Timing
-from modaltouch.stimulus.dynamics import Amplifier, DiagonalSystem
+from modaltouch.stimulus.dynamics import DiagonalSystem
 from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.quantities import ComplexArray, FloatArray
 from modaltouch.stimulus.reachability import GramianSolver, ReachabilityGramian, Taper
-
-if TYPE_CHECKING:
-    from modaltouch.stimulus.fingers import CoupledModes
 
 Law = Literal["exact", "paper"]
 Release = Literal["braked", "free"]
@@ -109,8 +106,6 @@ class Steering:
     velocity: FloatArray  # (n_modes,): target modal velocities at the focusing instant [m/s]
     # (n_modes,): target modal displacements times angular frequency [m/s]; 0 unless corrected by a calibration
     displacement: FloatArray
-    # the amplifier of `system`, needed for fingers with ill-conditioned eigenvectors
-    amplifier: Amplifier | None = None
 
     @cached_property
     def driven(self) -> NDArray[np.intp]:
@@ -175,21 +170,10 @@ class Steering:
     def short(self, voltage: FloatArray) -> tuple[FloatArray, ComplexArray]:
         """Return the shortfall (goal minus value reached) of voltages from the burst's start, and the state reached."""
         state = self.system.state_at(voltage, self.timing, self.timing.focusing_instant)
-        if self._real is None:
+        if self.system.real is None:
             return self.goal - (self.read @ state).real, state
-        reached = self._real.reached(voltage, self.timing, self.timing.focusing_instant)
+        reached = self.system.real.reached(voltage, self.timing, self.timing.focusing_instant)
         return self.goal - reached.reshape(2, -1)[:, self.driven].ravel(), state
-
-    @cached_property
-    def _real(self) -> CoupledModes | None:
-        """The true equations if the fingers of `system` are a few parts in 1e9 off their values; else None."""
-        if self.system.exact:
-            return None
-        from modaltouch.stimulus.fingers import CoupledModes
-
-        model, amplifier = self.model, self.amplifier
-        modes = CoupledModes.of(model.angular_frequency, model.damping_ratio, model.modal_gain, model.loads)
-        return modes if amplifier is None else modes.behind(amplifier.bandwidth, amplifier.delay)
 
     def end(self, voltage: FloatArray, state: ComplexArray) -> None:
         """Write the voltages after the focusing instant, given the state at that instant."""
@@ -247,7 +231,7 @@ def exact_drive(steering: Steering) -> Drive:
     weight = np.zeros_like(goal)
     best, kept, kept_state = np.inf, weight, np.zeros(reach.exponent.size, dtype=complex)
     short = goal
-    enough = _ROUNDING if not steering.system.coupled else _POLISHED if steering.system.exact else _NEARLY
+    enough = _ROUNDING if not steering.system.coupled else _POLISHED if steering.system.real is None else _NEARLY
     for _ in range(_REFINEMENTS):
         weight = weight + solver.solve(short)
         reach.write(weight, before)

@@ -29,7 +29,7 @@ from modaltouch.stimulus.quantities import ComplexArray, FloatArray
 from modaltouch.stimulus.synthesis import BLOCK, CHUNK, decay, exponential_tables
 
 if TYPE_CHECKING:
-    from modaltouch.stimulus.fingers import Load
+    from modaltouch.stimulus.fingers import CoupledModes, Load
 
 _SERIES_REST = 1e-12
 """Remainder of the series in d relative to its first term [1]; four terms reach it at 90 kHz and 250 MHz."""
@@ -75,8 +75,8 @@ class DiagonalSystem:
         Delay from the generator's output to the beam [s].
     n_poles : int
         Number of states of the amplifier, which come last.
-    exact : bool
-        False if fingers were perturbed slightly because the eigenvectors are ill-conditioned.
+    real : CoupledModes, optional
+        The coupled equations, if fingers were perturbed slightly because their eigenvectors are ill-conditioned.
     """
 
     exponent: ComplexArray
@@ -85,7 +85,7 @@ class DiagonalSystem:
     displacement: ComplexArray
     delay: float
     n_poles: int = 0
-    exact: bool = True
+    real: CoupledModes | None = None
 
     @classmethod
     def of(cls, model: ModalModel, amplifier: Amplifier | None = None) -> DiagonalSystem:
@@ -128,8 +128,10 @@ class DiagonalSystem:
             return cls.behind(amplifier, s, gain.astype(complex), read_velocity, read_displacement)
         from modaltouch.stimulus.fingers import uncouple
 
-        uncoupled, exact = uncouple(omega, damping_ratio, gain, loads)
-        return replace(cls.behind(amplifier, *uncoupled), exact=exact)
+        uncoupled, real = uncouple(omega, damping_ratio, gain, loads)
+        if real is not None and amplifier is not None:
+            real = real.behind(amplifier.bandwidth, amplifier.delay)
+        return replace(cls.behind(amplifier, *uncoupled), real=real)
 
     @classmethod
     def behind(

@@ -306,21 +306,22 @@ def eigenvectors(matrix: FloatArray) -> tuple[ComplexArray, ComplexArray]:
 
 def uncouple(
     omega: FloatArray, damping_ratio: FloatArray, gain: FloatArray, loads: Sequence[Load]
-) -> tuple[Uncoupled, bool]:
-    """Return the uncoupled equations of modes with fingers on the beam, and whether they are exact.
+) -> tuple[Uncoupled, CoupledModes | None]:
+    """Return the uncoupled equations of modes with fingers on the beam; arguments as in `CoupledModes.of`.
 
-    Arguments as in `CoupledModes.of`. If the eigenvectors are ill-conditioned, the equations are those of fingers
-    perturbed by a few parts in 1e9.
+    If the eigenvectors are ill-conditioned, they are those of fingers perturbed by a few parts in 1e9, and the coupled
+    equations are returned as well.
     """
-    tried: list[tuple[float, Uncoupled, bool]] = []
+    tried: list[tuple[float, Uncoupled, CoupledModes]] = []
     for off in _OFF:
         moved = [(contact, finger.scaled(1 + off * (2 + place))) for place, (contact, finger) in enumerate(loads)]
-        uncoupled, condition = CoupledModes.of(omega, damping_ratio, gain, moved).uncoupled()
-        tried.append((condition, uncoupled, off == 0))
+        modes = CoupledModes.of(omega, damping_ratio, gain, moved)
+        uncoupled, condition = modes.uncoupled()
+        tried.append((condition, uncoupled, modes))
         if condition <= _WORST_CONDITION:
             break
-    _, best, exact = min(tried, key=lambda each: each[0])
-    return best, exact
+    _, best, modes = min(tried, key=lambda each: each[0])
+    return best, None if modes is tried[0][2] else tried[0][2]
 
 
 def coupled_with(driven: NDArray[np.bool_], loads: Sequence[Load]) -> NDArray[np.bool_]:

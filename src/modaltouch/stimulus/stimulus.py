@@ -119,9 +119,7 @@ class Stimulus:
 
     @cached_property
     def _steering(self) -> Steering:
-        return Steering(
-            self.model, self.system, self.timing, self.release, *self.corrected_target, amplifier=self.amplifier
-        )
+        return Steering(self.model, self.system, self.timing, self.release, *self.corrected_target)
 
     @cached_property
     def drive(self) -> Drive:
