@@ -38,10 +38,6 @@ class TimoshenkoBeam:
     ----------
     length, thickness : float
         Length, and thickness in the direction of bending [m].
-    youngs_modulus : float
-        Young's modulus [Pa].
-    density : float
-        Density [kg/m^3].
     poissons_ratio : float
         Poisson's ratio [1].
     shear_factor : float
@@ -50,8 +46,6 @@ class TimoshenkoBeam:
 
     length: float
     thickness: float
-    youngs_modulus: float = 70e9
-    density: float = 2700.0
     poissons_ratio: float = 0.33
     shear_factor: float = 5 / 6
 
@@ -65,17 +59,10 @@ class TimoshenkoBeam:
         """Ratio of bending to shear stiffness, s^2 [1]."""
         return self.rotary * 2 * (1 + self.poissons_ratio) / self.shear_factor
 
-    def natural_frequency(self, bending: int) -> float:
-        """Return the natural frequency of bending mode `bending`, from 1 [Hz].
-
-        Odd modes are symmetric; above the cut-off frequency the two kinds need not alternate.
-        """
-        wave_speed = math.sqrt(self.youngs_modulus / self.density)
-        return self._root(bending) * math.sqrt(self.rotary) * wave_speed / (2 * math.pi * self.length)
-
     def shapes(self, bending: ArrayLike, position: ArrayLike) -> FloatArray:
         """Return the deflections of bending modes at positions on the beam [m], (n_modes, n_points) array [1].
 
+        Odd modes are symmetric; above the cut-off frequency the two kinds need not alternate in frequency.
         They have unit mean square, are positive at the right end, and are orthogonal only together with the rotations
         of the cross-section.
         """
