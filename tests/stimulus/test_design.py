@@ -98,30 +98,8 @@ def test_pole_and_delay_of_the_amplifier_are_compensated(design):
 
 
 @pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"n_samples": 131_073}, r"131073 samples does not fit the generator, which holds 2 to 131072"),
-        ({"n_samples": 1}, r"1 samples does not fit"),
-        ({"focusing_instant": 1e-9}, r"shorter than one sample"),
-        ({"focusing_instant": 0.051}, r"lies beyond the burst of 50 ms"),
-        ({"duration": 0.2}, r"burst of 200 ms does not fit the period of 142\.857 ms"),
-        (
-            {"converter": replace(AFG3022B.converter, clock_rate=1e6)},
-            r"125000 samples in 0\.05 s exceed the clock rate of 1e\+06 Hz: take at most 50000",
-        ),
-    ],
-)
-def test_impossible_timings_are_refused(change, message):
-    """Value, bound and remedy."""
-    with pytest.raises(ValueError, match=message):
-        Timing(**{"converter": AFG3022B.converter, **change})
-
-
-@pytest.mark.parametrize(
     ("target_field", "message"),
     [
-        (TargetField(selection=(1, 4)), r"mode 4 is selected but not modelled; modelled are 1, 3, 5"),
-        (TargetField(selection=10), r"10 modes are to be selected, but 9 are modelled"),
         (TargetField(centre=0.06), r"centred at 60 mm, off the beam, which spans -50 to 50 mm"),
         (TargetField(n_decomposed=10), r"mode 11 is modelled, but the field is decomposed on 10 modes only"),
         (

@@ -172,35 +172,6 @@ class Timing:
     repetition_rate: float = 7.0
     at_samples: bool = False
 
-    def __post_init__(self) -> None:
-        """Reject a burst that the generator cannot play."""
-        if not 2 <= self.n_samples <= self.converter.max_points:
-            raise ValueError(
-                f"a burst of {self.n_samples} samples does not fit the generator, which holds 2 to "
-                f"{self.converter.max_points}: take 125000 over 50 ms, which it holds exactly 100 clocks each"
-            )
-        if self.duration * self.repetition_rate > 1 + 1e-12:
-            raise ValueError(
-                f"a burst of {self.duration * 1e3:g} ms does not fit the period of "
-                f"{1e3 / self.repetition_rate:g} ms: shorten the burst or lower the repetition rate of "
-                f"{self.repetition_rate:g} Hz"
-            )
-        if self.focusing_instant < self.hold * (1 - _ON_GRID):
-            raise ValueError(
-                f"the focusing instant of {self.focusing_instant:g} s is shorter than one sample of "
-                f"{self.hold:g} s: set it later, or take more samples"
-            )
-        if self.focusing_instant > self.duration * (1 + 1e-12):
-            raise ValueError(
-                f"the focusing instant of {self.focusing_instant * 1e3:g} ms lies beyond the burst of "
-                f"{self.duration * 1e3:g} ms: set it earlier, or lengthen the burst"
-            )
-        if self.hold * self.clock_rate < 1 - 1e-12:
-            raise ValueError(
-                f"{self.n_samples} samples in {self.duration:g} s exceed the clock rate of {self.clock_rate:g} Hz: "
-                f"take at most {int(self.duration * self.clock_rate)}"
-            )
-
     @property
     def clock_rate(self) -> float:
         """Clock of the generator [Hz]."""

@@ -155,19 +155,6 @@ class Projection:
                 f"the field is centred at {off[0] * 1e3:g} mm, off the beam, which spans "
                 f"-{half * 1e3:g} to {half * 1e3:g} mm: centre it on a zone"
             )
-        selection = self.target_field.selection
-        if isinstance(selection, tuple):
-            for k in selection:
-                if k not in self.model.label:
-                    raise ValueError(
-                        f"mode {k} is selected but not modelled; modelled are "
-                        f"{', '.join(map(str, self.model.label))}: identify it, or leave it out"
-                    )
-        elif selection > self.model.n_modes:
-            raise ValueError(
-                f"{selection} modes are to be selected, but {self.model.n_modes} are modelled: "
-                f"select at most {self.model.n_modes}"
-            )
         beyond = [k for k in self.model.label if k > self.target_field.n_decomposed]
         if beyond:
             raise ValueError(
