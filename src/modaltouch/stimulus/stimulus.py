@@ -333,7 +333,7 @@ def design_stimulus(
     Raises
     ------
     ValueError
-        If a mode, the field, the timing or a level is out of bounds; the message states the bound and a remedy.
+        If modes and clock cannot produce the field; the message states the bound and a remedy.
     """
     played = (target_field.velocity,) if levels is None else tuple(levels)
     if amplifier.delay >= timing.focusing_instant:
