@@ -53,12 +53,10 @@ def test_every_documented_file_is_written(analysis) -> None:
     assert all(path.stat().st_size > 0 for path in analysis.files.values())
 
 
-def test_optional_figures_are_drawn_on_request(paper_csv, tmp_path) -> None:
-    """A figure without data in the table is left out."""
-    files = analyse(paper_csv, tmp_path / "out", figures=["fields", "order"]).files
+def test_a_table_has_no_velocity_fields_to_draw(paper_csv, tmp_path) -> None:
+    """The figure needs the record of a session."""
+    files = analyse(paper_csv, tmp_path / "out", fields=True).files
     assert {name for name in files if name.endswith("png")} == {"fig_10.png", "fig_11.png"}
-    with pytest.raises(InputError, match="given 'sides'; allowed: fields, order"):
-        analyse(paper_csv, tmp_path / "out", figures=["sides"])
 
 
 @pytest.mark.parametrize("zones", [["A", "", ""], ["A", "B", "C"]])
@@ -77,7 +75,7 @@ def test_without_two_fingers_no_answer_counts_as_a_zone(zones, tmp_path) -> None
     ]
     with (tmp_path / "answers.csv").open("w", newline="") as file:
         csv.writer(file).writerows([header, *rows])
-    analysis = analyse(tmp_path / "answers.csv", figures=["all"])
+    analysis = analyse(tmp_path / "answers.csv")
     assert not analysis.answers.compares
     with analysis.files["answers.csv"].open(newline="") as file:
         assert [row["response"] for row in csv.DictReader(file)] == ["left", "left"]
@@ -197,7 +195,7 @@ def test_the_analysis_loads_neither_instrument_nor_screen() -> None:
     """A new interpreter loads it without PyVISA, PsychoPy, pyglet, pyplot and statsmodels."""
     code = (
         "import sys, modaltouch.analysis.pipeline, modaltouch.analysis.figures, modaltouch.analysis.report\n"
-        "import modaltouch.analysis.statistics, modaltouch.analysis.optional_figures\n"
+        "import modaltouch.analysis.statistics\n"
         "print([m for m in ('pyvisa', 'psychopy', 'pyglet', 'matplotlib.pyplot', 'statsmodels') if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -11,7 +11,6 @@ from matplotlib.transforms import Bbox
 from modaltouch.analysis.counts import count_answers
 from modaltouch.analysis.crossed import zone_table
 from modaltouch.analysis.figures import draw_counts
-from modaltouch.analysis.optional_figures import draw_order, draw_speeds, draw_times
 from modaltouch.analysis.report import NOTHING, OTHER_COLOURS, TIED, ZONE_COLOURS, participant_strips
 from modaltouch.protocol import AnswerList
 from modaltouch.report.page import FAINT, INK, PAIR_COLOURS, render
@@ -111,28 +110,6 @@ def test_strips_show_every_answer_as_a_letter(paper_frame) -> None:
     assert [kind.name for kind in strips["legend"]] == ["dominant zone", "both", "other zone"]
 
 
-@pytest.mark.parametrize("levels", [[2.0], [1.0, 1.5, 2.0, 3.0]])
-@pytest.mark.parametrize("conditions", [["one_hand"], ["one_hand", "two_hands"]])
-def test_no_legend_is_cut_off_or_hides_an_answer(build, levels, conditions) -> None:
-    """In a narrow figure of few levels, a legend symbol among the data could be mistaken for data."""
-    rows = [
-        {"participant": f"p{i}", "finger_condition": fingers, "zone_left": left, "zone_right": right, "trial": i + j,
-         "velocity_mm_s": level, "response": response}
-        for i in range(3) for fingers in conditions for left, right in ("AC", "CE") for level in levels
-        for j, response in enumerate(("left", "none"))
-    ]  # fmt: skip
-    frame = build["tidy"](rows)
-    answers = count_answers(frame)
-    figure = draw_order(answers, frame)
-    render(figure, "png")
-    legends = [*figure.legends, *(axes.get_legend() for axes in figure.axes if axes.get_legend())]
-    assert len(legends) == 1
-    seen = legends[0].get_window_extent()
-    assert seen.x0 >= 0 and seen.x1 <= figure.bbox.x1
-    assert seen.y0 >= 0 and seen.y1 <= figure.bbox.y1
-    assert not any(seen.overlaps(axes.get_window_extent()) for axes in figure.axes)
-
-
 LONG = ("clearly_stronger_on_the_left", *(f"stronger_under_finger_{n}_of_6" for n in range(2, 7)), "I" * 30)
 
 
@@ -191,30 +168,6 @@ def test_a_figure_has_reproducible_bytes(paper_frame, kind) -> None:
     """It has no date and no random identifier."""
     table = zone_table(count_answers(paper_frame), "one_hand")
     assert render(draw_counts(table, "one_hand"), kind) == render(draw_counts(table, "one_hand"), kind)
-
-
-def test_optional_figures_need_their_columns(paper_frame) -> None:
-    """Without order, times and speeds there is nothing to draw."""
-    answers = count_answers(paper_frame)
-    assert draw_order(answers, paper_frame) is None
-    assert draw_times(answers, paper_frame) is None
-    assert draw_speeds(answers, paper_frame) is None
-
-
-def test_optional_figures_label_their_axes(paper_frame) -> None:
-    """With synthetic order, times and speeds, every axis has its quantity and unit."""
-    frame = paper_frame.assign(
-        trial=paper_frame.groupby("participant").cumcount() + 1.0,
-        response_time=1.0 + np.arange(len(paper_frame)) % 7 / 10,
-        speed_left_mm_s=paper_frame["zone_left"].map({"A": 50.0, "B": 60.0, "C": 100.0}),
-        speed_right_mm_s=paper_frame["zone_right"].map({"C": 100.0, "D": 60.0, "E": 50.0}),
-    )
-    answers = count_answers(frame)
-    figures = [draw_order(answers, frame), draw_times(answers, frame), draw_speeds(answers, frame)]
-    labels = " ".join(axes.get_ylabel() + axes.get_xlabel() for figure in figures if figure for axes in figure.axes)
-    for words in ("in the order of trials", "reaction time [s]", "right / left finger"):
-        assert words in labels
-    assert all(render(figure, "svg").startswith(b"<?xml") for figure in figures if figure)
 
 
 def test_error_bars_depend_on_the_answers_of_their_cell(table) -> None:

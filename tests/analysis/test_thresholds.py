@@ -384,9 +384,9 @@ def test_adaptive_sessions_are_refused_where_fixed_levels_are_needed(preflight: 
     assert read_responses(results).is_adaptive
     with pytest.raises(InputError, match="leave it out: each run has one stimulus"):
         read_responses(results, stimulus="sharp")
-    for option, value in {"figures": ("order",), "model": True}.items():
+    for option in ("fields", "model"):
         with pytest.raises(InputError, match=f"--{option}: given adaptive sessions; .*; leave --{option} out"):
-            analyse(results, **{option: value})  # type: ignore[arg-type]
+            analyse(results, **{option: True})  # type: ignore[arg-type]
 
 
 def test_runs_without_a_threshold_are_in_the_legend() -> None:

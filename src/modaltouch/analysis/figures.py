@@ -1,4 +1,4 @@
-"""Bar charts of the answers, as in Fig. 10 and Fig. 11 of the paper."""
+"""Bar charts of the answers, as in Fig. 10 and Fig. 11 of the paper, and the velocity fields of the stimulus."""
 
 from __future__ import annotations
 
@@ -19,15 +19,7 @@ from modaltouch.analysis.columns import scale_of
 from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.crossed import figure_names, zone_table
 from modaltouch.analysis.intervals import clopper_pearson
-from modaltouch.report import FAINT, INK, PAIR_COLOURS, ReportFigure, house_style, quiet_grid
-
-ANSWER_COLOURS = {"dominant": "#0b3c8c", "other": "#d1603d"}
-
-
-def pair_colours(labels: Sequence[str]) -> dict[str, str]:
-    """Assign a colour to each zone pair, in order."""
-    return {label: PAIR_COLOURS[i % len(PAIR_COLOURS)] for i, label in enumerate(labels)}
-
+from modaltouch.report import CONDITION_COLOURS, FAINT, INK, PAIR_COLOURS, ReportFigure, house_style, quiet_grid
 
 FINGERS = {"one_hand": "index and middle finger of one hand", "two_hands": "index fingers of both hands"}
 PAIRS_PER_ROW = 3
@@ -84,7 +76,7 @@ def draw_counts(
         colour alone.
     """
     pairs = list(dict.fromkeys(table.index.get_level_values("pair")))
-    colours = pair_colours(pairs)
+    colours = {pair: PAIR_COLOURS[i % len(PAIR_COLOURS)] for i, pair in enumerate(pairs)}
     names = _lay_out_names(table)
     rows = [pairs[i : i + names.n_pairs] for i in range(0, len(pairs), names.n_pairs)]
     totals = {pair: table.loc[pair].sum() for pair in pairs}
@@ -198,3 +190,96 @@ def _draw_bars(
     # A white outline keeps the interval visible on a dark bar.
     for colour, width in (("white", 2.6), (INK, 1.1)):
         axes.vlines(places, totals * interval.low, totals * interval.high, colors=colour, linewidth=width)
+
+
+FIELDS = (
+    "Left: the target velocity field along the beam, and the field predicted at the focusing instant from the codes "
+    "that were played, on the identified modes. Right: predicted peak speed over time at the centre of each zone."
+)
+"""Caption of the figure of the velocity fields."""
+
+
+def draw_fields(start: dict[str, Any], stimulus: str = "") -> Figure | None:
+    """Plot the target and the predicted field at the highest level, and the peak speeds at the zones.
+
+    Parameters
+    ----------
+    start : dict
+        Start record of a session.
+    stimulus : str
+        Name of the stimulus; empty if there is only one.
+
+    Returns
+    -------
+    Figure or None
+        None if the record contains no field, as those of version 0.2.0.
+    """
+    fields = _of(stimulus, start.get("stimulus", {}).get("fields", []))
+    if not fields:
+        return None
+    stimuli = _of(stimulus, start.get("stimulus", {}).get("stimuli", []))
+    with house_style(7.6, 2.9, 1, 2, width_ratios=(3, 2)) as (figure, [[left, right]]):
+        _draw_field(left, fields)
+        _draw_zones(right, stimuli)
+        whose = f" (levels of participant {start['participant']})" if start.get("sensation_levels") else ""
+        touched = ", under the fingers that it is designed for" if "placement" in fields[0] else ""
+        figure.suptitle(f"Stimulus: focus {fields[0]['focus']}, law {fields[0]['law']}{touched}{whose}", fontsize=9)
+    return figure
+
+
+def _of(stimulus: str, recorded: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    return [each for each in recorded if each.get("stimulus", "") == stimulus]
+
+
+def _draw_field(axes: Axes, fields: list[dict[str, Any]]) -> None:
+    field = fields[0]
+    half, target = field["length_mm"] / 2, field["target_mm_s"]
+    place = np.linspace(-half, half, len(target))
+    reached = [each["predicted_mm_s"] for each in fields]
+    for name, (first, last) in field["zones_mm"].items():
+        axes.axvspan(first, last, color="#eef2f7", linewidth=0.8, ec="white", zorder=0)
+        centre = (first + last) / 2
+        axes.text(centre, 0.97, name, ha="center", va="top", color=FAINT, transform=axes.get_xaxis_transform())
+    axes.plot(place, target, color=INK, linestyle="--", linewidth=1, label="target")
+    for i, (each, predicted) in enumerate(zip(fields, reached, strict=True)):
+        axes.plot(
+            place,
+            predicted,
+            color=CONDITION_COLOURS[i % len(CONDITION_COLOURS)],
+            linestyle=("-", "--", ":")[i % 3],
+            linewidth=1.6,
+            label=f"predicted, {each['placement']}" if "placement" in each else "predicted",
+        )
+    axes.set(
+        ylim=(min(0, 1.1 * np.min(reached)), 1.16 * max(np.max(target), np.max(reached))),
+        xlim=(-half, half),
+        xlabel="place along the beam [mm]",
+        ylabel=f"velocity at the focusing\ninstant [mm/s], level {field['velocity_mm_s']:g}",
+    )
+    axes.legend(frameon=False, loc="center left", fontsize=7)
+
+
+def _draw_zones(axes: Axes, stimuli: list[dict[str, Any]]) -> None:
+    highest = max((each["velocity_mm_s"] for each in stimuli), default=0.0)
+    placed = [each for each in stimuli if "placement" in each and each["velocity_mm_s"] == highest]
+    for i, stimulus in enumerate(placed or stimuli):
+        zones = stimulus["zone_peak_mm_s"]
+        axes.plot(
+            list(zones),
+            list(zones.values()),
+            color=CONDITION_COLOURS[i % len(CONDITION_COLOURS)],
+            linewidth=0.8,
+            marker="os^Dvp"[i % 6],
+            markersize=4,
+            label=stimulus["placement"] if placed else format(float(stimulus["velocity_mm_s"]), "g"),
+        )
+    axes.set(ylim=(0, None), xlabel="zone", ylabel="peak speed [mm/s]")
+    axes.legend(
+        title="fingers at" if placed else "level [mm/s]",
+        frameon=False,
+        fontsize=7,
+        title_fontsize=7,
+        loc="upper left",
+        bbox_to_anchor=(1, 1),
+    )
+    quiet_grid(axes)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from modaltouch.analysis.columns import Speed
 from modaltouch.analysis.provenance import form_files
 from modaltouch.protocol import InputError
-from modaltouch.report import write_files
+from modaltouch.report import ReportFigure, write_files
 from modaltouch.system import version
 
 if TYPE_CHECKING:
@@ -97,7 +97,7 @@ def analyse(
     mode: str | None = None,
     stimulus: str | None = None,
     table_format: TableFormat | None = None,
-    figures: Collection[str] = (),
+    fields: bool = False,
     prereg: Path | str | None = None,
     model: bool = False,
     speed: Speed = "nominal",
@@ -118,8 +118,8 @@ def analyse(
         Stimulus to analyse, if sessions at fixed levels have several; by default all.
     table_format : TableFormat, optional
         The answers offered, their spelling and the equivalence margin, for a CSV; recorded sessions contain them.
-    figures : collection of str
-        Figures besides Fig. 10 and Fig. 11: ``fields``, ``order``, ``reaction_times``, ``speed_ratio``, or ``all``.
+    fields : bool
+        Whether to draw the velocity fields of the stimulus, too.
     prereg : Path or str, optional
         The preregistration written by ``modaltouch prereg``; by default the one beside the protocol, if any.
     model : bool
@@ -139,7 +139,7 @@ def analyse(
     RecordError
         If a file cannot be written, or would overwrite a file not written by this command.
     """
-    asked: dict[str, Any] = {"--figures": _figures(figures), "--prereg": prereg, "--model": model}
+    asked: dict[str, Any] = {"--fields": fields, "--prereg": prereg, "--model": model}
     if labs and out is None:
         raise InputError.of(path, "the folders of several labs", "with --out", "say with --out where the results go")
     responses = read_responses(path, *labs, mode=mode, stimulus=stimulus, table_format=table_format)
@@ -176,7 +176,7 @@ def _results(
         from modaltouch.analysis.parts import render_parts
 
         return found, render_parts(found)
-    return found, render_files(found, asked["--figures"])
+    return found, render_files(found, fields=asked["--fields"])
 
 
 def analyse_responses(responses: Responses, *, model: bool = False) -> Analysis | ThresholdAnalysis | PartsAnalysis:
@@ -222,17 +222,7 @@ def default_folder(path: Path, stimulus: str = "") -> Path:
     return dataset / "derivatives" / "_".join(["analysis", *names, *chosen])
 
 
-def _figures(asked: Collection[str]) -> Collection[str]:
-    if not asked:
-        return ()
-    from modaltouch.analysis.optional_figures import FIGURES
-
-    if unknown := [name for name in asked if name not in (*FIGURES, "all")]:
-        raise InputError.of("--figures", repr(unknown[0]), f"{', '.join(FIGURES)}, or all", "separate them by commas")
-    return FIGURES if "all" in asked else asked
-
-
-def render_files(analysis: Analysis, figures: Collection[str] = ()) -> dict[str, Any]:
+def render_files(analysis: Analysis, *, fields: bool = False) -> dict[str, Any]:
     """Render all files of an analysis, by name, for `write_files`."""
     from modaltouch.analysis.crossed import figure_names, zone_table
     from modaltouch.analysis.findings import rows_of, test_files
@@ -254,13 +244,11 @@ def render_files(analysis: Analysis, figures: Collection[str] = ()) -> dict[str,
         else tidy_files(analysis.responses)
     )
     # Matplotlib is loaded only now, since the tables above take much memory until they are written as text.
-    from modaltouch.analysis.figures import draw_bars
+    from modaltouch.analysis.figures import FIELDS, draw_bars, draw_fields
 
-    pictures = draw_bars(analysis.answers)
-    if figures:
-        from modaltouch.analysis.optional_figures import draw_optional
-
-        pictures += draw_optional(analysis.answers, analysis.responses, figures)
+    pictures, responses = draw_bars(analysis.answers), analysis.responses
+    if fields and (figure := draw_fields(responses.start, responses.stimulus)):
+        pictures.append(ReportFigure("fields", figure, FIELDS, "stimulus"))
     if analysis.design:
         from modaltouch.analysis.measure_figures import draw_design
 

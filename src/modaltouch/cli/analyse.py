@@ -32,13 +32,6 @@ MISSING = Annotated[
     str | None,
     typer.Option(help="Words in a CSV that stand for no answer, such as NA,-; an empty field and n/a always do."),
 ]
-_FIGURES = Annotated[
-    str,
-    typer.Option(
-        help="Figures besides Fig. 10 and 11: fields, order, reaction_times, speed_ratio, or all.", show_default="none"
-    ),
-]
-
 _SPEED = Annotated[
     Literal["nominal", "predicted", "delivered"],
     typer.Option(
@@ -73,7 +66,9 @@ def analyse(
     ] = None,
     answers: ANSWERS = None,
     missing: MISSING = None,
-    figures: _FIGURES = "",
+    fields: Annotated[
+        bool, typer.Option("--fields", help="Also draw the velocity fields of the stimulus, from a recorded session.")
+    ] = False,
     prereg: _PREREG = None,
     model: Annotated[
         bool, typer.Option("--model", help="Also fit a mixed logistic model; refused if the answers are separated.")
@@ -91,7 +86,7 @@ def analyse(
             mode=mode,
             stimulus=stimulus,
             table_format=_table_format(protocol, answers, missing) if is_table else None,
-            figures=figures.replace(",", " ").split(),
+            fields=fields,
             prereg=prereg,
             model=model,
             speed=speed,
