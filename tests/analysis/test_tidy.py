@@ -42,14 +42,16 @@ class TestForms:
             lambda text: "\n" + text,
             lambda text: text.replace(",", ";"),
             lambda text: text.replace(",", "\t"),
+            lambda text: "sep=;\n" + text.replace(",", ";"),
+            lambda text: '"sep=|"\r\n' + text.replace(",", "|"),
             lambda text: text.replace(",", ", "),
             lambda text: text.replace(",", ";").replace(";80;", ";80,0;"),
             lambda text: text.replace("A,C", '"A","C"'),
             lambda text: text.replace("\n", ",,\n"),
             lambda text: "\n".join([text.split("\n")[0], *sorted(text.split("\n")[1:])]),
         ],
-        ids=["crlf", "cr", "bom", "blank-end", "blank-start", "semicolon", "tab", "spaces", "decimal-comma", "quotes",
-             "empty-columns", "any-order"],
+        ids=["crlf", "cr", "bom", "blank-end", "blank-start", "semicolon", "tab", "named", "named-in-quotes", "spaces",
+             "decimal-comma", "quotes", "empty-columns", "any-order"],
     )  # fmt: skip
     def test_a_table_is_read_in_any_usual_form(self, write_csv, paper_rows, dress) -> None:
         """Reference: the plain comma-separated form of the same synthetic answers."""
@@ -677,43 +679,25 @@ def test_a_table_with_all_rows_excluded_has_no_answers(write_csv, paper_rows, ti
         read_responses(write_csv([row | {"excluded": 1} for row in paper_rows * times]))
 
 
-@pytest.mark.parametrize("times", [2, 3])
-def test_a_table_pasted_several_times_is_noted(write_csv, paper_rows, times) -> None:
-    """Repetitions may all be equal, so they are read with a note; one row that differs removes the note."""
-    clear = [paper_rows[0], *({**row, "response": "both"} for row in paper_rows[1:])]
-    note = f"every row occurs {times} times, taken as repetitions: if the table was pasted together, remove the copies"
-    assert note in read_responses(write_csv(clear * times)).notes
-    assert (
-        note not in read_responses(write_csv(clear * (times - 1) + [clear[0] | {"response": "both"}, *clear[1:]])).notes
-    )
-
-
-def test_repetitions_that_never_vary_within_participants_are_refused(write_csv, paper_rows) -> None:
-    """In (B,D), where half the participants answer otherwise, 80 pairs of repetitions would not all agree.
-
-    Sorting does not hide copies. Numbered, they are read: somebody says that they are repetitions.
-    """
-    said = "every row 2 times, in one order; allowed: each once, .* under repetition"
-    for key in ("participant", "velocity_mm_s", "response"):
-        with pytest.raises(InputError, match=said):
-            read_responses(write_csv(sorted(paper_rows * 2, key=lambda row, key=key: row[key])))
-    mixed = [paper_rows[place * 7 % len(paper_rows)] for place in range(len(paper_rows))]
-    for copied in (paper_rows * 2, [row for row in mixed for _ in range(2)]):  # the second as a join of tables does
-        with pytest.raises(InputError, match=said):
-            read_responses(write_csv(copied))
+@pytest.mark.parametrize(
+    "paste",
+    [
+        lambda rows: rows * 2,
+        lambda rows: rows * 3,
+        lambda rows: [row for row in rows for _ in range(2)],
+        lambda rows: sorted(rows * 2, key=lambda row: row["velocity_mm_s"]),
+        lambda rows: sorted(rows * 2, key=lambda row: [*row.values()]),
+        lambda rows: [row | {"number": place} for place, row in enumerate(rows) for _ in range(2)],
+    ],
+    ids=["below", "thrice", "joined", "by-level", "by-every-column", "by-a-running-number"],
+)
+def test_a_table_whose_every_row_recurs_is_refused(write_csv, paper_rows, paste) -> None:
+    """It may be pasted together, whatever its order; repetitions that say so by numbers are read."""
+    said = "every row [23] times; allowed: each once, or repetitions with numbers under `repetition`; remove the copies"
+    with pytest.raises(InputError, match=said):
+        read_responses(write_csv(paste(paper_rows)))
     numbered = [{**row, "repetition": number} for number in (1, 2) for row in paper_rows]
     assert len(read_responses(write_csv(numbered)).frame) == 480
-
-
-@pytest.mark.parametrize("is_sorted", [False, True])
-def test_repetitions_in_another_order_are_no_copies(write_csv, paper_rows, is_sorted: bool) -> None:
-    """People who always answer a cell alike, each repetition in an order of its own: read, with a note.
-
-    So is a table sorted by every column, in which the repetitions of a cell stand one below the other.
-    """
-    rows = [*paper_rows, *paper_rows[:-2], *paper_rows[:-3:-1]]
-    found = read_responses(write_csv(sorted(rows, key=lambda row: [*row.values()]) if is_sorted else rows))
-    assert (len(found.frame), "every row occurs 2 times, taken as repetitions" in found.notes[0]) == (480, True)
 
 
 @pytest.mark.parametrize(

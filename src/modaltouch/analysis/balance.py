@@ -17,12 +17,8 @@ from modaltouch.protocol import Problem
 # Share of missing answers at or above which a participant presumably had another design, or gave up [1].
 _MOST_MISSING = 0.25
 
-
 # Minimum number of distinct reaction times for which a full match cannot be coincidence.
 _FEWEST_TIMES = 4
-
-_LEAST_LOG_CHANCE = math.log(1e-4)
-"""Log probability below which agreement of all repetitions is no coincidence."""
 
 
 def check_balance(table: Table, frame: pd.DataFrame, *, is_crossed: bool = True) -> tuple[list[Problem], int]:
@@ -94,10 +90,9 @@ def _measured_levels(table: Table, frame: pd.DataFrame, column: str) -> Problem:
 
 
 def check_doubling(table: Table, frame: pd.DataFrame, most: int | None) -> tuple[list[Problem], list[str]]:
-    """Refuse a table whose every row is duplicated, unless these may be repetitions with the same answer; note those.
+    """Refuse a table whose every row is duplicated; up to the planned repetitions, note it instead.
 
-    Copies keep their order, even if the table is then sorted by a column; repetitions may be told from them by another
-    order, but not in a table sorted by every column, which is read.
+    Repetitions of a participant who always answers alike look like copies, so unplanned ones need numbers.
 
     Parameters
     ----------
@@ -113,53 +108,13 @@ def check_doubling(table: Table, frame: pd.DataFrame, most: int | None) -> tuple
         return [], []
     cell = [*cell_of(frame.columns), *({"stimulus"} & {*frame.columns})]
     found = int(frame.groupby(["participant", *cell], observed=True)["n"].sum().max())
-    if most is not None and found > most:
-        given = f"every row {times} times, which gives {found} answers of a participant in a cell"
-        return [Problem(table.file, 1, 1, "", given, f"{most}, as in the protocol", "remove the copies")], []
-    # Levels of a pair are alike to some participants, and participants to others: the larger probability counts.
-    alike = (cell, ["participant", *cell_of(frame.columns)[:-1]])
-    is_rare = max(_log_chance(frame, by, times) for by in alike) < _LEAST_LOG_CHANCE
-    if most is None and is_rare and _recurs_in_order(table.fields, times):
-        given, allowed = f"every row {times} times, in one order", "each once, as repetitions would differ somewhere"
-        remedy = "remove the copies, or number the repetitions under repetition"
-        return [Problem(table.file, 1, 1, "", given, allowed, remedy)], []
-    note = f"every row occurs {times} times, taken as repetitions: if the table was pasted together, remove the copies"
-    return [], [note]
-
-
-def _recurs_in_order(fields: pd.DataFrame, times: int) -> bool:
-    """Return whether the first, second, ... occurrences of all rows stand in an order, other than that of a sort."""
-    if _is_sorted(fields):
-        return False  # honest repetitions stand together, too
-    rows = pd.util.hash_pandas_object(fields, index=False)
-    same = rows.groupby(rows)
-    nth, n_each = same.cumcount(), same.transform("size") // times
-    # Of a row that occurs several times in each copy, the copies may stand one below the other, or row by row.
-    ways = ([rows[copy == number].tolist() for number in range(times)] for copy in (nth // n_each, nth % times))
-    return any(orders == orders[:1] * times for orders in ways)
-
-
-def _is_sorted(fields: pd.DataFrame) -> bool:
-    """Return whether a table may be sorted by every column: by one after the other, rows alike stand together."""
-    block, left = fields.index.to_series() * 0, [*fields]
-    while left:
-        for name in left:
-            rows = pd.DataFrame({"block": block, "field": fields[name]})
-            begins = (rows != rows.shift()).any(axis=1)
-            if begins.sum() == len(rows.drop_duplicates()):
-                break
-        else:
-            return False
-        block = begins.cumsum()
-        left.remove(name)
-    return True
-
-
-def _log_chance(frame: pd.DataFrame, by: list[str], times: int) -> float:
-    """Return the log probability that all repetitions agree, if rows alike in some columns have the same shares."""
-    own = frame.groupby(by, observed=True)["response"]
-    alike = own.agg(lambda answers: (answers.value_counts(normalize=True) ** 2).sum())
-    return float((own.size() / times * (times - 1) * np.log(alike.where(alike > 0, 1.0))).sum())
+    if most is not None and found <= most:
+        return [], [f"every row occurs {times} times, taken as repetitions, as planned: remove any copies"]
+    given, allowed = f"every row {times} times", "each once, or repetitions with numbers under `repetition`"
+    if most is not None:
+        given += f", which gives {found} answers of a participant in a cell"
+        allowed = f"{most}, as in the protocol"
+    return [Problem(table.file, 1, 1, "", given, allowed, "remove the copies, or number the repetitions")], []
 
 
 def check_unit(table: Table, frame: pd.DataFrame, design: Mapping[str, Any]) -> list[Problem]:

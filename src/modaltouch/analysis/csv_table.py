@@ -1,7 +1,7 @@
 """Delimited text files, read as columns of strings indexed by line.
 
-Fields are separated by commas, semicolons or tabs; a byte-order mark, any line endings and blank lines are accepted.
-Columns are pandas categoricals, to save memory.
+Fields are separated by commas, semicolons or tabs, or as a first line such as ``sep=;`` says. A byte-order mark, any
+line endings and blank lines are accepted. Columns are pandas categoricals, to save memory.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import csv
 import hashlib
 import io
+import re
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
     from modaltouch.protocol import Findings
 
 SEPARATORS = (",", ";", "\t")
+_NAMED_SEPARATOR = re.compile(r'"?sep=([^\n"])"?[,;\t ]*(?=\n)', re.IGNORECASE)
+"""First line by which a spreadsheet program names the separator."""
 MOST_LISTED = 20
 """Maximum number of problems of one kind to list; the rest are only counted."""
 
@@ -176,8 +179,9 @@ def read_table(path: Path, required: Sequence[str]) -> Table:
         If the file cannot be read as text, is empty, lacks columns, or has rows of a different length than the header.
     """
     data, text = _read_text(path)
-    file = str(path)
-    separator = _find_separator(text, required)
+    file, named = str(path), _NAMED_SEPARATOR.match(text)
+    separator = named[1] if named else _find_separator(text, required)
+    text = text[named.end() :] if named else text  # an empty line is left, so that line numbers hold
     reader = csv.reader(io.StringIO(text), delimiter=separator, skipinitialspace=True, strict=True)
     rows = ((reader.line_num, row) for row in reader if any(map(str.strip, row)))
     try:
