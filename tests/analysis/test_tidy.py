@@ -141,14 +141,14 @@ class TestFaults:
     @pytest.mark.parametrize(
         ("old", "new", "words"),
         [
-            (",both", ",middle", r":5:21: response: given 'middle'; allowed: left, right, both"),
-            (",both", ",Both", r":5:21: response: given 'Both'; .*; write both, or map it"),
+            (",both", ",middle", r":5:1: response: given 'middle'; allowed: left, right, both"),
+            (",both", ",Both", r":5:1: response: given 'Both'; .*; write both, or map it"),
             (
                 ",80,",
                 ",8e-5,",
-                r":5:18: velocity_mm_s: given '8e-5'; allowed: a peak velocity in mm/s, 0.001 to 100000",
+                r":5:1: velocity_mm_s: given '8e-5'; allowed: a peak velocity in mm/s, 0.001 to 100000",
             ),
-            (",80,", ",fast,", r":5:18: velocity_mm_s: given 'fast'; allowed: a peak velocity in mm/s, 0.001 to 1"),
+            (",80,", ",fast,", r":5:1: velocity_mm_s: given 'fast'; allowed: a peak velocity in mm/s, 0.001 to 1"),
             (",80,", ",-80,", r"given '-80'"),
             (",80,", ",nan,", r"given 'nan'"),
             (",80,", ",inf,", r"given 'inf'"),
@@ -181,7 +181,7 @@ class TestFaults:
         """If all levels differ, no row is missing; the message asks for the requested levels."""
         rows = [{**row, "velocity_mm_s": row["velocity_mm_s"] + number / 100} for number, row in enumerate(paper_rows)]
         (problem,) = fails(write_csv(rows))
-        assert ":2:18: velocity_mm_s: given 240 different levels in 240 rows; allowed: the same levels for" in problem
+        assert ":2:1: velocity_mm_s: given 240 different levels in 240 rows; allowed: the same levels for" in problem
         assert "give the requested levels" in problem and "add the missing rows" not in problem
 
     def test_a_missing_column_is_reported_with_those_found(self, write_csv, paper_rows) -> None:

@@ -99,20 +99,16 @@ class Table:
         Field separator.
     sha256 : str
         Hash of the file.
-    text : str
-        Contents of the file, with newlines as line endings.
     """
 
     file: str
     fields: pd.DataFrame
     separator: str
     sha256: str
-    text: str
 
     def problem(self, line: int, column: str, given: str, allowed: str, remedy: str = "") -> Problem:
-        """Return a problem located at a field."""
-        character = self._character(line, self.fields.columns.tolist().index(column))
-        return Problem(self.file, line, character, column, given, allowed, remedy)
+        """Return a problem of a field."""
+        return Problem(self.file, line, 1, column, given, allowed, remedy)
 
     def check_words(
         self, column: pd.Series, is_sound: Callable[[str], bool], allowed: str, say: Callable[[str], tuple[str, str]]
@@ -140,18 +136,6 @@ class Table:
             return self.problem(int(column.index[column == word][0]), str(column.name), given, allowed, remedy)
 
         return list_faults(self.file, faulty, f"words of this kind under {column.name}", problem)
-
-    def _character(self, line: int, place: int) -> int:
-        text = self.text.split("\n", line)[line - 1]
-        quoted, seen = False, 0
-        for at, character in enumerate(text):
-            if seen == place:
-                return at + 1
-            if character == '"':
-                quoted = not quoted
-            elif character == self.separator and not quoted:
-                seen += 1
-        return len(text) + 1 if seen == place else 1
 
 
 def list_faults(
@@ -208,7 +192,7 @@ def read_table(path: Path, required: Sequence[str]) -> Table:
         problems = [_whole(file, "a header without any row", "one row for each answer", "write the answers into it")]
     if problems:
         raise InputError(problems)
-    return Table(file, fields, separator, hashlib.sha256(data).hexdigest(), text)
+    return Table(file, fields, separator, hashlib.sha256(data).hexdigest())
 
 
 def _whole(file: str, given: str, allowed: str, remedy: str) -> Problem:
