@@ -19,7 +19,7 @@ from scipy.special import ncfdtr, ndtr, xlogy
 
 from modaltouch.analysis.detection import m_intervals, odd_of_three, same_different, share_correct, yes_no
 from modaltouch.analysis.intervals import BoundedMean, Interval, student_interval
-from modaltouch.analysis.permutation import by_ranks, flip_test, friedman, rank_test, shuffle_test, shuffle_together
+from modaltouch.analysis.permutation import by_ranks, flip_test, friedman, rank_test, shuffle_test
 from modaltouch.analysis.psychometric import JND_OF_SPREAD, MOST_LAPSE, Fits, fit_counts
 from modaltouch.analysis.ratings import power_law
 from modaltouch.protocol.conditions import StaircaseSection
@@ -130,7 +130,6 @@ def errors_of_measures(number: int, participants: int, n: int) -> Errors:
     yield from _of_alternatives(task, np.random.default_rng([1918, number]), (n, participants))
     yield from _of_ratings(task, np.random.default_rng([1916, number]), (n, participants))
     yield from _of_gaps_compared(task, np.random.default_rng([1919, number]), (n, participants))
-    yield from _of_groups_together(task, np.random.default_rng([1917, number]), (n, participants))
     yield from _of_quests(task, np.random.default_rng([1920, number]), (n, participants))
 
 
@@ -334,13 +333,6 @@ def _rated(task: Task, rng: np.random.Generator, n: int) -> tuple[np.ndarray, np
     rated, right = np.clip(np.rint(3 + latent), 1, 7), is_right.sum(axis=1)
     with np.errstate(invalid="ignore"):
         return rated, (rated * is_right).sum(axis=1) / right - (rated * ~is_right).sum(axis=1) / (often - right)
-
-
-def _of_groups_together(task: Task, rng: np.random.Generator, shape: tuple[int, int]) -> Errors:
-    """Yield the joint test of three unordered answers between two groups that do not differ."""
-    shares = rng.multinomial(task.signals, rng.dirichlet((1.0, 2.0, 0.5), shape)) / task.signals
-    half = shape[1] // 2
-    yield "group together", shuffle_together(shares[:, :half], shares[:, half:]).p <= ALPHA * TIES
 
 
 def _each(model, rng, task, chances):

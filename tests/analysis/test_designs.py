@@ -30,7 +30,7 @@ from modaltouch.analysis.measures import (
     mean_findings,
     over_participants,
 )
-from modaltouch.analysis.permutation import by_flips, by_ranks, flip_test, friedman, group_test, shuffle_together
+from modaltouch.analysis.permutation import by_flips, by_ranks, flip_test, friedman, group_test
 from modaltouch.analysis.pipeline import analyse, read_responses
 from modaltouch.analysis.ratings import level_findings, power_law
 from modaltouch.analysis.report import design_limits
@@ -705,8 +705,6 @@ def test_groups_at_the_ceiling_do_not_differ() -> None:
     )
     assert (equal.p, equal.p_min, equal.n_informative) == (1, 1, 0)
     assert apart.p_min == apart.p == pytest.approx(1 / 35)
-    together = shuffle_together(np.full((3, 2), 0.5), np.full((4, 2), 0.5))
-    assert (together.p_min, together.n_informative) == (1, 0)
 
 
 def test_participants_at_the_ceiling_give_no_upper_bound() -> None:

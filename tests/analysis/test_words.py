@@ -191,7 +191,6 @@ def estimated(name: str) -> tuple[str, str]:
     [
         ("group", "exponent of magnitude between groups, permutation test of participants", "", ("group",)),
         ("group", "JND between groups, permutation test of participants", "", ("group",)),
-        ("group", "all answers together between groups, permutation test of participants", "", ("group together",)),
         ("rating", "exponent of magnitude compared, sign flips", "", estimated("mean exponent compared")),
         ("rating", "exponent of size over participants, sign flips", "", estimated("mean exponent")),
         ("rating", "size over participants, sign flips", "geometric mean", estimated("mean magnitude")),

@@ -176,5 +176,5 @@ def _shares(responses: Responses) -> Iterator[IndividualValue]:
         n = int(part["n"].sum())
         for word, place in counts.effects(pair):
             given = int(part["n"][part["response"] == counts.answers.names[place]].sum())
-            measure = Measure(f"P({word})", f"P({word})", "shares", share_of="all answers" * counts.is_nominal)
+            measure = Measure(f"P({word})", f"P({word})", "shares")
             yield IndividualValue(measure, *cell, Interval.point(given / n, n), n)

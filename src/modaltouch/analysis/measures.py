@@ -25,9 +25,6 @@ from modaltouch.analysis.permutation import (
     by_ranks,
     flip_test,
     group_test,
-    mean_shares,
-    shuffle_together,
-    together,
 )
 from modaltouch.analysis.sums import FloatArray
 from modaltouch.analysis.words import coverage_note
@@ -56,8 +53,6 @@ class Measure:
         Whether values are compared by rank, as for ratings.
     ends : (float, float) or None
         Lowest and highest possible value, for the interval of a `BoundedMean`; None if unbounded.
-    share_of : str
-        Name of the list of three or more unordered answers of which this is the share of one; empty for other measures.
     """
 
     name: str
@@ -67,7 +62,6 @@ class Measure:
     is_ratio: bool = False
     is_ranked: bool = False
     ends: tuple[float, float] | None = None
-    share_of: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,30 +233,6 @@ def contrast_findings(values: Sequence[IndividualValue], tested: Sequence[Places
             gaps[np.abs(gaps) < NOISE] = 0.0
             apart = ["over the levels that both have"] * ({key[1] for key in first} != {key[1] for key in second})
             yield from _compared(measure, name, scope, gaps, [*_remarks(measure, places[a], places[b]), *apart])
-    yield from _joint_findings(values)
-
-
-def _joint_findings(values: Sequence[IndividualValue]) -> Iterator[Finding]:
-    """Test all answers of a list together between all conditions of a factor, e.g. stimuli, others being equal.
-
-    A participant's share is the mean over levels with values in all conditions; where there are none, pairs are tested.
-    """
-    lists = grouped(((each.measure.question, each.measure.share_of), each) for each in values if each.measure.share_of)
-    for (question, share_of), own in lists.items():
-        table = pd.DataFrame([_factors(each.finger_condition, each.pair) for each in own])
-        factors = [*table.columns]
-        for name in ("participant", "finger_condition", "pair", "level"):
-            table[name] = [str(getattr(each, name)) for each in own]
-        table = table.assign(answer=[each.measure.name for each in own], share=[*map(linear, own)])
-        for factor in factors[2:] if question == "shares" else factors:
-            for _, part in table.groupby([name for name in factors if name != factor], sort=False):
-                wide = part.pivot(index=["participant", "level"], columns=[factor, "answer"], values="share")
-                names = [*part[factor].unique()]
-                for chosen in [names] if mean_shares(wide, names).size else combinations(names, 2):
-                    shares, rows = mean_shares(wide, chosen), part[part[factor].isin(chosen)]
-                    if len(chosen) > 1 and shares.size:
-                        scope = " ".join(" - ".join(rows[name].unique()) for name in ("finger_condition", "pair"))
-                        yield together(question, share_of, scope.strip(), shares, n_asked=rows["participant"].nunique())
 
 
 _ALIKE = 1.25
@@ -337,7 +307,7 @@ def group_findings(
     names : (str, str)
         The two groups.
     """
-    compared, (a, b), lists = by_measure(shared), names, dict[str, list[tuple[FloatArray, FloatArray]]]()
+    compared, (a, b) = by_measure(shared), names
     for measure in by_measure(each for each in values if groups.get(each.participant) in names):
         numbers = _known(compared.get(measure, ()))
         first, second = (np.array([n for who, n in numbers.items() if groups.get(who) == name]) for name in names)
@@ -362,15 +332,6 @@ def group_findings(
                 *_remarks(measure, *([each for each in compared[measure] if groups.get(each.participant) == name]
                                     for name in names)),
             ],
-        )  # fmt: skip
-        if measure.share_of:
-            lists.setdefault(measure.share_of, []).append((first, second))
-    for share_of, parts in lists.items():
-        shares = [np.stack(own, axis=-1) for own in zip(*parts, strict=True)]
-        n = sum(map(len, shares))
-        yield finding_of(
-            "group", f"{share_of} together between groups, permutation test of participants", f"{a} - {b}",
-            shuffle_together(*shares), f"shares of {share_of}", Interval.point(math.nan, n), n, family="groups",
         )  # fmt: skip
 
 

@@ -14,7 +14,7 @@ association of unordered answers, stratified by participant).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from functools import lru_cache
 from itertools import combinations
 from typing import Any
@@ -24,7 +24,6 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from modaltouch.analysis.exact import ExactTest, sign_flip_test
-from modaltouch.analysis.findings import Finding, finding_of
 from modaltouch.analysis.intervals import CONFIDENCE, Interval, centre_interval
 from modaltouch.analysis.sums import FloatArray, IntArray
 
@@ -161,52 +160,24 @@ def shuffle_test(first: FloatArray, second: FloatArray) -> ExactTest:
         As for `group_test`.
     """
     values, observed = np.concatenate([first, second], axis=-1), first.mean(axis=-1) - second.mean(axis=-1)
-    p, p_min = _tails(values.reshape(-1, values.shape[-1]), first.shape[-1], np.abs).reshape(2, *observed.shape)
+    p, p_min = _tails(values.reshape(-1, values.shape[-1]), first.shape[-1]).reshape(2, *observed.shape)
     return ExactTest(observed, p, p_min, np.where(np.ptp(values, axis=-1) > 0, values.shape[-1], 0))
 
 
-def shuffle_together(first: FloatArray, second: FloatArray) -> ExactTest:
-    """Permutation test of equal distributions of several shares at once in two groups.
-
-    As in Pearson's statistic, the squared difference of the means of each share is divided by its overall mean.
+def _tails(rows: FloatArray, n: int) -> FloatArray:
+    """Return p and the smallest attainable p of permutation tests of the difference of means.
 
     Parameters
     ----------
-    first, second : (..., n, n_shares) arrays
-        Shares of each participant.
-    """
-    # The order within a group makes the sample independent of that of the participants.
-    groups = [
-        np.take_along_axis(own, np.lexsort(np.moveaxis(own, -1, 0))[..., np.newaxis], axis=-2)
-        for own in (first, second)
-    ]
-    values, n = np.moveaxis(np.concatenate(groups, axis=-2), -1, -2), first.shape[-2]
-    size, mean = values.shape[-1], values.mean(axis=-1, keepdims=True)
-    rows = np.divide(values, np.sqrt(mean), out=np.zeros(values.shape), where=mean > 0)
-    observed = ((rows[..., :n].mean(axis=-1) - rows[..., n:].mean(axis=-1)) ** 2).sum(axis=-1)
-    p, p_min = _tails(rows.reshape(-1, *rows.shape[-2:]), n, lambda each: np.einsum("tvs,tvs->ts", each, each)).reshape(
-        2, *observed.shape
-    )
-    return ExactTest(observed, p, p_min, np.where((np.ptp(values, axis=-1) > 0).any(axis=-1), size, 0))
-
-
-def _tails(rows: FloatArray, n: int, statistic: Callable[[FloatArray], FloatArray]) -> FloatArray:
-    """Return p and the smallest attainable p of permutation tests.
-
-    Parameters
-    ----------
-    rows : (n_tests, ..., size) array
+    rows : (n_tests, size) array
         Values of the participants.
     n : int
         Size of the first group.
-    statistic : callable
-        Maps differences of means, (n_tests, ..., n_permutations), to the statistic, (n_tests, n_permutations).
     """
     weights, tails = _weights(n, rows.shape[-1]), list[FloatArray]()
     step = max(1, _AT_ONCE // len(weights))
     for start in range(0, len(rows), step):
-        some = rows[start : start + step]
-        far = statistic((some.reshape(-1, rows.shape[-1]) @ weights.T).reshape(*some.shape[:-1], -1))
+        far = np.abs(rows[start : start + step] @ weights.T)
         ends = np.stack([far[:, 0], far.max(axis=-1)])  # the first permutation is the identity
         tails.append((far >= ends[..., np.newaxis] - 1e-9).mean(axis=-1))
     return np.concatenate(tails, axis=-1)
@@ -321,47 +292,3 @@ def friedman(rows: FloatArray) -> tuple[ExactTest, Any]:
         each.reshape(shape)[()] for each in (statistic, test.p, test.p_min, test.n_informative, concordance)
     ]
     return ExactTest(*found[:4]), found[4]
-
-
-def mean_shares(wide: pd.DataFrame, conditions: Sequence[str]) -> FloatArray:
-    """Return mean shares over levels with values in all conditions, (n_participants, n_conditions, n_answers) array.
-
-    Parameters
-    ----------
-    wide : DataFrame
-        Shares by participant and level, with columns by condition and answer.
-    conditions : sequence of str
-        Conditions to compare, by those answers that all of them have.
-    """
-    listed = dict.fromkeys(wide.columns.get_level_values("answer"))
-    answers = [name for name in listed if all((each, name) in wide for each in conditions)]
-    whole = wide[[(each, name) for each in conditions for name in answers]].dropna()
-    means = whole.groupby("participant").mean().to_numpy()
-    return means.reshape(len(means), len(conditions), len(answers))
-
-
-def together(
-    question: str, share_of: str, scope: str, shares: FloatArray, where: str = "", n_asked: int = 0
-) -> Finding:
-    """Test all answers of a list together, by shuffling conditions within participants, as in `association_test`.
-
-    Parameters
-    ----------
-    question, share_of : str
-        Question of the report, and name of the list of answers.
-    scope, where : str
-        Scope of the test, and the conditions if the scope does not name them.
-    shares : (n_participants, n_conditions, n_answers) array
-        Mean shares.
-    n_asked : int
-        Participants, of whom those without all conditions are left out.
-    """
-    deviations = shares - shares.mean(axis=1, keepdims=True)
-    weights = np.sqrt(shares.mean(axis=(0, 1)))
-    test = shuffle_conditions((deviations / np.where(weights > 0, weights, 1)).round(9))
-    name, n = f"{share_of} together{where}, shuffles within participants", len(shares)
-    return finding_of(
-        question, name, scope, test, f"shares of {share_of}", Interval.point(math.nan, n), n,
-        family=f"{question} together",
-        notes=[f"participants without all of these conditions, left out: {n_asked - n}" if n_asked > n else ""],
-    )  # fmt: skip

@@ -15,7 +15,7 @@ from modaltouch.analysis.columns import LevelScale, scale_of
 from modaltouch.analysis.findings import Finding, finding_of
 from modaltouch.analysis.intervals import Interval, student_quantile
 from modaltouch.analysis.measures import IndividualValue, Measure, cells, from_linear, linear
-from modaltouch.analysis.permutation import by_ranks, friedman, together
+from modaltouch.analysis.permutation import by_ranks, friedman
 from modaltouch.analysis.responses import Responses
 from modaltouch.analysis.task import TrialTask
 from modaltouch.protocol import ScaleSection
@@ -68,8 +68,7 @@ class Question:
         """Measure of a participant's mean rating or share."""
         way = " (geometric mean)" if self.is_magnitude else ""
         ends = None if self.is_magnitude else self.ends
-        share_of = f"all answers to {self.column}" if len(self.answers) > 2 else ""
-        return Measure(self.name, f"{self.name}{way}", "rating", None, self.is_magnitude, True, ends, share_of)
+        return Measure(self.name, f"{self.name}{way}", "rating", None, self.is_magnitude, True, ends)
 
     def numbers(self, frame: pd.DataFrame) -> pd.Series:
         """Return the ratings, or 1 for the counted answer and 0 for others; NaN if missing.
@@ -191,7 +190,7 @@ def power_law(levels: ArrayLike, magnitudes: ArrayLike) -> Interval:
 def level_findings(values: Sequence[IndividualValue], groups: Mapping[str, str]) -> Iterator[Finding]:
     """Yield Friedman's test of each rating over levels, with Kendall's W; for two levels, the signed-rank test.
 
-    The answers of a list of three or more are also tested together. Groups with different levels are tested separately.
+    Groups with different levels are tested separately.
 
     Parameters
     ----------
@@ -201,7 +200,6 @@ def level_findings(values: Sequence[IndividualValue], groups: Mapping[str, str])
         Group of each participant; empty if there is only one.
     """
     tables: dict[tuple[Measure, str], dict[str, dict[float, float]]] = {}
-    lists: dict[tuple[str, str], list[np.ndarray]] = {}
     for each in values:
         if each.measure.is_ranked:
             own = tables.setdefault((each.measure, f"{each.finger_condition} {each.pair}"), {})
@@ -218,10 +216,6 @@ def level_findings(values: Sequence[IndividualValue], groups: Mapping[str, str])
             if len(levels) < 2 or len(rows) < 2:
                 continue
             yield _over_levels(measure, where, len(people) - len(rows), rows)
-            if measure.share_of:
-                lists.setdefault((measure.share_of, where), []).append(rows)
-    for (share_of, where), parts in lists.items():
-        yield together("rating", share_of, where, np.stack(parts, axis=-1), " over levels")
 
 
 def _over_levels(measure: Measure, scope: str, left_out: int, rows: np.ndarray) -> Finding:

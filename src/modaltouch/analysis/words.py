@@ -245,7 +245,7 @@ _OF_FINDINGS = {
     "sensitivity d' compared.* 3AFC": ("mean d' compared, of three",),
     "(?:sensitivity|function) (.*) over participants": (r"mean \1",),
     "(?:sensitivity|function) (.*) compared": (r"mean \1 compared",),
-    ".* together between": ("group together",), ".* between groups": ("group",),
+    ".* between groups": ("group",),
     ".* signed ranks": ("rank", "rank interval"), ".* Friedman": ("friedman",),
     ".* together over levels": ("b together",), ".* together, shuffles": ("c together",),
     ".* leaning participants": ("leaning", "leaning share"), ".* agreement between": ("agreement",),
