@@ -129,7 +129,6 @@ def errors_of_measures(number: int, participants: int, n: int) -> Errors:
     yield from _of_differences(task, np.random.default_rng([1915, number]), (n, participants))
     yield from _of_alternatives(task, np.random.default_rng([1918, number]), (n, participants))
     yield from _of_ratings(task, np.random.default_rng([1916, number]), (n, participants))
-    yield from _of_gaps_compared(task, np.random.default_rng([1919, number]), (n, participants))
     yield from _of_quests(task, np.random.default_rng([1920, number]), (n, participants))
 
 
@@ -304,35 +303,25 @@ def _stacked(each: Iterable[Interval]) -> Interval:
 
 
 def _of_ratings(task: Task, rng: np.random.Generator, shape: tuple[int, int]) -> Errors:
-    """Yield mean ratings: on a scale from 1 to 7, of unbounded numbers, and of correct minus other answers."""
-    rated, gaps = _rated(task, rng, shape[0])
+    """Yield mean ratings: on a scale from 1 to 7, and of unbounded numbers."""
+    rated = _rated(task, rng, shape[0])
     known = rated[:, :4].mean(axis=1)
     drawn = known[rng.integers(shape[0], size=shape)]
     tests = (BoundedMean(drawn[k : k + 500], 1.0, 7.0).test(known.mean()).p for k in range(0, len(drawn), 500))
     yield "mean rating", np.concatenate(list(tests)) <= ALPHA / TIES
     yield from islice(_of_mean("rating without ends", rng, known, known, shape, 0.25), 1)
-    yield from islice(_of_mean("gap of ratings", rng, gaps, np.full(1, np.nanmean(gaps)), shape, 0.05), 1)
 
 
-def _of_gaps_compared(task: Task, rng: np.random.Generator, shape: tuple[int, int]) -> Errors:
-    """Yield sign flips of the difference in rating gap between two conditions."""
-    (_, first), (_, second) = (_rated(task, rng, shape[0]) for _ in range(2))
-    gaps = first - second
-    yield from islice(_of_mean("gap of ratings compared", rng, gaps, np.full(1, np.nanmean(gaps)), shape, 0.05), 1)
+def _rated(task: Task, rng: np.random.Generator, n: int) -> np.ndarray:
+    """Return ratings from 1 to 7; most people rate correct answers higher.
 
-
-def _rated(task: Task, rng: np.random.Generator, n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return ratings from 1 to 7, and each person's difference between those of correct answers and of others.
-
-    A fifth of the people rate much higher, up to the end of the scale; most rate correct answers higher.
+    A fifth of the people rate much higher, up to the end of the scale.
     """
     chance, often = rng.uniform(0.6, 0.9, n), task.signals
     felt = rng.normal(-0.5, 1, n) + 3 * (rng.random(n) < 0.2)
     is_right = rng.random((n, often)) < chance[:, None]
     latent = felt[:, None] + rng.normal(0.3, 0.3, (n, 1)) * is_right + rng.normal(size=is_right.shape)
-    rated, right = np.clip(np.rint(3 + latent), 1, 7), is_right.sum(axis=1)
-    with np.errstate(invalid="ignore"):
-        return rated, (rated * is_right).sum(axis=1) / right - (rated * ~is_right).sum(axis=1) / (often - right)
+    return np.clip(np.rint(3 + latent), 1, 7)
 
 
 def _each(model, rng, task, chances):

@@ -195,7 +195,6 @@ def estimated(name: str) -> tuple[str, str]:
         ("rating", "exponent of size over participants, sign flips", "", estimated("mean exponent")),
         ("rating", "size over participants, sign flips", "geometric mean", estimated("mean magnitude")),
         ("rating", "threshold over participants, sign flips", "", ("mean rating without ends",)),
-        ("rating", "certain when correct minus when not over participants, sign flips", "", ("mean gap of ratings",)),
         ("rating", "certain over participants, bounded mean", "", ("mean rating",)),
         ("rating", "P(kind: rough) over participants, bounded mean", "", ("share",)),
         ("rating", "misses compared, signed ranks", "", ("rank", "rank interval")),

@@ -118,7 +118,7 @@ def _measures(responses: Responses, fits: tuple[FittedCell, ...]) -> Iterator[In
     task, frame = responses.task, responses.frame
     yield from sensitivities(responses, task)
     yield from measures_of_fits(fits, task, scale_of(frame.columns))
-    yield from ratings(responses, task, questions_of(responses.design, frame))
+    yield from ratings(responses, questions_of(responses.design, frame))
 
 
 def _shared(

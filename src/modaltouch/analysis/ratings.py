@@ -11,13 +11,12 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from modaltouch.analysis.columns import LevelScale, scale_of
+from modaltouch.analysis.columns import scale_of
 from modaltouch.analysis.findings import Finding, finding_of
 from modaltouch.analysis.intervals import Interval, student_quantile
 from modaltouch.analysis.measures import IndividualValue, Measure, cells, from_linear, linear
 from modaltouch.analysis.permutation import by_ranks, friedman
 from modaltouch.analysis.responses import Responses
-from modaltouch.analysis.task import TrialTask
 from modaltouch.protocol import ScaleSection
 
 
@@ -105,20 +104,17 @@ def questions_of(design: Mapping[str, Any], frame: pd.DataFrame) -> tuple[Questi
     return tuple(each for each in known if each.column in frame.columns)
 
 
-def ratings(responses: Responses, task: TrialTask, asked: Sequence[Question]) -> Iterator[IndividualValue]:
-    """Yield mean ratings by level, power-law exponents, and rating differences between correct and incorrect answers.
+def ratings(responses: Responses, asked: Sequence[Question]) -> Iterator[IndividualValue]:
+    """Yield mean ratings by level, and power-law exponents.
 
     Parameters
     ----------
     responses : Responses
         The answers.
-    task : TrialTask
-        Task of the participant.
     asked : sequence of Question
         Rating questions.
     """
     frame, scale = responses.frame, scale_of(responses.frame.columns)
-    is_correct = correct(frame, task, scale)
     for question in asked:
         rated = frame.assign(rated=question.numbers(frame))
         rated = rated[rated["rated"].notna()]
@@ -126,41 +122,10 @@ def ratings(responses: Responses, task: TrialTask, asked: Sequence[Question]) ->
             values = part["rated"].to_numpy(dtype=float)
             mean = math.exp(np.log(values).mean()) if question.is_magnitude else float(values.mean())
             yield IndividualValue(question.measure, *cell, Interval.point(mean, len(values)), len(values))
-        for cell, part in cells(rated, scale, by_level=False):
-            if question.is_magnitude and part[scale.column].nunique() > 1:
+        for cell, part in cells(rated, scale, by_level=False) if question.is_magnitude else ():
+            if part[scale.column].nunique() > 1:
                 exponent = Measure(f"exponent of {question.name}", "exponent of the power law", "rating", 0.0)
                 yield IndividualValue(exponent, *cell, power_law(part[scale.column], part["rated"]), len(part))
-            right = is_correct[part.index]
-            if (right == 1).any() and (right == 0).any():
-                gap = part["rated"][right == 1].mean() - part["rated"][right == 0].mean()
-                words = f"{question.name} when correct minus when not"
-                yield IndividualValue(
-                    Measure(words, words, "rating", 0.0), *cell, Interval.point(float(gap), len(part)), len(part)
-                )
-
-
-def correct(frame: pd.DataFrame, task: TrialTask, scale: LevelScale) -> pd.Series:
-    """Score the answers as correct (1) or incorrect (0); NaN if the design does not determine it.
-
-    Parameters
-    ----------
-    frame : DataFrame
-        Tidy answers in terms of intervals.
-    task : TrialTask
-        Task of the participant.
-    scale : LevelScale
-        Scale of the levels.
-    """
-    level = frame[scale.column]
-    if task.different:
-        right = frame["response"].isin(task.different) != task.is_same(frame, scale.column)
-    elif task.named:
-        right = frame["response"].map(task.named).astype(float) == frame["interval"].astype(float)
-        is_scored = ~task.is_same(frame, scale.column) & level.map(task.has_correct_answer)
-        right = (right != level.map(task.wants_standard)).where(is_scored)
-    else:
-        return pd.Series(math.nan, frame.index)
-    return right.astype(float).reindex(task.informative(frame, scale.column).index).reindex(frame.index)
 
 
 def power_law(levels: ArrayLike, magnitudes: ArrayLike) -> Interval:

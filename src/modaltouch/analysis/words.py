@@ -231,8 +231,6 @@ _OF_FINDINGS = {
     "shares .* compared, sign flips": ("shares compared",),
     "rating exponent of .* over .* sign flips": ("mean exponent",),
     "rating exponent of .* compared, sign flips": ("mean exponent compared",),
-    "rating .* when correct minus when not over .* sign flips": ("mean gap of ratings",),
-    "rating .* when correct minus when not compared, sign flips": ("mean gap of ratings compared",),
     "rating .* sign flips;.* geometric mean": ("mean magnitude",),
     "rating .* over participants, sign flips": ("mean rating without ends",),
     r"rating P\(.* bounded mean": ("share",), "rating .* bounded mean": ("mean rating",),
