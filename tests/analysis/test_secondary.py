@@ -52,17 +52,6 @@ def test_reaction_times_are_compared_by_participants_medians(build) -> None:
     assert "1 of all 240 answers left out as faster than 0.15 s" in finding.note
 
 
-def test_an_interval_narrower_than_the_resolution_is_no_single_value(build) -> None:
-    """Synthetic: participants differ by 1 ms each, and times are known to 60 ms, hence rounded to 0.01 s."""
-    frame = build["tidy"](build["paper"]())
-    own = pd.factorize(frame["participant"])[0] * 1e-3 - 4.5e-3
-    times = 0.8 + (frame["zone_left"] == "B").to_numpy() * own
-    frame = frame.assign(response_time=times, response_uncertainty=0.06)
-    finding = {f.scope: f for f in time_findings(count_answers(frame), frame)}["one_hand A-C - B-D"]
-    assert (finding.low, finding.high) == (-0.01, 0.01)
-    assert "one value as interval" not in finding.note
-
-
 def test_breaks_of_an_hour_do_not_exhaust_the_memory() -> None:
     """In milliseconds, ten such differences have a distribution of 10^8 values; in longer steps p hardly changes."""
     hours = np.array([3600.0, -7200.0, 5400.0, 3601.0, -1.5, 0.7, 12000.0, -40.0, 9000.0, 2.0])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -16,7 +15,7 @@ from modaltouch.analysis.contrasts import Shares, mean_of_known
 from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.exact import sign_flip_test
 from modaltouch.analysis.findings import Finding, finding_of
-from modaltouch.analysis.intervals import BoundedMean, Interval, centre_interval, time_steps
+from modaltouch.analysis.intervals import BoundedMean, centre_interval, time_steps
 
 ANTICIPATION = 0.15
 """Shortest plausible reaction time [s]; faster (anticipatory) answers are excluded from reaction times."""
@@ -147,20 +146,8 @@ def time_findings(answers: AnswerCounts, frame: pd.DataFrame, n_untimed: int = 0
             yield finding_of(
                 "time", "exact sign-flip test of median reaction times",
                 f"{condition} {first.label} - {second.label}", test, "difference of medians [s]",
-                _rounded(centre_interval(gap), known), int(gap.size), notes=notes,
+                centre_interval(gap), int(gap.size), notes=notes,
             )  # fmt: skip
-
-
-def _rounded(interval: Interval, known: float) -> Interval:
-    """Return an interval rounded to the decimal place of the resolution `known`; outward if it would become a point."""
-    if not known > 0:
-        return interval
-    digits = max(0, -math.floor(math.log10(known)))
-    rounded = interval.changed(lambda value: round(value, digits))
-    if rounded.low < rounded.high or not interval.low < interval.high:
-        return rounded
-    low = math.floor(interval.low * 10**digits) / 10**digits
-    return replace(rounded, low=low, high=math.ceil(interval.high * 10**digits) / 10**digits)
 
 
 def speed_findings(answers: AnswerCounts, frame: pd.DataFrame) -> Iterator[Finding]:
