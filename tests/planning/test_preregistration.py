@@ -13,7 +13,7 @@ from typer.testing import CliRunner, Result
 
 from modaltouch.analysis import analyse
 from modaltouch.analysis.crossed import Analysis
-from modaltouch.analysis.preregistration import PARTS, read_preregistration
+from modaltouch.analysis.preregistration import read_preregistration
 from modaltouch.cli import app
 from modaltouch.protocol import InputError
 from modaltouch.session import simulate_session
@@ -101,16 +101,6 @@ def test_every_departure_is_reported(analysis: Analysis, page: Path) -> None:
     assert "protocol (SHA-256): 0 preregistered" in message
     assert "3 of 3 sessions began before the day of the preregistration, 2999-01-01" in message
     assert len(departures) == 6
-
-
-def test_a_page_that_calls_a_crossed_design_one_part_is_understood(analysis: Analysis, page: Path) -> None:
-    """So did earlier versions if its cells were listed; another number of repetitions still departs."""
-    terms = read_preregistration(page)
-    cells = [terms.pop(name) for name in ("finger conditions", "pairs of zones", "levels [mm/s]", "repetitions")]
-    part = "one_hand and two_hands A-C, B-D, C-E at 80, 200 mm/s"
-    assert analysis.departures_from(terms | {PARTS: {part: cells[-1]}}) == ()
-    (said,) = analysis.departures_from(terms | {PARTS: {part: 3}})
-    assert said == f"{PARTS}: {part} (3) preregistered, {part} (1) analysed"
 
 
 def test_a_page_created_meanwhile_is_not_overwritten(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -117,10 +117,6 @@ class RegisteredAnalysis(ABC):
             known = {"protocol (SHA-256)": start["sources"]["protocol"]["sha256"], "equivalence margin": margin}
         counted = {*STATISTICS, *terms.get("tests by family", ())}
         analysed = self.terms(Counter(row.family for *_, row in self.confirmatory if row.family in counted)) | known
-        if PARTS in terms and (answers := getattr(self, "answers", None)):
-            # Earlier versions took a crossed design for a part if its cells were listed.
-            cells = {PARTS: {name_part(answers): answers.n_repetitions}}
-            analysed = {name: analysed[name] for name in analysed if name not in _cells(answers)} | cells
         departures = [
             f"{name}: {term_in_words(terms.get(name))} preregistered, {term_in_words(analysed[name])} analysed"
             for name in analysed
@@ -147,18 +143,12 @@ def terms_of(answers: AnswerCounts, tests: Mapping[str, int]) -> dict[str, Any]:
     """
     return {
         "participants": answers.n_participants,
-        **_cells(answers),
-        "answers": list(answers.answers.names),
-        **terms_of_tests(tests),
-    }
-
-
-def _cells(answers: AnswerCounts) -> dict[str, Any]:
-    return {
         "finger conditions": sorted(answers.finger_conditions),
         "pairs of zones": sorted(pair.label for pair in answers.pairs),
         f"levels [{answers.scale.unit}]": sorted(answers.levels),
         "repetitions": answers.n_repetitions,
+        "answers": list(answers.answers.names),
+        **terms_of_tests(tests),
     }
 
 
