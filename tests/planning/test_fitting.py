@@ -46,8 +46,8 @@ def test_the_observer_is_recovered_from_a_file_of_answers(tmp_path: Path, prefli
     """The fit recovers the observer's sigma / (1 + s) = 0.267 and exp(c / (1 + s)) = 1.396."""
     write_answers(tmp_path / "answers.csv", preflight)
     fitted = fit_answers(preflight, tmp_path / "answers.csv", Observer())
-    assert (fitted.n_participants, fitted.fit.n_answers) == (20, 20 * 12 * 4)
-    found = {estimate.name: estimate for estimate in fitted.fit.identified}
+    assert (fitted.n_participants, fitted.n_answers) == (20, 20 * 12 * 4)
+    found = {estimate.name: estimate for estimate in fitted.identified}
     for kind in ("one_hand", "two_hands"):
         noise, ratio = found[f"noise of the log ratio, {kind}"], found[f"speed ratio named half the time, {kind}"]
         assert noise.low * 0.9 < 0.4 / 1.5 < noise.high * 1.1
@@ -61,9 +61,9 @@ def test_one_observer_is_fitted_to_the_answers_of_all_stimuli(tmp_path: Path) ->
     for number in (1, 2):
         simulate_session(preflight, f"p0{number}", tmp_path, observer=TRUTH)
     fitted = fit_answers(preflight, tmp_path, Observer())
-    assert (fitted.n_participants, fitted.fit.n_answers) == (2, 2 * 32)
+    assert (fitted.n_participants, fitted.n_answers) == (2, 2 * 32)
     expected = 0.0
-    crowd = fitted.fit.observer.participants_at(_grid())
+    crowd = fitted.observer.participants_at(_grid())
     for person in ("p01", "p02"):
         logs = np.zeros(_grid().shape[1])
         for responses in fitted.responses:
@@ -75,7 +75,7 @@ def test_one_observer_is_fitted_to_the_answers_of_all_stimuli(tmp_path: Path) ->
                 left, right = (share[..., 0] for share in answer_shares(crowd, [speeds], [row.finger_condition]))
                 logs += np.log({"left": left, "right": right, "both": 1 - left - right}[row.response])
         expected += float(np.log(np.exp(logs).mean()))
-    assert fitted.fit.log_likelihood == pytest.approx(expected, rel=1e-3)
+    assert fitted.log_likelihood == pytest.approx(expected, rel=1e-3)
 
 
 def test_the_observer_is_recovered_from_two_stimuli() -> None:
@@ -124,7 +124,7 @@ def test_a_table_with_its_stimuli_is_fitted(tmp_path: Path) -> None:
             rows += [f"{who},{condition},{pair.left},{pair.right},{level:g},both,1,{stimulus}" for who in met]
     (tmp_path / "a.csv").write_text("\n".join(rows), encoding="utf-8")
     fitted = fit_answers(preflight, tmp_path / "a.csv", Observer())
-    assert (fitted.n_participants, fitted.fit.n_answers, len(fitted.responses)) == (3, len(rows) - 1, 2)
+    assert (fitted.n_participants, fitted.n_answers, len(fitted.responses)) == (3, len(rows) - 1, 2)
     counted = [each.count("C") for each in fitted.responses]
     whose = [(each.participants, each.counts.sum(axis=(1, 2, 3, 4)).tolist()) for each in _of_everybody(counted)]
     assert whose == [(("p1", "p2", "p3"), [8, 8, 0]), (("p1", "p2", "p3"), [8, 0, 8])]
@@ -139,7 +139,7 @@ def test_the_words_of_a_table_are_mapped_as_by_analyse(tmp_path: Path, preflight
     (tmp_path / "a.csv").write_text("\n".join([HEADER, *rows]), encoding="utf-8")
     words = ({"B": "both"}, ("NA",))
     fitted = fit_answers(preflight, tmp_path / "a.csv", Observer(), words=words)
-    assert fitted.fit.n_answers == len(rows) - 1
+    assert fitted.n_answers == len(rows) - 1
     with pytest.raises(InputError, match="sessions, which contain theirs; .*; leave out --answers, --missing"):
         fit_answers(preflight, tmp_path, Observer(), words=words)
 

@@ -370,22 +370,22 @@ def fit(
         if out is not None:
             record.prepare_file(out)
         fitted = planning.fit_answers(checked, answers, prior, mode=mode, words=parse_words(words, missing))
-        n_answers = f"{fitted.fit.n_answers} answers of {participants(fitted.n_participants)}"
+        n_answers = f"{fitted.n_answers} answers of {participants(fitted.n_participants)}"
         if out is not None:
-            text = fitted.fit.observer.as_file("fitted", f"Fitted to {n_answers} in {answers.name}")
+            text = fitted.observer.as_file("fitted", f"Fitted to {n_answers} in {answers.name}")
             record.replace_file(out, text.encode(), "give another file with --out")
         if json_output:
             print_json({**fitted.as_dict(), "file": None if out is None else str(out)})
             return
         print(n_answers)
-        for estimate in (*fitted.fit.identified, *fitted.fit.parameters):
+        for estimate in (*fitted.identified, *fitted.parameters):
             tied = ", scale by the prior" if estimate.tied_to_scale else ""
             print(
                 f"{estimate.name:44} {estimate.value:8.4g}  95 % interval {estimate.low:.4g} to {estimate.high:.4g}, "
                 f"learned {100 * estimate.learned:.0f} %{tied}"
             )
         print(fitted.not_identifiable)
-        if not fitted.fit.converged:
+        if not fitted.converged:
             typer.secho("the search did not end at a maximum; do not plan with this", err=True, fg=typer.colors.YELLOW)
         if out is not None:
             print(f"Next: modaltouch power {protocol} --observer {out}")

@@ -187,7 +187,7 @@ class FittedParameter:
     tied_to_scale: bool
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Fit:
     """An observer fitted to answers.
 
@@ -201,18 +201,44 @@ class Fit:
         Combinations that the answers determine independently of the scale.
     log_likelihood : float
         Log likelihood of the answers, without the priors.
-    n_answers : int
-        Number of answers.
+    n_answers, n_participants : int
+        Number of answers, and of participants.
     converged : bool
         Whether the search ended at a maximum.
+    responses : tuple of Responses
+        Answers to each stimulus, as read.
     """
+
+    not_identifiable: ClassVar[str] = (
+        "Noise, criterion, one plus suppression, side bias and its spread are known only relative to each other; their "
+        "scale is the prior's. The front end, detection speed, internal noise and near miss are taken from the given "
+        "observer, not fitted; nor are reaction times. Lapses can be separated from noise only where some ratios "
+        "of speeds are unmistakable."
+    )
 
     observer: Observer
     parameters: tuple[FittedParameter, ...]
     identified: tuple[FittedParameter, ...]
     log_likelihood: float
     n_answers: int
+    n_participants: int
     converged: bool
+    responses: tuple[Responses, ...] = ()
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return all results as plain values, as printed by ``modaltouch fit --json``."""
+        return {
+            "observer": self.observer.as_dict(),
+            "parameters": [asdict(estimate) for estimate in self.parameters],
+            "identified": [asdict(estimate) for estimate in self.identified],
+            "not_identifiable": self.not_identifiable,
+            "log_likelihood": self.log_likelihood,
+            "converged": self.converged,
+            "n_answers": self.n_answers,
+            "n_participants": self.n_participants,
+            # Excluded sessions are the same for all stimuli.
+            "left_out": [{"source": item.source, "reason": item.reason} for item in self.responses[0].left_out],
+        }
 
 
 def fit_observer(recorded: RecordedAnswers, prior: Observer) -> Fit:
@@ -243,6 +269,7 @@ def fit_observer(recorded: RecordedAnswers, prior: Observer) -> Fit:
         identified=tuple(_identified(names, point, covariance, deviation, recorded.finger_conditions)),
         log_likelihood=log_likelihood(observer, recorded),
         n_answers=int(recorded.counts.sum()),
+        n_participants=len(recorded.facing),
         converged=bool(found.success),
     )
 
@@ -301,47 +328,6 @@ def _identified(
     return found
 
 
-@dataclass(frozen=True, eq=False)
-class Fitted:
-    """An observer fitted to recorded answers.
-
-    Attributes
-    ----------
-    fit : Fit
-        The fit.
-    responses : tuple of Responses
-        Answers to each stimulus.
-    n_participants : int
-        Number of participants.
-    """
-
-    not_identifiable: ClassVar[str] = (
-        "Noise, criterion, one plus suppression, side bias and its spread are known only relative to each other; their "
-        "scale is the prior's. The front end, detection speed, internal noise and near miss are taken from the given "
-        "observer, not fitted; nor are reaction times. Lapses can be separated from noise only where some ratios "
-        "of speeds are unmistakable."
-    )
-
-    fit: Fit
-    responses: tuple[Responses, ...]
-    n_participants: int
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return all results as plain values, as printed by ``modaltouch fit --json``."""
-        return {
-            "observer": self.fit.observer.as_dict(),
-            "parameters": [asdict(estimate) for estimate in self.fit.parameters],
-            "identified": [asdict(estimate) for estimate in self.fit.identified],
-            "not_identifiable": self.not_identifiable,
-            "log_likelihood": self.fit.log_likelihood,
-            "converged": self.fit.converged,
-            "n_answers": self.fit.n_answers,
-            "n_participants": self.n_participants,
-            # Excluded sessions are the same for all stimuli.
-            "left_out": [{"source": item.source, "reason": item.reason} for item in self.responses[0].left_out],
-        }
-
-
 def fit_answers(
     preflight: Preflight,
     path: Path,
@@ -349,7 +335,7 @@ def fit_answers(
     *,
     mode: str | None = None,
     words: tuple[Mapping[str, str], tuple[str, ...]] = ({}, ()),
-) -> Fitted:
+) -> Fit:
     """Fit an observer to recorded answers, jointly to all stimuli if there are several.
 
     Parameters
@@ -393,7 +379,7 @@ def fit_answers(
     counted = _of_everybody([_count(part, path, taken[name]) for name, part in preflight.parts.items()])
     felt = (felt_speeds(part, prior.front_end) for part in preflight.parts.values())
     recorded = [*map(_record, counted, felt)]
-    return Fitted(fit_observer(RecordedAnswers.joined(recorded), prior), tuple(taken.values()), len(recorded[0].facing))
+    return replace(fit_observer(RecordedAnswers.joined(recorded), prior), responses=tuple(taken.values()))
 
 
 def _refuse_adaptive(path: Path, *, is_adaptive: bool) -> None:
