@@ -13,7 +13,7 @@ from statsmodels.genmod.bayes_mixed_glm import BinomialBayesMixedGLM
 
 from modaltouch.analysis import models
 from modaltouch.analysis.counts import count_answers
-from modaltouch.analysis.models import model_files, model_findings, tidy_files
+from modaltouch.analysis.models import model_files, model_findings
 from modaltouch.analysis.pipeline import analyse
 from modaltouch.analysis.responses import AnswerSource, Responses
 from modaltouch.protocol import AnswerList
@@ -129,18 +129,21 @@ def test_groups_are_a_column_and_a_term(frame) -> None:
     assert [(row["participant"], row["group"]) for row in rows] == [
         *zip(grouped["participant"], grouped["group"], strict=True)
     ]
-    assert "dominant ~ pair + finger_condition + level + group + (1 | participant)" in files["models.R"]
+    assert "dominant ~ group + pair + finger_condition + level + (1 | participant)" in files["models.R"]
 
 
 def test_what_no_row_has_is_no_column(frame) -> None:
     """A stimulus without a name; a single answer, of which nothing can be chosen; a row each for equal answers."""
     few = frame[frame["velocity_mm_s"] == 80].assign(stimulus="", n=2, response="left")
     answers = AnswerList.of({"keys": {"left": ["a"]}})
-    files = tidy_files(Responses(few, (), (), AnswerSource("", "csv", ""), answers=answers))
+    counts = count_answers(few, offered=answers)
+    files = model_files(counts, Responses(few, (), (), AnswerSource("", "csv", ""), answers=answers))
     rows = list(csv.DictReader(files["answers.csv"].splitlines()))
     assert len(rows) == 2 * len(few)
-    assert list(rows[0]) == ["participant", "finger_condition", "pair", "velocity_mm_s", "level", "response"]
-    named = tidy_files(Responses(few.assign(stimulus="x"), (), (), AnswerSource("", "csv", ""), answers=answers))
+    assert list(rows[0]) == ["participant", "pair", "finger_condition", "velocity_mm_s", "level", "response"]
+    named = model_files(
+        counts, Responses(few.assign(stimulus="x"), (), (), AnswerSource("", "csv", ""), answers=answers)
+    )
     assert next(csv.DictReader(named["answers.csv"].splitlines()))["stimulus"] == "x"
 
 
@@ -154,7 +157,7 @@ def test_an_analysis_writes_the_table_and_the_script(paper_csv, tmp_path) -> Non
     assert "lme4::glmer(\n  dominant ~ pair + finger_condition + level + (1 | participant)" in script
     assert "ordinal::clmm(\n  zone ~ pair" in script and "brms::brm(" in script
     # Else R would take the participants 1 and 01 for one number, hence for one person.
-    kinds = '"participant" = "factor", "finger_condition" = "factor", "pair" = "factor", "response" = "factor", "zone"'
+    kinds = '"participant" = "factor", "pair" = "factor", "finger_condition" = "factor", "response" = "factor", "zone"'
     assert f'colClasses = c(\n{kinds} = "factor"\n))' in script
     assert {row.question for row in found.findings} >= {"model"}
     assert "What does a mixed model say?" in found.files["report.html"].read_text(encoding="utf-8")
@@ -196,7 +199,8 @@ def test_answers_of_intervals_have_a_table_and_a_script() -> None:
     frame = pd.DataFrame(rows)
     frame["response"] = pd.Categorical(frame["response"], ["first", "second"])
     answers = AnswerList.of(section)
-    files = tidy_files(Responses(frame, (), (), AnswerSource("", "csv", ""), answers=answers, design=design))
+    given = Responses(frame, (), (), AnswerSource("", "csv", ""), answers=answers, design=design)
+    files = model_files(given.by_choice().count(), given)
     table = list(csv.DictReader(files["answers.csv"].splitlines()))
     assert [row["response"] for row in table] == ["comparison", "standard"] * 2
     assert [row["sure"] for row in table] == ["low"] * 4

@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from modaltouch.analysis.columns import label_zones, scale_of
+from modaltouch.analysis.columns import label_zones
 from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.findings import Finding, finding_of
 from modaltouch.analysis.intervals import CONFIDENCE, Interval
@@ -27,49 +27,45 @@ if TYPE_CHECKING:
     from modaltouch.analysis.responses import Responses
 
 
-def model_table(answers: AnswerCounts, frame: pd.DataFrame, asked: Sequence[Question] = ()) -> pd.DataFrame:
-    """Return one row per answer with participant, condition, level, the zone named, if any, and ratings.
+FACTORS = ("group", "session_kind", "stimulus", "pair", "finger_condition")
+
+
+def answer_table(answers: AnswerCounts, frame: pd.DataFrame, asked: Sequence[Question] = ()) -> pd.DataFrame:
+    """Return one row per answer with participant, factors, level and ratings, and the zone named if fingers compare.
 
     Parameters
     ----------
     answers : AnswerCounts
-        Counts of the answers, with answers that name each finger alone.
+        Counts of the answers.
     frame : DataFrame
-        Tidy answers.
+        Tidy answers; a column ``focus`` takes precedence over the focus of the counts.
     asked : sequence of Question
         Rating questions.
     """
-    rows = frame.loc[frame.index.repeat(frame["n"])]
-    pair = rows["zone_left"].astype(str) + "-" + rows["zone_right"].astype(str)
-    zones = {
-        (each.label, answers.answers[place].name): zone
-        for each in answers.pairs
-        for zone, place in (
-            ("dominant", answers.dominant_place(each)),
-            ("both", answers.both_place),
-            ("other", answers.other_place(each)),
-        )
-        if place is not None
-    }
-    chosen = [zones.get(key, "") for key in zip(pair, rows["response"].astype(str), strict=True)]
-    middle, scale = (min(answers.levels) + max(answers.levels)) / 2, answers.scale
+    rows, scale = frame.loc[frame.index.repeat(frame["n"])], answers.scale
+    rows, level = rows.assign(pair=label_zones(rows)), rows[scale.column].astype(float)
+    named = [name for name in FACTORS if name in rows.columns and (rows[name] != "").any()]
     table = pd.DataFrame({
-        "participant": rows["participant"].astype(str),
-        "finger_condition": rows["finger_condition"].astype(str),
-        "pair": pair,
-        scale.column: rows[scale.column],
-        "level": (rows[scale.column] - middle) / scale.step,
+        **{name: rows[name].astype(str) for name in ("participant", *named)}, scale.column: level,
+        "level": (level - (level.min() + level.max()) / 2) / scale.step,
         "response": rows["response"].astype(str),
-        "zone": chosen,
+        **({"interval": rows["interval"].astype(int)} if "interval" in rows.columns else {}),
         **{each.column: each.modelled(rows) for each in asked},
     })  # fmt: skip
-    return table.assign(dominant=(table["zone"] == "dominant").astype("Int64").where(table["zone"] != ""))
+    if answers.compares:
+        side = table["response"].map({each.name: each.side for each in answers.answers if each.fingers})
+        focus = rows["focus"] if "focus" in rows.columns else answers.focus
+        is_dominant = side == np.where(rows["zone_right"].astype(str) == focus, 1, -1)
+        table["zone"] = np.select([side == 0, is_dominant, side.notna()], ["both", "dominant", "other"], "")
+        return table.assign(dominant=is_dominant.astype("Int64").where(side.notna()))
+    if len(answers.answers) > 1:
+        table["chosen"] = (table["response"] == answers.answers.names[0]).astype(int)
+    return table
 
 
-def terms_of_model(answers: AnswerCounts) -> list[str]:
+def terms_of(table: pd.DataFrame) -> list[str]:
     """Return the varying columns of the table, as terms of a model formula."""
-    several = {"pair": answers.pairs, "finger_condition": answers.finger_conditions, "level": answers.levels}
-    return [name for name, values in several.items() if len(values) > 1]
+    return [name for name in (*FACTORS, "level") if name in table and table[name].nunique() > 1]
 
 
 def model_files(answers: AnswerCounts, responses: Responses) -> dict[str, Any]:
@@ -79,62 +75,14 @@ def model_files(answers: AnswerCounts, responses: Responses) -> dict[str, Any]:
         from modaltouch.analysis.ratings import questions_of
 
         asked = questions_of(responses.design, responses.frame)
-    table, terms = model_table(answers, responses.frame, asked), terms_of_model(answers)
-    if responses.groups:
-        table.insert(1, "group", table["participant"].map(responses.groups))
-        terms.append("group")
-    return zone_files(table, terms, answers, asked)
-
-
-def zone_files(
-    table: pd.DataFrame, terms: Sequence[str], answers: AnswerCounts, asked: Sequence[Question]
-) -> dict[str, Any]:
-    """Return a table of the chosen zones and the R script of its models, by file name."""
+    table = answer_table(answers, responses.by_choice().frame, asked)
     zones = [zone for zone in ("other", "both", "dominant") if zone != "both" or answers.both_place is not None]
-    return script_files(table, "models.R.j2", terms, zones=zones, asked=asked, scale=answers.scale)
-
-
-def script_files(table: pd.DataFrame, template: str, terms: Sequence[str], **given: Any) -> dict[str, Any]:
-    """Return a tidy table and an R script to fit models with these terms, by file name."""
-    words = [str(name) for name in table.select_dtypes(exclude="number")]
-    script = render_page("modaltouch.analysis", template, terms=" + ".join(terms) or "1", words=words, **given)
+    script = render_page(
+        "modaltouch.analysis", "models.R.j2" if answers.compares else "tidy_models.R.j2",
+        terms=" + ".join(terms_of(table)) or "1", words=[*map(str, table.select_dtypes(exclude="number"))], zones=zones,
+        names=answers.answers.names, effect=answers.answers.names[0], asked=asked, scale=answers.scale,
+    )  # fmt: skip
     return {"answers.csv": table.to_csv(index=False, lineterminator="\n"), "models.R": script}
-
-
-FACTORS = ("group", "session_kind", "stimulus", "finger_condition", "pair")
-
-
-def tidy_files(responses: Responses) -> dict[str, Any]:
-    """Return the tidy table and the R script of its models, by file name.
-
-    Parameters
-    ----------
-    responses : Responses
-        The answers as given.
-    """
-    from modaltouch.analysis.ratings import questions_of
-
-    taken = responses.by_choice()
-    frame = taken.frame.loc[taken.frame.index.repeat(taken.frame["n"])]
-    scale, asked = scale_of(frame.columns), questions_of(responses.design, frame)
-    level = frame[scale.column].astype(float)
-    named = [name for name in FACTORS if name in frame.columns and (frame[name] != "").any()]
-    factors = {name: frame[name].astype(str) for name in named}
-    factors["pair"] = label_zones(frame)
-    table = pd.DataFrame({
-        "participant": frame["participant"].astype(str), **factors, scale.column: level,
-        "level": (level - (level.min() + level.max()) / 2) / scale.step,
-        "response": frame["response"].astype(str),
-    })  # fmt: skip
-    if "interval" in frame.columns:
-        table["interval"] = frame["interval"].astype(int)
-    for each in asked:
-        table[each.column] = each.modelled(frame)
-    names, effect = taken.answers.names, taken.answers.names[0]
-    if len(names) > 1:
-        table["chosen"] = (table["response"] == effect).astype(int)
-    terms = [name for name in (*factors, "level") if table[name].nunique() > 1]
-    return script_files(table, "tidy_models.R.j2", terms, effect=effect, names=names, asked=asked, scale=scale)
 
 
 PRIOR_EFFECT, PRIOR_SPREAD = 5.0, 0.5
@@ -152,9 +100,9 @@ def model_findings(answers: AnswerCounts, frame: pd.DataFrame) -> Iterator[Findi
     ----------
     Albert and Anderson, Biometrika 71 (1984) 1-10; Konis, thesis, Oxford (2007) (separation by linear programming).
     """
-    table = model_table(answers, frame).dropna(subset="dominant")
+    table = answer_table(answers, frame).dropna(subset="dominant")
     columns = {"intercept": np.ones(len(table))}
-    for term in terms_of_model(answers):
+    for term in terms_of(table):
         if term == "level":
             columns[f"level, per {answers.scale.step_in_words}"] = table["level"].to_numpy()
             continue

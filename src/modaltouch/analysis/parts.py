@@ -13,10 +13,9 @@ import pandas as pd
 from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.crossed import tabulate, zone_table
 from modaltouch.analysis.findings import ALPHA, Finding, correct, grouped, plain_row, test_files, to_frame
-from modaltouch.analysis.models import model_table, tidy_files, zone_files
+from modaltouch.analysis.models import model_files
 from modaltouch.analysis.preregistration import ALL_PARTS, PARTS, RegisteredAnalysis, name_part, terms_of_tests
 from modaltouch.analysis.provenance import describe_record
-from modaltouch.analysis.ratings import questions_of
 from modaltouch.analysis.responses import Responses, cell_of
 from modaltouch.analysis.statistics import uncorrected
 from modaltouch.analysis.words import condition_in_words, state_families
@@ -263,7 +262,8 @@ def render_parts(analysis: PartsAnalysis) -> dict[str, Any]:
         from modaltouch.analysis.measure_figures import draw_design
 
         shown += draw_design(analysis.design)
-    responses = analysis.responses
+    responses, everywhere = analysis.responses, _everywhere(analysis.parts)
+    answered = pd.concat([part.frame.assign(focus=part.counts.focus) for part in analysis.parts], ignore_index=True)
     page = page_files(
         "modaltouch.analysis",
         "parts",
@@ -283,7 +283,7 @@ def render_parts(analysis: PartsAnalysis) -> dict[str, Any]:
         limits=analysis.design.limits if analysis.design else (),
         responses=responses,
         registration=analysis.registration,
-        whole=list_questions(analysis.whole, _everywhere(analysis.parts)),
+        whole=list_questions(analysis.whole, everywhere),
         families=state_families([*analysis.whole, *(finding for _, finding in analysis.findings)]),
         alpha=ALPHA,
         record=describe_record(responses.sessions),
@@ -292,7 +292,7 @@ def render_parts(analysis: PartsAnalysis) -> dict[str, Any]:
         "counts.csv": analysis.counts.to_dict("records"),
         **test_files(analysis.tests),
         **({"measures.csv": values} if values else {}),
-        **_models(analysis),
+        **model_files(everywhere, replace(responses, frame=answered)),
         "report.html": page.pop("parts.html"),
         **page,
     }
@@ -303,17 +303,3 @@ def _everywhere(parts: Sequence[CrossedPart]) -> AnswerCounts:
     conditions = dict.fromkeys(name for part in parts for name in part.counts.finger_conditions)
     pairs = {pair.label: pair for part in parts for pair in part.counts.pairs}
     return replace(parts[0].counts, finger_conditions=tuple(conditions), pairs=tuple(pairs.values()))
-
-
-def _models(analysis: PartsAnalysis) -> dict[str, Any]:
-    """Return the table and the R script of mixed models, for zones over all parts if answers name each finger alone."""
-    first = analysis.parts[0].counts
-    if not all(part.counts.compares for part in analysis.parts):
-        return tidy_files(analysis.responses)
-    asked = questions_of(analysis.responses.design, analysis.responses.frame)
-    tables = [model_table(part.counts, part.frame, asked).assign(**part.factors) for part in analysis.parts]
-    table = pd.concat(tables)
-    middle = (table[first.scale.column].max() + table[first.scale.column].min()) / 2
-    table = table.assign(level=(table[first.scale.column] - middle) / first.scale.step)
-    columns = [name for name in (*FACTORS, "finger_condition", "pair", "level") if name in table]
-    return zone_files(table, [name for name in columns if table[name].nunique() > 1], first, asked)

@@ -226,7 +226,7 @@ def render_files(analysis: Analysis, *, fields: bool = False) -> dict[str, Any]:
     """Render all files of an analysis, by name, for `write_files`."""
     from modaltouch.analysis.crossed import figure_names, zone_table
     from modaltouch.analysis.findings import rows_of, test_files
-    from modaltouch.analysis.models import model_files, tidy_files
+    from modaltouch.analysis.models import model_files
     from modaltouch.analysis.report import report_files
 
     files: dict[str, Any] = {"counts.csv": rows_of(analysis.counts)}
@@ -238,11 +238,7 @@ def render_files(analysis: Analysis, *, fields: bool = False) -> dict[str, Any]:
     if analysis.design and analysis.design.rows:
         files["measures.csv"] = analysis.design.rows
     files |= test_files(analysis.tests)
-    files |= (
-        model_files(analysis.answers, analysis.responses)
-        if analysis.answers.compares
-        else tidy_files(analysis.responses)
-    )
+    files |= model_files(analysis.answers, analysis.responses)
     # Matplotlib is loaded only now, since the tables above take much memory until they are written as text.
     from modaltouch.analysis.figures import FIELDS, draw_bars, draw_fields
 
