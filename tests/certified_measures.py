@@ -17,11 +17,11 @@ from itertools import islice
 import numpy as np
 from scipy.special import ncfdtr, ndtr, xlogy
 
+from modaltouch.analysis.designs import power_law
 from modaltouch.analysis.detection import m_intervals, odd_of_three, same_different, share_correct, yes_no
 from modaltouch.analysis.intervals import BoundedMean, Interval, student_interval
 from modaltouch.analysis.permutation import by_ranks, flip_test, friedman, rank_test, shuffle_test
 from modaltouch.analysis.psychometric import JND_OF_SPREAD, MOST_LAPSE, Fits, fit_counts
-from modaltouch.analysis.ratings import power_law
 from modaltouch.protocol.conditions import StaircaseSection
 from modaltouch.protocol.levels import Quest
 

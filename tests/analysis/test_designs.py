@@ -18,7 +18,7 @@ from scipy.special import ndtr, ndtri
 from modaltouch.analysis.columns import VELOCITY
 from modaltouch.analysis.crossed import Analysis
 from modaltouch.analysis.csv_table import TableFormat
-from modaltouch.analysis.designs import analyse_design
+from modaltouch.analysis.designs import analyse_design, level_findings, power_law
 from modaltouch.analysis.detection import CRITERION, D_PRIME, m_intervals, same_different, yes_no
 from modaltouch.analysis.findings import Finding, correct
 from modaltouch.analysis.intervals import BoundedMean, Interval
@@ -32,7 +32,6 @@ from modaltouch.analysis.measures import (
 )
 from modaltouch.analysis.permutation import by_flips, by_ranks, flip_test, friedman, group_test
 from modaltouch.analysis.pipeline import analyse, read_responses
-from modaltouch.analysis.ratings import level_findings, power_law
 from modaltouch.analysis.report import design_limits
 from modaltouch.analysis.responses import AnswerSource, Responses
 from modaltouch.analysis.words import certificates, certificates_of

@@ -13,11 +13,11 @@ from statsmodels.stats.multitest import multipletests
 from modaltouch.analysis.consistency import ac1_interval, agreement_between, consistency_findings
 from modaltouch.analysis.counts import count_answers
 from modaltouch.analysis.covariates import side_findings
+from modaltouch.analysis.designs import power_law
 from modaltouch.analysis.exact import multinomial_test, sign_flip_test, trend_test
 from modaltouch.analysis.findings import holm
 from modaltouch.analysis.intervals import BoundedMean, matched_odds_ratio
 from modaltouch.analysis.permutation import rank_test, shuffle_test
-from modaltouch.analysis.ratings import power_law
 
 
 @pytest.fixture(params=range(5))

@@ -13,7 +13,7 @@ from modaltouch.planning.experiments import Study
 from modaltouch.planning.observer import Observer
 from modaltouch.planning.power import Power, plan, write_power
 from modaltouch.record.chain import RecordError
-from modaltouch.report.output import write_files
+from modaltouch.report.page import write_files
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from modaltouch.record.chain import RecordError
-from modaltouch.report.output import MANIFEST, refuse_other, write_files
+from modaltouch.report.page import MANIFEST, refuse_other, write_files
 
 
 def test_files_are_written_with_a_manifest_of_their_hashes(tmp_path) -> None:

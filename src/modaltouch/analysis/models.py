@@ -23,7 +23,7 @@ from modaltouch.analysis.intervals import CONFIDENCE, Interval
 from modaltouch.report import render_page
 
 if TYPE_CHECKING:
-    from modaltouch.analysis.ratings import Question
+    from modaltouch.analysis.designs import Question
     from modaltouch.analysis.responses import Responses
 
 
@@ -72,7 +72,7 @@ def model_files(answers: AnswerCounts, responses: Responses) -> dict[str, Any]:
     """Return the tidy table and the R script of the models, by file name."""
     asked: Sequence[Question] = ()
     if responses.has_individual_results:
-        from modaltouch.analysis.ratings import questions_of
+        from modaltouch.analysis.designs import questions_of
 
         asked = questions_of(responses.design, responses.frame)
     table = answer_table(answers, responses.by_choice().frame, asked)

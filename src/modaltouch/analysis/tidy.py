@@ -11,9 +11,16 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from modaltouch.analysis.balance import check_balance, check_doubling, check_unit
 from modaltouch.analysis.columns import OWN_THRESHOLD, VELOCITY, zones_of
-from modaltouch.analysis.csv_table import Table, TableFormat, list_faults, read_table
+from modaltouch.analysis.csv_table import (
+    Table,
+    TableFormat,
+    check_balance,
+    check_doubling,
+    check_unit,
+    list_faults,
+    read_table,
+)
 from modaltouch.analysis.responses import (
     CHOOSE_STIMULUS,
     MODES,

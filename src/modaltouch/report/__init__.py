@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 from modaltouch.system import lazily
 
 if TYPE_CHECKING:
-    from modaltouch.report.output import refuse_other, write_files
     from modaltouch.report.page import (
         CONDITION_COLOURS,
         FAINT,
@@ -23,15 +22,16 @@ if TYPE_CHECKING:
         house_style,
         page_files,
         quiet_grid,
+        refuse_other,
         render_page,
+        write_files,
     )
 else:
     __getattr__ = lazily(
         __name__,
         {
-            "output": "refuse_other write_files",
             "page": "CONDITION_COLOURS FAINT INK PAIR_COLOURS ReportFigure format_number house_style page_files "
-            "quiet_grid render_page",
+            "quiet_grid refuse_other render_page write_files",
         },
     )
 

@@ -11,7 +11,7 @@ from modaltouch.cli import app
 from modaltouch.lab.validation import write_validation
 from modaltouch.lab.validation.key_figures import findings, key_figures
 from modaltouch.record.chain import RecordError
-from modaltouch.report.output import write_files
+from modaltouch.report.page import write_files
 
 pytestmark = pytest.mark.usefixtures("svg_alone")
 
