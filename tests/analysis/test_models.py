@@ -20,9 +20,9 @@ from modaltouch.protocol import AnswerList
 
 GLMER = {
     "intercept": (1.22850, 0.25736),
+    "two_hands - one_hand": (-0.23895, 0.15099),
     "B-D - A-C": (-2.24026, 0.19964),
     "C-E - A-C": (-0.50188, 0.18094),
-    "two_hands - one_hand": (-0.23895, 0.15099),
     "level, per 100 mm/s": (0.51877, 0.16342),
 }
 """Estimates and standard errors of glmer(dominant ~ pair + finger_condition + level + (1 | participant), binomial) on
@@ -129,7 +129,7 @@ def test_groups_are_a_column_and_a_term(frame) -> None:
     assert [(row["participant"], row["group"]) for row in rows] == [
         *zip(grouped["participant"], grouped["group"], strict=True)
     ]
-    assert "dominant ~ group + pair + finger_condition + level + (1 | participant)" in files["models.R"]
+    assert "dominant ~ group + finger_condition + pair + level + (1 | participant)" in files["models.R"]
 
 
 def test_what_no_row_has_is_no_column(frame) -> None:
@@ -140,7 +140,7 @@ def test_what_no_row_has_is_no_column(frame) -> None:
     files = model_files(counts, Responses(few, (), (), AnswerSource("", "csv", ""), answers=answers))
     rows = list(csv.DictReader(files["answers.csv"].splitlines()))
     assert len(rows) == 2 * len(few)
-    assert list(rows[0]) == ["participant", "pair", "finger_condition", "velocity_mm_s", "level", "response"]
+    assert list(rows[0]) == ["participant", "finger_condition", "pair", "velocity_mm_s", "level", "response"]
     named = model_files(
         counts, Responses(few.assign(stimulus="x"), (), (), AnswerSource("", "csv", ""), answers=answers)
     )
@@ -154,10 +154,10 @@ def test_an_analysis_writes_the_table_and_the_script(paper_csv, tmp_path) -> Non
     assert len(rows) == 240
     assert sum(row["zone"] == "both" for row in rows) == int((found.responses.frame["response"] == "both").sum())
     script = found.files["models.R"].read_text(encoding="utf-8")
-    assert "lme4::glmer(\n  dominant ~ pair + finger_condition + level + (1 | participant)" in script
-    assert "ordinal::clmm(\n  zone ~ pair" in script and "brms::brm(" in script
+    assert "lme4::glmer(\n  dominant ~ finger_condition + pair + level + (1 | participant)" in script
+    assert "ordinal::clmm(\n  zone ~ finger_condition" in script and "brms::brm(" in script
     # Else R would take the participants 1 and 01 for one number, hence for one person.
-    kinds = '"participant" = "factor", "pair" = "factor", "finger_condition" = "factor", "response" = "factor", "zone"'
+    kinds = '"participant" = "factor", "finger_condition" = "factor", "pair" = "factor", "response" = "factor", "zone"'
     assert f'colClasses = c(\n{kinds} = "factor"\n))' in script
     assert {row.question for row in found.findings} >= {"model"}
     assert "What does a mixed model say?" in found.files["report.html"].read_text(encoding="utf-8")

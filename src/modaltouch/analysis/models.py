@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from modaltouch.analysis.responses import Responses
 
 
-FACTORS = ("group", "session_kind", "stimulus", "pair", "finger_condition")
+FACTORS = ("group", "session_kind", "stimulus", "finger_condition", "pair")
 
 
 def answer_table(answers: AnswerCounts, frame: pd.DataFrame, asked: Sequence[Question] = ()) -> pd.DataFrame:
