@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,6 @@ import numpy as np
 
 from modaltouch.analysis import (
     STATISTICS,
-    AnswerCounts,
     Responses,
     analyse_responses,
     scope_in_words,
@@ -32,23 +30,6 @@ from modaltouch.system import commit, version
 
 N_COUNTED, N_RECORDED = 1000, 20
 """Default number of simulated experiments, as counts of answers and as whole sessions."""
-
-
-@dataclass(frozen=True, eq=False)
-class _Plan:
-    """Planned tests and estimates, with their performance in simulated experiments.
-
-    `answers` is None for a design that is not crossed or is adaptive; `design` then describes it.
-    """
-
-    answers: AnswerCounts | None
-    terms: dict[str, Any]
-    families: list[dict[str, Any]]
-    power: list[dict[str, Any]]
-    n_experiments: int
-    repeated_by: str
-    thresholds: list[dict[str, Any]] = field(default_factory=list)
-    design: list[tuple[str, str]] = field(default_factory=list)
 
 
 def times_in_words(number: int) -> str:
@@ -100,7 +81,7 @@ def preregister(
         found = _by_counts(counted, n_participants, n_experiments or N_COUNTED, n_processes, on_progress)
     given = f" --threshold {threshold_mm_s:g}" if threshold_mm_s else ""
     several = (preflight, *preflight.others) if preflight.others else ()
-    terms, size = _terms(preflight, found), {"n": n_participants, "observer": observer.name, "seed": seed}
+    terms, size = _terms(preflight, found["terms"]), {"n": n_participants, "observer": observer.name, "seed": seed}
     return render_page(
         "modaltouch.planning",
         "prereg.md.j2",
@@ -109,7 +90,7 @@ def preregister(
         path=path,
         plan=found,
         times=times_in_words,
-        repeated_by=found.repeated_by.format(path=path, experiments=found.n_experiments, threshold=given, **size),
+        repeated_by=found["repeated_by"].format(path=path, experiments=found["n_experiments"], threshold=given, **size),
         threshold_mm_s=threshold_mm_s,
         **size,
         terms=terms,
@@ -124,10 +105,10 @@ def _public(path: Path) -> str:
     return shipped.get(path.absolute(), path.as_posix())
 
 
-def _terms(preflight: Preflight, found: _Plan) -> dict[str, Any]:
+def _terms(preflight: Preflight, planned: dict[str, Any]) -> dict[str, Any]:
     return {
         "date": datetime.now(UTC).date().isoformat(),
-        **found.terms,
+        **planned,
         "protocol (SHA-256)": preflight.experiment.sources.protocol.sha256,
         "equivalence margin": preflight.experiment.protocol.analysis.equivalence_margin,
     }
@@ -150,8 +131,8 @@ def _by_counts(
     n_experiments: int,
     n_processes: int,
     on_progress: Callable[[int, int], None] | None,
-) -> _Plan:
-    """Return the plan of a design whose answers are simulated as counts without sessions."""
+) -> dict[str, Any]:
+    """Return the values of the page for a design whose answers are simulated as counts without sessions."""
     design = study.design
     found = plan(
         study, [(n_participants, design.n_repetitions)], n_experiments, n_processes=n_processes, on_progress=on_progress
@@ -175,7 +156,16 @@ def _by_counts(
     tests = {family["name"]: len(family["scopes"]) for family in described}
     again = "modaltouch power {path} -n {n} --experiments {experiments} --observer {observer} --seed {seed}"
     again += f" --questions '{','.join(study.families)}'"
-    return _Plan(planned, terms_of(planned, tests), described, rows, n_experiments, again)
+    return {
+        "answers": planned,
+        "terms": terms_of(planned, tests),
+        "families": described,
+        "power": rows,
+        "n_experiments": n_experiments,
+        "repeated_by": again,
+        "thresholds": [],
+        "design": [],
+    }
 
 
 def _by_sessions(
@@ -184,7 +174,8 @@ def _by_sessions(
     seed: int,
     n_processes: int,
     on_progress: Callable[[int, int], None] | None,
-) -> _Plan:
+) -> dict[str, Any]:
+    """Return the values of the page for other designs, from whole sessions."""
     import joblib
 
     significant: Counter[str] = Counter()
@@ -213,16 +204,16 @@ def _by_sessions(
     again += "{threshold} --out FILE"
     terms = analysis.terms({family["name"]: len(family["scopes"]) for family in families})
     thresholds = [_describe_threshold(name, found) for name, found in estimates.items()]
-    return _Plan(
-        getattr(analysis, "answers", None),
-        terms,
-        families,
-        rows,
-        n_experiments,
-        again,
-        thresholds,
-        analysis.design_in_words(),
-    )
+    return {
+        "answers": getattr(analysis, "answers", None),  # None if the design is not crossed: `design` then describes it
+        "terms": terms,
+        "families": families,
+        "power": rows,
+        "n_experiments": n_experiments,
+        "repeated_by": again,
+        "thresholds": thresholds,
+        "design": analysis.design_in_words(),
+    }
 
 
 def _simulated(study: Callable[[int], Responses], seed: int) -> Any:
