@@ -177,7 +177,7 @@ def read_table(path: Path, required: Sequence[str]) -> Table:
         while header and not header[-1]:
             header.pop()
         if not header:
-            raise InputError([_whole(file, "an empty file", _form(required), "write the answers into it")])
+            raise InputError.of(path, "an empty file", _form(required), "write the answers into it")
         _check_header(file, header_line, header, required, text)
         fields, problems = _read_fields(file, header, rows, separator)
     except csv.Error as error:
@@ -192,14 +192,10 @@ def read_table(path: Path, required: Sequence[str]) -> Table:
         )
         raise InputError([where]) from error
     if fields.empty and not problems:
-        problems = [_whole(file, "a header without any row", "one row for each answer", "write the answers into it")]
+        raise InputError.of(path, "a header without any row", "one row for each answer", "write the answers into it")
     if problems:
         raise InputError(problems)
     return Table(file, fields, separator, hashlib.sha256(data).hexdigest())
-
-
-def _whole(file: str, given: str, allowed: str, remedy: str) -> Problem:
-    return Problem(file, 1, 1, "", given, allowed, remedy)
 
 
 def _form(required: Sequence[str]) -> str:
@@ -211,11 +207,11 @@ def _read_text(path: Path) -> tuple[bytes, str]:
         data = path.read_bytes()
     except OSError as error:
         given = f"a file that cannot be read ({error.strerror})"
-        raise InputError([_whole(str(path), given, "a readable file", "check its name and permissions")]) from error
+        raise InputError.of(path, given, "a readable file", "check its name and permissions") from error
     remedy = "save the table again as CSV in UTF-8 (in a spreadsheet: CSV UTF-8)"
     if data[:2] in (b"\xff\xfe", b"\xfe\xff") or b"\x00" in data:
         kind = "text in UTF-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "a file that is not text"
-        raise InputError([_whole(str(path), kind, "text in UTF-8", remedy)])
+        raise InputError.of(path, kind, "text in UTF-8", remedy)
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
