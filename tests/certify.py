@@ -27,7 +27,7 @@ from modaltouch.analysis.contrasts import Shares
 from modaltouch.analysis.counts import AnswerCounts, Pair
 from modaltouch.analysis.exact import sign_flip_test, sign_test
 from modaltouch.analysis.findings import holm
-from modaltouch.analysis.intervals import BoundedMean, clopper_pearson, matched_odds_ratio
+from modaltouch.analysis.intervals import BoundedMean, clopper_pearson
 from modaltouch.analysis.permutation import association_test
 from modaltouch.analysis.statistics import STATISTICS, conditions_compared, dominance, pairs_compared, slopes
 from modaltouch.system import version
@@ -196,7 +196,6 @@ def truths_of(population, rng):
         "prevalence": showing.mean(),
         "share": shown[:, 0].mean(),
         "paired difference": b - c,
-        "odds ratio": b / c if c else np.inf,
     }
 
 
@@ -217,11 +216,6 @@ def errors_of_shares(answers, truth):
     hit, known = modal == place, (modal >= 0).all(axis=-1)
     gap = np.where(known, hit[..., 0].astype(float) - hit[..., 1], np.nan)
     yield "paired difference", BoundedMean(gap).test(truth["paired difference"]).p <= ALPHA / TIES
-    b, c = (gap == 1).sum(axis=-1), (gap == -1).sum(axis=-1)
-    ratios = {pair: matched_odds_ratio(*pair) for pair in set(zip(b.tolist(), c.tolist(), strict=True))}
-    odds = [ratios[pair] for pair in zip(b.tolist(), c.tolist(), strict=True)]
-    yield "odds ratio", np.array([not each.low <= truth["odds ratio"] * TIES or each.high < truth["odds ratio"] / TIES
-                                  for each in odds])  # fmt: skip
     rated = answers.counts[..., 0, 0, :, :]
     parts = [rated[start : start + 10] for start in range(0, len(rated), 10)]
     yield "agreement", np.concatenate([missed(ac1_interval(part), truth["agreement"]) for part in parts])

@@ -84,7 +84,7 @@ def test_without_two_fingers_no_answer_counts_as_a_zone(zones, tmp_path) -> None
 
 
 def test_the_json_is_plain_and_without_nan(analysis) -> None:
-    """An infinite or undefined value is written as text, and null where there is no number."""
+    """Every test has the same keys."""
     values = json.loads(json.dumps(analysis.as_dict(), allow_nan=False))
     assert {"counts", "tests", "files", "n_participants", "n_responses", "left_out"} <= set(values)
     assert (values["n_participants"], values["n_responses"]) == (10, 240)
@@ -93,11 +93,6 @@ def test_the_json_is_plain_and_without_nan(analysis) -> None:
     }  # fmt: skip
     keys = ("question", "name", "scope", "statistic", "p", "p_min", "p_holm", "estimate", "low", "high", "n")
     assert all(key in row for row in values["tests"] for key in keys)
-    odds = [
-        row for row in values["tests"] if row["name"].startswith("matched odds") and "no information" in row["note"]
-    ]
-    found = {tuple(row[key] for key in ("estimate", "low", "high", "p")) for row in odds}
-    assert found == {("undefined", 0.0, "infinity", None)}
 
 
 def test_the_table_of_fig_10_has_the_counts(analysis) -> None:

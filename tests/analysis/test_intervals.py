@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.stats import t
 
-from modaltouch.analysis.intervals import clopper_pearson, matched_odds_ratio, student_interval, wilson
+from modaltouch.analysis.intervals import clopper_pearson, student_interval, wilson
 
 Z = 1.959963984540054
 
@@ -69,15 +69,6 @@ def test_wilson_bounds_are_where_the_score_statistic_is_z(k, n) -> None:
         assert (k / n - bound) ** 2 == pytest.approx(Z**2 * bound * (1 - bound) / n, abs=1e-12)
     assert 0 <= interval.low <= interval.estimate <= interval.high <= 1
     assert interval.high - interval.low > 0.1
-
-
-@pytest.mark.parametrize(
-    ("b", "c", "low", "high"), [(1, 0, 0.025 / 0.975, math.inf), (0, 1, 0.0, 0.975 / 0.025), (0, 0, 0.0, math.inf)]
-)
-def test_the_matched_odds_ratio_is_the_transformed_binomial_interval(b, c, low, high) -> None:
-    """Closed form for one discordant pair: bounds 0.025 and 0.975 of the binomial share."""
-    interval = matched_odds_ratio(b, c)
-    assert (interval.low, interval.high) == pytest.approx((low, high))
 
 
 def test_a_mean_has_the_bounds_of_students_t() -> None:

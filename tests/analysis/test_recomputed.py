@@ -16,7 +16,7 @@ from modaltouch.analysis.covariates import side_findings
 from modaltouch.analysis.designs import power_law
 from modaltouch.analysis.exact import multinomial_test, sign_flip_test, trend_test
 from modaltouch.analysis.findings import holm
-from modaltouch.analysis.intervals import BoundedMean, matched_odds_ratio
+from modaltouch.analysis.intervals import BoundedMean
 from modaltouch.analysis.permutation import rank_test, shuffle_test
 
 
@@ -79,14 +79,6 @@ def test_a_trend_agrees_with_all_orders(rng) -> None:
     sums = np.array([sum(each) for each in product(*own)]) - sum(map(np.mean, own))
     observed = (counts @ levels).sum() - sum(map(np.mean, own))
     assert close(trend_test(counts, levels.tolist()).p, np.mean(np.abs(sums) >= abs(observed) - 1e-9))
-
-
-def test_an_odds_ratio_agrees_with_scipys_exact_interval(rng) -> None:
-    """The ratio b / c of the discordant pairs has the bounds of the binomial share."""
-    b, c = rng.integers(1, 12, 2).tolist()
-    share, odds = stats.binomtest(b, b + c).proportion_ci(method="exact"), matched_odds_ratio(b, c)
-    expected = (b / c, share.low / (1 - share.low), share.high / (1 - share.high))
-    assert (odds.estimate, odds.low, odds.high) == pytest.approx(expected, rel=1e-8)
 
 
 def test_flips_ranks_and_shuffles_agree_with_scipy(rng) -> None:

@@ -23,7 +23,7 @@ from modaltouch.analysis.contrasts import Shares
 from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.exact import sign_flip_test
 from modaltouch.analysis.findings import ALPHA, Finding, finding_of
-from modaltouch.analysis.intervals import CONFIDENCE, BoundedMean, Interval, clopper_pearson, matched_odds_ratio
+from modaltouch.analysis.intervals import CONFIDENCE, BoundedMean, Interval, clopper_pearson
 from modaltouch.analysis.sums import FloatArray, IntArray
 
 AGREEMENT = "agreement between participants"
@@ -99,9 +99,6 @@ def _paired_cells(answers: AnswerCounts) -> Iterator[Finding]:
         )
         difference = BoundedMean([1.0] * b + [-1.0] * c + [0.0] * (m - b - c)).interval()
         yield finding_of("f", PAIRED, scope, None, f"difference of P({shown})", difference, m, notes=[note])
-        notes = [note] if b + c else ["no information: no discordant pair", note]
-        quantity, odds = f"odds ratio of {shown}", matched_odds_ratio(b, c)
-        yield finding_of("f", "matched odds ratio, exact", scope, None, quantity, odds, m, notes=notes)
 
 
 def shows_dominance(first: IntArray, second: IntArray) -> NDArray[np.bool_]:

@@ -188,23 +188,6 @@ def student_quantile(degrees: int) -> float:
     return float(stdtrit(degrees, 1 - (1 - CONFIDENCE) / 2))
 
 
-def matched_odds_ratio(only_first: int, only_second: int) -> Interval:
-    """Return the conditional odds ratio of matched pairs, with the interval derived from the exact one of b / (b + c).
-
-    Parameters
-    ----------
-    only_first, only_second : int
-        Numbers b and c of discordant pairs, with a success only in the first or only in the second condition.
-
-    Returns
-    -------
-    Interval
-        [0, inf] with NaN as the estimate, if no pair is discordant.
-    """
-    share = clopper_pearson(only_first, only_first + only_second)
-    return share.changed(lambda p: math.inf if p == 1 else p / (1 - p))
-
-
 MOST_DROPPED = 250
 """Maximum number of participants for the B-spline recursion, with a cost quadratic in their number."""
 

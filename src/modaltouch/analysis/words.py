@@ -248,7 +248,7 @@ _OF_FINDINGS = {
     ".* together over levels": ("b together",), ".* together, shuffles": ("c together",),
     ".* leaning participants": ("leaning", "leaning share"), ".* agreement between": ("agreement",),
     ".* prevalence of": ("prevalence",), ".* share of answers": ("share",), "catch": ("share",),
-    ".* paired difference": ("paired difference",), ".* odds ratio": ("odds ratio",), ".* reaction times": ("time",),
+    ".* paired difference": ("paired difference",), ".* reaction times": ("time",),
     ".* share in a cell": ("a1 share",), ".* bounded mean": ("c mean",),
 }  # fmt: skip
 
