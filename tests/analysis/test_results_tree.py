@@ -275,7 +275,9 @@ def test_folders_of_several_labs_are_analysed_with_the_lab_as_group(record, tmp_
     between = [finding for finding in analysis.findings if finding.question == "group"]
     assert {finding.scope for finding in between} == {"north - south"}
     assert (tmp_path / "out" / "answers.csv").read_text("utf-8").splitlines()[1].startswith("north/p01,north,")
-    assert "group + finger_condition + pair + level + (1 | participant)" in (tmp_path / "out" / "models.R").read_text("utf-8")
+    assert "group + finger_condition + pair + level + (1 | participant)" in (tmp_path / "out" / "models.R").read_text(
+        "utf-8"
+    )
     # Both labs have the same answers.
     assert {finding.estimate for finding in between} == {0.0}
 

@@ -44,13 +44,14 @@ class TestForms:
             lambda text: text.replace(",", "\t"),
             lambda text: "sep=;\n" + text.replace(",", ";"),
             lambda text: '"sep=|"\r\n' + text.replace(",", "|"),
+            lambda text: "sep=;\n" + text,
             lambda text: text.replace(",", ", "),
             lambda text: text.replace(",", ";").replace(";80;", ";80,0;"),
             lambda text: text.replace("A,C", '"A","C"'),
             lambda text: text.replace("\n", ",,\n"),
             lambda text: "\n".join([text.split("\n")[0], *sorted(text.split("\n")[1:])]),
         ],
-        ids=["crlf", "cr", "bom", "blank-end", "blank-start", "semicolon", "tab", "named", "named-in-quotes", "spaces",
+        ids=["crlf", "cr", "bom", "blank-end", "blank-start", "semicolon", "tab", "named", "named-in-quotes", "wrongly-named", "spaces",
              "decimal-comma", "quotes", "empty-columns", "any-order"],
     )  # fmt: skip
     def test_a_table_is_read_in_any_usual_form(self, write_csv, paper_rows, dress) -> None:
@@ -688,8 +689,9 @@ def test_a_table_with_all_rows_excluded_has_no_answers(write_csv, paper_rows, ti
         lambda rows: sorted(rows * 2, key=lambda row: row["velocity_mm_s"]),
         lambda rows: sorted(rows * 2, key=lambda row: [*row.values()]),
         lambda rows: [row | {"number": place} for place, row in enumerate(rows) for _ in range(2)],
+        lambda rows: rows + rows[:-1],
     ],
-    ids=["below", "thrice", "joined", "by-level", "by-every-column", "by-a-running-number"],
+    ids=["below", "thrice", "joined", "by-level", "by-every-column", "by-a-running-number", "but-one"],
 )
 def test_a_table_whose_every_row_recurs_is_refused(write_csv, paper_rows, paste) -> None:
     """It may be pasted together, whatever its order; repetitions that say so by numbers are read."""

@@ -167,8 +167,8 @@ def read_table(path: Path, required: Sequence[str]) -> Table:
     """
     data, text = _read_text(path)
     file, named = str(path), _NAMED_SEPARATOR.match(text)
-    separator = named[1] if named else _find_separator(text, required)
     text = text[named.end() :] if named else text  # an empty line is left, so that line numbers hold
+    separator = _find_separator(text, required, (*([named[1]] if named else []), *SEPARATORS))
     reader = csv.reader(io.StringIO(text), delimiter=separator, skipinitialspace=True, strict=True)
     rows = ((reader.line_num, row) for row in reader if any(map(str.strip, row)))
     try:
@@ -222,14 +222,14 @@ def _read_text(path: Path) -> tuple[bytes, str]:
     return data, text.replace("\r\n", "\n").replace("\r", "\n")
 
 
-def _find_separator(text: str, required: Sequence[str]) -> str:
+def _find_separator(text: str, required: Sequence[str], separators: Sequence[str]) -> str:
     header = next((line for line in text.split("\n") if line.strip()), "")
 
     def known(separator: str) -> tuple[int, int]:
         fields = [field.strip().strip('"') for field in header.split(separator)]
         return len(set(fields) & set(required)), len(fields)
 
-    return max(SEPARATORS, key=known)
+    return max(separators, key=known)
 
 
 def _check_header(file: str, line: int, header: list[str], required: Sequence[str], text: str) -> None:
@@ -279,6 +279,9 @@ def _read_fields(
 
 # Share of missing answers at or above which a participant presumably had another design, or gave up [1].
 _MOST_MISSING = 0.25
+
+# Share of rows that occur equally often at or above which a table was presumably pasted together [1].
+_MOST_ROWS = 0.95
 
 # Minimum number of distinct reaction times for which a full match cannot be coincidence.
 _FEWEST_TIMES = 4
@@ -353,7 +356,7 @@ def _measured_levels(table: Table, frame: pd.DataFrame, column: str) -> Problem:
 
 
 def check_doubling(table: Table, frame: pd.DataFrame, most: int | None) -> tuple[list[Problem], list[str]]:
-    """Refuse a table whose every row is duplicated; up to the planned repetitions, note it instead.
+    """Refuse a table whose every row is duplicated, but for a few; up to the planned repetitions, note it instead.
 
     Repetitions of a participant who always answers alike look like copies, so unplanned ones need numbers.
 
@@ -366,14 +369,17 @@ def check_doubling(table: Table, frame: pd.DataFrame, most: int | None) -> tuple
     most : int or None
         Most answers of a participant in a cell, according to the protocol; None if unknown.
     """
-    times = math.gcd(*pd.util.hash_pandas_object(table.fields, index=False).value_counts().tolist())
+    counts = pd.util.hash_pandas_object(table.fields, index=False).value_counts().to_numpy()
+    multiples = (times for times in range(int(counts.max()), 1, -1) if (counts % times == 0).mean() >= _MOST_ROWS)
+    times = next(multiples, 1)
+    every = "every row" if (counts % times == 0).all() else "nearly every row"
     if times < 2 or frame.empty:
         return [], []
     cell = [*cell_of(frame.columns), *({"stimulus"} & {*frame.columns})]
     found = int(frame.groupby(["participant", *cell], observed=True)["n"].sum().max())
     if most is not None and found <= most:
-        return [], [f"every row occurs {times} times, taken as repetitions, as planned: remove any copies"]
-    given, allowed = f"every row {times} times", "each once, or repetitions with numbers under `repetition`"
+        return [], [f"{every} occurs {times} times, taken as repetitions, as planned: remove any copies"]
+    given, allowed = f"{every} {times} times", "each once, or repetitions with numbers under `repetition`"
     if most is not None:
         given += f", which gives {found} answers of a participant in a cell"
         allowed = f"{most}, as in the protocol"
