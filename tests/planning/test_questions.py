@@ -33,7 +33,7 @@ def test_every_test_agrees_with_the_analysis(design: Design, n_participants: int
         assert found is not None
         for experiment in range(4):
             theirs = [row for row in analysed(answers, experiment) if row.family == family]
-            assert list(design.scopes(family)) == [row.scope for row in theirs]
+            assert [scope for scope, _ in design.tests[family]] == [row.scope for row in theirs]
             assert found.test.quick_p[experiment] == pytest.approx([row.p for row in theirs], abs=1e-13)
             assert holm(found.test.quick_p)[experiment] == pytest.approx([row.p_holm for row in theirs], abs=1e-12)
             expected = [(row.high - row.low) / 2 for row in theirs]
@@ -42,7 +42,7 @@ def test_every_test_agrees_with_the_analysis(design: Design, n_participants: int
 
 def test_the_papers_design_has_these_tests(design: Design) -> None:
     """6 tests of dominance, 6 of level, 6 of hand (dominant zone and both), 6 of pair, and 24 cells."""
-    assert {family: len(design.scopes(family)) for family in STATISTICS} == {
+    assert {family: len(design.tests[family]) for family in STATISTICS} == {
         "a1": 24, "a2": 6, "a2 mean": 6, "b": 6, "b mean": 6, "c": 6, "c mean": 6, "c alike": 6, "d": 6, "d mean": 6,
     }  # fmt: skip
 
@@ -50,13 +50,13 @@ def test_the_papers_design_has_these_tests(design: Design) -> None:
 def test_scopes_of_a_family_are_unique(design: Design) -> None:
     """Plans are added up by scope, such as one hand against two on (A, C): the dominant zone, or both."""
     for family in STATISTICS:
-        assert len(set(design.scopes(family))) == len(design.scopes(family))
-    assert "one_hand - two_hands A-C both" in design.scopes("c")
+        assert len({scope for scope, _ in design.tests[family]}) == len(design.tests[family])
+    assert "one_hand - two_hands A-C both" in dict(design.tests["c"])
 
 
 def test_a_design_of_one_cell_tests_chance_and_dominance_only(small_design: Design) -> None:
     """These are a1, a2 and its mean; one level has no trend."""
-    assert [family for family in STATISTICS if small_design.scopes(family)] == ["a1", "a2", "a2 mean"]
+    assert [family for family in STATISTICS if small_design.tests[family]] == ["a1", "a2", "a2 mean"]
 
 
 def test_tests_that_a_design_does_not_have_are_refused(small_design: Design) -> None:

@@ -160,27 +160,15 @@ def shuffle_test(first: FloatArray, second: FloatArray) -> ExactTest:
         As for `group_test`.
     """
     values, observed = np.concatenate([first, second], axis=-1), first.mean(axis=-1) - second.mean(axis=-1)
-    p, p_min = _tails(values.reshape(-1, values.shape[-1]), first.shape[-1]).reshape(2, *observed.shape)
-    return ExactTest(observed, p, p_min, np.where(np.ptp(values, axis=-1) > 0, values.shape[-1], 0))
-
-
-def _tails(rows: FloatArray, n: int) -> FloatArray:
-    """Return p and the smallest attainable p of permutation tests of the difference of means.
-
-    Parameters
-    ----------
-    rows : (n_tests, size) array
-        Values of the participants.
-    n : int
-        Size of the first group.
-    """
-    weights, tails = _weights(n, rows.shape[-1]), list[FloatArray]()
+    rows, tails = values.reshape(-1, values.shape[-1]), list[FloatArray]()
+    weights = _weights(first.shape[-1], rows.shape[-1])
     step = max(1, _AT_ONCE // len(weights))
     for start in range(0, len(rows), step):
         far = np.abs(rows[start : start + step] @ weights.T)
         ends = np.stack([far[:, 0], far.max(axis=-1)])  # the first permutation is the identity
         tails.append((far >= ends[..., np.newaxis] - 1e-9).mean(axis=-1))
-    return np.concatenate(tails, axis=-1)
+    p, p_min = np.concatenate(tails, axis=-1).reshape(2, *observed.shape)
+    return ExactTest(observed, p, p_min, np.where(np.ptp(values, axis=-1) > 0, values.shape[-1], 0))
 
 
 @lru_cache(maxsize=4)

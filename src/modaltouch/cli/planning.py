@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from itertools import groupby
 from pathlib import Path
@@ -100,7 +100,7 @@ def power(
             for name, design in designs.items():
                 with progress(f"{name}: experiments" if name else "experiments") as on_progress:
                     planned = planning.plan(
-                        planning.Study(design, model, _families(questions, design.scopes, null=null), null, seed),
+                        planning.Study(design, model, _families(questions, design.tests, null=null), null, seed),
                         [(n, r) for r in repetitions for n in sizes_n],
                         experiments,
                         n_processes=jobs,
@@ -176,7 +176,7 @@ def _refuse(option: str, words: str, most: int) -> None:
     )
 
 
-def _families(questions: str | None, scopes: Callable[[str], tuple[str, ...]], *, null: bool) -> tuple[str, ...]:
+def _families(questions: str | None, tests: Mapping[str, Sequence[object]], *, null: bool) -> tuple[str, ...]:
     """Return the requested families of tests that apply to the protocol."""
     by_default = ",".join(family for family in analysis.STATISTICS if not family.endswith(" mean"))
     asked = [word.strip() for word in (questions or by_default).split(",")]
@@ -188,7 +188,7 @@ def _families(questions: str | None, scopes: Callable[[str], tuple[str, ...]], *
     found = tuple(
         family
         for family, each in analysis.STATISTICS.items()
-        if family in asked and scopes(family) and not (null and each.when_alike)
+        if family in asked and tests[family] and not (null and each.when_alike)
     )
     if not found:
         raise typer.BadParameter(

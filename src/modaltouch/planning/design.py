@@ -115,10 +115,6 @@ class Design:
             for family, result in found.items()
         }
 
-    def scopes(self, family: str) -> tuple[str, ...]:
-        """Return the scope of each test of a family (a key of `STATISTICS`), as worded by the analysis."""
-        return tuple(scope for scope, _ in self.tests[family])
-
 
 _KNOWN = ("one_hand", "two_hands")
 _SIMULATE = "simulate sessions and analyse those, as `modaltouch prereg` does"

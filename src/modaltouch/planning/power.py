@@ -49,7 +49,7 @@ class Floor:
 
 def find_floor(design: Design, family: str, n_repetitions: int) -> Floor:
     """Return the minimum number of participants for a family's tests to reach significance."""
-    n_tests, smallest_p = len(design.scopes(family)), STATISTICS[family].smallest_p
+    n_tests, smallest_p = len(design.tests[family]), STATISTICS[family].smallest_p
     levels, margin = design.levels, design.margin
     reach = (n for n in range(1, _MOST) if smallest_p(levels, n, n_repetitions, margin) * n_tests <= ALPHA)
     least = next(reach, None) if len(levels) > 1 or family != "b" else None
@@ -131,7 +131,7 @@ class Power:
 
     def _test_rows(self, size: Size, family: str) -> Iterator[dict[str, Any]]:
         tally, design = self.tallies[size][family], self.study.design
-        for place, scope in enumerate(design.scopes(family)):
+        for place, (scope, _) in enumerate(design.tests[family]):
             width = float(tally.width[place]) / tally.n_experiments
             yield {
                 "question": STATISTICS[family].question,

@@ -77,7 +77,7 @@ def preregister(
     if not (design := _counted(preflight, observer)) or threshold_mm_s is not None:
         found = _by_sessions(study, n_experiments or N_RECORDED, seed, n_processes, on_progress)
     else:
-        counted = Study(design, observer, tuple(filter(design.scopes, STATISTICS)), null=False, seed=seed)
+        counted = Study(design, observer, tuple(filter(design.tests.get, STATISTICS)), null=False, seed=seed)
         found = _by_counts(counted, n_participants, n_experiments or N_COUNTED, n_processes, on_progress)
     given = f" --threshold {threshold_mm_s:g}" if threshold_mm_s else ""
     several = (preflight, *preflight.others) if preflight.others else ()
