@@ -51,8 +51,8 @@ class TestForms:
             lambda text: text.replace("\n", ",,\n"),
             lambda text: "\n".join([text.split("\n")[0], *sorted(text.split("\n")[1:])]),
         ],
-        ids=["crlf", "cr", "bom", "blank-end", "blank-start", "semicolon", "tab", "named", "named-in-quotes", "wrongly-named", "spaces",
-             "decimal-comma", "quotes", "empty-columns", "any-order"],
+        ids=["crlf", "cr", "bom", "blank-end", "blank-start", "semicolon", "tab", "named", "named-in-quotes",
+             "wrongly-named", "spaces", "decimal-comma", "quotes", "empty-columns", "any-order"],
     )  # fmt: skip
     def test_a_table_is_read_in_any_usual_form(self, write_csv, paper_rows, dress) -> None:
         """Reference: the plain comma-separated form of the same synthetic answers."""
