@@ -268,7 +268,7 @@ def test_power_and_fit_plan_the_only_kind_of_session_that_is_analysed(tmp_path: 
     assert design.n_repetitions == 2 * tests.schedule.repetitions
     for session in (1, 2, 3):
         simulate_session(preflight, "p01", tmp_path / "results", observer=Observer(), session=session)
-    assert fit_answers(preflight, tmp_path / "results", Observer()).fit.n_answers == 2 * len(design.cells)
+    assert fit_answers(preflight, tmp_path / "results", Observer()).n_answers == 2 * len(design.cells)
 
 
 def test_simulate_gives_every_participant_all_kinds_of_session(preflight: Preflight, tmp_path: Path) -> None:
