@@ -305,40 +305,6 @@ def test_the_papers_focus_is_not_warned_of(preflight: Preflight) -> None:
     assert not [each for each in preflight.as_dict()["warnings"] if "fastest" in each or "misses the target" in each]
 
 
-def test_defaults_in_use_are_listed(edit: Edit) -> None:
-    """The values are those of the schema; the shipped file states law, field and duration."""
-    left_out = (("  law: exact", "  #"), ("  field: {", "  # {"), ("  duration_ms: 50", "  #"))
-    values = examine(edit(FILE, *left_out)).as_dict()
-    taken = {each["key"]: each["value"] for each in values["defaults"]}
-    assert taken["stimulus.law"] == "exact"
-    assert (taken["stimulus.field.shape"], taken["stimulus.field.base_mm"]) == ("triangle", 56)
-    assert taken["stimulus.duration_ms"] == 50
-    assert "stimulus.focus" not in taken
-    assert "stimulus.n_samples" not in taken
-    (line,) = [each for each in values["warnings"] if each.startswith("taken by default: ")]
-    for each in ("stimulus.law exact", "stimulus.field.shape triangle", "stimulus.field.base_mm 56"):
-        assert each in line
-    assert "answers." not in line
-
-
-def test_a_default_that_leaves_a_feature_off_gives_no_warning(preflight: Preflight) -> None:
-    """It is listed among the defaults, but absent feedback in practice needs no warning."""
-    values = preflight.as_dict()
-    assert {"key": "schedule.practice_feedback", "value": False} in values["defaults"]
-    assert not [each for each in values["warnings"] if "practice_feedback" in each]
-
-
-def test_defaults_of_an_omitted_section_are_listed_beside_faults(edit: Edit) -> None:
-    """The section schedule is optional; 900 mm/s is above the safety limit of 500."""
-    file = edit(FILE, (LEVELS, "[900]"))
-    text = file.read_text()
-    start, end = text.index("\nschedule:"), text.index("\nanswers:")
-    file.write_text(text[:start] + text[end:])
-    values = examine(file).as_dict()
-    assert values["problems"]
-    assert {"key": "schedule.repetitions", "value": 1} in values["defaults"]
-
-
 def test_levels_in_metres_per_second_are_recognised(edit: Edit) -> None:
     """Each is reported once with the level meant: 0.08 m/s is 80 mm/s."""
     found = faults(edit(FILE, (LEVELS, "[0.08, 0.1, 0.15, 0.2]")))

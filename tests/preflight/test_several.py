@@ -226,13 +226,6 @@ def test_a_threshold_is_fitted_for_each_stimulus(tmp_path: Path) -> None:
         analyse(tmp_path, tmp_path / "other", stimulus="sharp")
 
 
-def test_a_field_given_by_the_stimuli_is_not_listed_as_a_default(preflight: Preflight) -> None:
-    """Both shipped stimuli state their field, so the default shape is not listed."""
-    keys = [each["key"] for each in preflight.as_dict()["defaults"]]
-    assert "stimulus.design" in keys
-    assert not [key for key in keys if key.startswith("stimulus.field")]
-
-
 def test_the_check_describes_each_stimulus() -> None:
     """Modes and spot width of both are shown, in the protocol's order."""
     shown = CliRunner().invoke(app, ["check", str(SHIPPED)]).output

@@ -33,9 +33,6 @@ _ALPHA = 0.05
 _LONG = 60.0
 """Duration of a session beyond which attention and skin tire [min]."""
 
-_PRESENTED = ("stimulus.", "conditions.", "schedule.order")
-"""Keys whose defaults `check` reports."""
-
 
 def check_results(preflight: Preflight, *, compare: bool = False, fingers: str | None = None) -> dict[str, Any]:
     """Return all results of a check; with `compare`, also those of the other drive law.
@@ -52,7 +49,6 @@ def check_results(preflight: Preflight, *, compare: bool = False, fingers: str |
         **dict.fromkeys(DESIGN_FIGURES),
         "problems": [problem.as_dict() for problem in preflight.problems],
         "warnings": [],
-        "defaults": findings.defaults(),
         "stimuli": _levels(preflight, fingers),
         **{name: [] for name in ("contrasts", "unknown_gains", "assumed_gains", "offered_gains")},
     }
@@ -64,7 +60,7 @@ def check_results(preflight: Preflight, *, compare: bool = False, fingers: str |
         return values
     apparatus = preflight.sound[0].apparatus
     values |= {
-        "warnings": _warnings(preflight, fingers, values["defaults"]),
+        "warnings": _warnings(preflight, fingers),
         "contrasts": _contrasts(preflight),
         "unknown_gains": [{"mode": label, "set": name} for label, name in apparatus.unknown_gains()],
         "assumed_gains": [{"mode": label, "set": name} for label, name in apparatus.assumed_gains()],
@@ -113,7 +109,7 @@ def _levels(preflight: Preflight, fingers: str | None) -> list[dict[str, Any]]:
     return [{**row, "touched": each} for row, each in zip(rows, _touched(preflight, fingers), strict=True)]
 
 
-def _warnings(preflight: Preflight, fingers: str | None, defaults: list[dict[str, Any]]) -> list[str]:
+def _warnings(preflight: Preflight, fingers: str | None) -> list[str]:
     findings, protocol, apparatus = preflight.findings, preflight.experiment.protocol, preflight.experiment.apparatus
     return [
         *([f"the calibration misses its limits: {preflight.calibration_mark}"] if preflight.calibration_mark else []),
@@ -125,7 +121,6 @@ def _warnings(preflight: Preflight, fingers: str | None, defaults: list[dict[str
         *interval_warnings(protocol),
         *generator_warnings(apparatus),
         *sound_warnings(protocol, apparatus),
-        *default_warnings(defaults),
     ]
 
 
@@ -403,29 +398,6 @@ def interval_warnings(protocol: Protocol) -> list[str]:
             "and there is no d'; let the standard's level or stimulus be one of several of the conditions"
         ]
     return []
-
-
-def default_warnings(taken: list[dict[str, Any]]) -> list[str]:
-    """Return one line with the defaults of what is presented, except those that leave a feature off.
-
-    The schema and the list of all defaults contain the others.
-    """
-    listed = ", ".join(
-        f"{each['key']} {_in_words(each['value'])}"
-        for each in taken
-        # The priority matters only at the amplifier's limit.
-        if each["key"].startswith(_PRESENTED) and each["key"] != "stimulus.priority"
-        if each["value"] not in (None, False, "", "none", {}, [])
-    )
-    return [f"taken by default: {listed}"] if listed else []
-
-
-def _in_words(value: Any) -> str:
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, list):
-        return "/".join(map(str, value))
-    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def sound_warnings(protocol: Protocol, apparatus: Apparatus) -> list[str]:

@@ -14,7 +14,7 @@ from modaltouch.protocol.reading import Reading, read, read_tree
 from modaltouch.protocol.schedule_section import LIMITS, Occasion, at_occasion, check_alike, check_groups, occasions_of
 from modaltouch.protocol.sections import Protocol
 from modaltouch.protocol.source import InputError, Problem, Source, Sources
-from modaltouch.protocol.stimulus_sections import MEASURED, NO_FINGERS, StimulusSection, presented_levels
+from modaltouch.protocol.stimulus_sections import MEASURED, NO_FINGERS, presented_levels
 from modaltouch.protocol.texts import Texts, check_labels, check_words
 from modaltouch.protocol.tree import parse_tree
 from modaltouch.protocol.trial import Condition
@@ -112,15 +112,6 @@ class Findings:
         if self.protocol is None:
             raise ValueError("there is no file to search for the fault: open the protocol first")
         return self.protocol.problem(path, given, allowed, remedy)
-
-    def defaults(self) -> list[dict[str, Any]]:
-        """Return the keys that the protocol omits, with their defaults, except those given by each stimulus."""
-        if self.protocol is None:
-            return []
-        named = [self.protocol.find(("stimuli", name)) for name in self.protocol.sound("stimuli") or ()]
-        keys = StimulusSection.model_fields if any(named) else ()
-        own = [f"stimulus.{key}" for key in keys if all(node and node.child(key) for node in named)]
-        return [each for each in self.protocol.defaults() if ".".join(each["key"].split(".")[:2]) not in own]
 
     @property
     def levels(self) -> dict[tuple[str | int, ...], float]:

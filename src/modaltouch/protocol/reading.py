@@ -142,12 +142,6 @@ class Reading(Generic[Model]):
         """Yield a problem for each tuple (condition, path, given, allowed, remedy) with a true condition."""
         yield from (self.problem(at, given, allowed, remedy) for holds, at, given, allowed, remedy in known if holds)
 
-    def defaults(self) -> list[dict[str, Any]]:
-        """Return the keys that the file omits with their defaults, in the order of the schema."""
-        from modaltouch.protocol.wording import absent_keys
-
-        return [] if self.root is None else list(absent_keys(self.model, self.root, ""))
-
     def load_named(self, key: tuple[str, ...], problems: list[Problem]) -> Source | None:
         """Return the file that a key names relative to this one, if any; add its problems to `problems`."""
         name = self.sound(*key)

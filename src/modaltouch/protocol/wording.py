@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from typing import Any
 
 from pydantic import BaseModel, ValidationError
@@ -293,17 +293,3 @@ def place_of(
     # A missing key is reported at the key of its section.
     # A value of a group or cell is in the tree twice: below its group or cell, and where it applies.
     return (node.file, *place), (*max(root.paths_of(node), key=len, default=path[:depth]), *path[depth:])
-
-
-def absent_keys(section: type[BaseModel], node: Node | None, prefix: str) -> Iterator[dict[str, Any]]:
-    """Yield the keys that a section omits, with their defaults."""
-    for name, info in section.model_fields.items():
-        child = node.child(name) if node is not None else None
-        if child is None and (info.is_required() or info.exclude_if is not None):
-            continue
-        inner = info.annotation
-        if isinstance(inner, type) and issubclass(inner, BaseModel):
-            yield from absent_keys(inner, child, f"{prefix}{name}.")
-        elif child is None:
-            value = info.get_default(call_default_factory=True)
-            yield {"key": f"{prefix}{name}", "value": list(value) if isinstance(value, tuple) else value}
