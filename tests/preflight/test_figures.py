@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from modaltouch.preflight.figures import by_name, estimated_duration, finger_places
-from modaltouch.preflight.results import contrasts, design_figures_of, occasion_figures
+from modaltouch.preflight.results import design_figures_of, occasion_figures
 from modaltouch.protocol import Findings, Protocol
 
 PROTOCOLS = Path(__file__).parents[2] / "protocols"
@@ -75,18 +75,6 @@ def test_an_occasion_has_its_levels_and_numbers() -> None:
     }  # fmt: skip
     faulty = occasion_figures(replace(findings, protocol=None))
     assert faulty == {**dict.fromkeys(told), "group": "", "session_kind": ""}
-
-
-def test_contrasts_are_those_of_the_pairs() -> None:
-    """Faster over slower speed; none beside a zone at rest; a placement has its own pair alone."""
-    protocol = protocol_of("demo")
-    speeds = {"A": 50.0, "B": 0.0, "C": 200.0, "D": 10.0, "E": 400.0}
-    rows = [*contrasts(protocol, speeds)]
-    assert [(row["zone_left"], row["zone_right"], row["contrast"]) for row in rows] == [
-        ("A", "C", 4.0), ("B", "D", None), ("C", "E", 2.0),
-    ]  # fmt: skip
-    assert [(row["left_mm_s"], row["right_mm_s"]) for row in rows] == [(50.0, 200.0), (0.0, 10.0), (200.0, 400.0)]
-    assert [row["zone_left"] for row in contrasts(protocol, speeds, "E-C")] == ["C"]
 
 
 def test_fingers_replace_the_centres_of_their_zones() -> None:

@@ -387,21 +387,6 @@ def test_mirror_images_share_their_codes(designed: Preflight) -> None:
     assert hashes["A-C"] == hashes["C-E"] != hashes["B-D"]
 
 
-def test_contrasts_of_a_design_for_fingers_are_under_its_fingers(designed: Preflight) -> None:
-    """The contrast of each pair holds under the fingers of that pair."""
-    values = designed.as_dict()
-    touched = values["stimuli"][-1]["touched"]
-    assert [(row["zone_left"], row["zone_right"]) for row in values["contrasts"]] == [
-        ("A", "C"),
-        ("B", "D"),
-        ("C", "E"),
-    ]
-    for row in values["contrasts"]:
-        left, right = row["zone_left"], row["zone_right"]
-        peaks = touched[f"{left}-{right}"]["zone_peak_mm_s"]
-        assert (row["left_mm_s"], row["right_mm_s"]) == pytest.approx((peaks[left], peaks[right]), rel=1e-9)
-
-
 def test_other_fingers_miss_the_level_of_a_design_for_typical_ones(
     under_fingers: Callable[[str], Path], tmp_path: Path
 ) -> None:

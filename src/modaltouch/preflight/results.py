@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from modaltouch.preflight.design_inputs import DesignInputs, design
 from modaltouch.preflight.exploration import continuous_figures, touched_figures
-from modaltouch.preflight.figures import estimated_duration, finite, stimulus_figures
+from modaltouch.preflight.figures import estimated_duration, stimulus_figures
 from modaltouch.protocol import Apparatus, Findings, Protocol
 from modaltouch.rig import instrument_of
 from modaltouch.stimulus import Law, Stimulus
@@ -50,7 +50,7 @@ def check_results(preflight: Preflight, *, compare: bool = False, fingers: str |
         "problems": [problem.as_dict() for problem in preflight.problems],
         "warnings": [],
         "stimuli": _levels(preflight, fingers),
-        **{name: [] for name in ("contrasts", "unknown_gains", "assumed_gains", "offered_gains")},
+        **{name: [] for name in ("unknown_gains", "assumed_gains", "offered_gains")},
     }
     if preflight.others:
         values["occasions"] = [occasion_figures(each.findings) for each in (preflight, *preflight.others)]
@@ -61,7 +61,6 @@ def check_results(preflight: Preflight, *, compare: bool = False, fingers: str |
     apparatus = preflight.sound[0].apparatus
     values |= {
         "warnings": _warnings(preflight, fingers),
-        "contrasts": _contrasts(preflight),
         "unknown_gains": [{"mode": label, "set": name} for label, name in apparatus.unknown_gains()],
         "assumed_gains": [{"mode": label, "set": name} for label, name in apparatus.assumed_gains()],
         "offered_gains": [
@@ -133,15 +132,6 @@ def _stimulus_warnings(preflight: Preflight) -> list[str]:
     return [*shared, *(f"stimulus {name}: {each}" for name, own in warnings for each in own if each not in shared)]
 
 
-def _contrasts(preflight: Preflight) -> list[dict[str, Any]]:
-    protocol = preflight.experiment.protocol
-    return [
-        {**named, **row}
-        for named, each in preflight.named_designs()
-        for row in contrasts(protocol, each.stimuli[-1]["zone_peak_mm_s"], named.get("placement", "").split(" ")[0])
-    ]
-
-
 def _calibration(findings: Findings) -> dict[str, Any] | None:
     """Return the calibration used and its remaining errors; None without a calibration."""
     reading = findings.calibration
@@ -156,21 +146,6 @@ def _calibration(findings: Findings) -> dict[str, Any] | None:
         "worst_modal_error_mm_s": max(each.worst_error_mm_s for each in value.by_stimulus.values()),
         "mark": value.mark,
     }
-
-
-def contrasts(protocol: Protocol, zone_peak: dict[str, float], placement: str = "") -> Iterator[dict[str, Any]]:
-    """Yield the speeds at the zones of each pair, and the ratio of the faster to the slower."""
-    for left, right in protocol.conditions.pairs:
-        if placement and {left, right} != set(placement.split("-")):
-            continue
-        slower, faster = sorted((zone_peak[left], zone_peak[right]))
-        yield {
-            "zone_left": left,
-            "zone_right": right,
-            "left_mm_s": zone_peak[left],
-            "right_mm_s": zone_peak[right],
-            "contrast": finite(faster / slower) if slower else None,
-        }
 
 
 def design_figures_of(protocol: Protocol) -> dict[str, Any]:
