@@ -50,7 +50,7 @@ def check_results(preflight: Preflight, *, compare: bool = False, fingers: str |
         "problems": [problem.as_dict() for problem in preflight.problems],
         "warnings": [],
         "stimuli": _levels(preflight, fingers),
-        **{name: [] for name in ("unknown_gains", "assumed_gains", "offered_gains")},
+        **{name: [] for name in ("unknown_gains", "assumed_gains")},
     }
     if preflight.others:
         values["occasions"] = [occasion_figures(each.findings) for each in (preflight, *preflight.others)]
@@ -63,9 +63,6 @@ def check_results(preflight: Preflight, *, compare: bool = False, fingers: str |
         "warnings": _warnings(preflight, fingers),
         "unknown_gains": [{"mode": label, "set": name} for label, name in apparatus.unknown_gains()],
         "assumed_gains": [{"mode": label, "set": name} for label, name in apparatus.assumed_gains()],
-        "offered_gains": [
-            {"mode": label, "set": name, "gain_mm_s2_per_V": gain} for label, name, gain in apparatus.offered_gains()
-        ],
     }
     if compare:
         values |= {"comparison": comparison(preflight), "continuous_fallback": continuous_figures(*preflight.sound)}
@@ -228,9 +225,6 @@ def stimulus_warnings(inputs: DesignInputs, stimulus: Stimulus, figures: list[di
     if inputs.apparatus.assumed_gains():
         modes = ", ".join(f"{label} ({name})" for label, name in inputs.apparatus.assumed_gains())
         yield f"the gains of these modes are assumed, not measured: {modes}"
-    if offered := inputs.apparatus.offered_gains():
-        gains = ", ".join(f"{label} ({name}) {gain:.4g}" for label, name, gain in offered)
-        yield f"unmeasured gains, computed from the patches, in mm/s^2 per V by mode and set: {gains}"
     if stimulus.drive.condition_number > 1e6:
         yield f"the condition number is {stimulus.drive.condition_number:.1e}: two modes are nearly alike"
     worst = max(figures, key=lambda each: each["worst_modal_error_mm_s"] / each["velocity_mm_s"], default=None)

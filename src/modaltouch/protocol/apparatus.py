@@ -220,27 +220,6 @@ class Apparatus(Section):
         """Return mode label and actuator set of each assumed gain."""
         return tuple((mode.label, name) for mode in self.modes for name in mode.assumed)
 
-    def offered_gains(self) -> tuple[tuple[int, str, float], ...]:
-        """Return mode label, actuator set and gain [mm/s^2 per V] estimated from the patches for each unmeasured gain.
-
-        Theory gives the ratios between bending modes (`patch_gains`). Their common factor is the median ratio of
-        measured to theoretical gain. A set without a measured gain or without patches yields no estimate.
-        """
-        offered, model = [], self.modal_model()
-        for name, actuators in self.actuator_sets.items():
-            if not actuators.patches_mm:
-                continue
-            # Patches apply moments, which do not drive the rigid modes.
-            unit = model.patch_gains([(left * 1e-3, right * 1e-3) for left, right in actuators.patches_mm]).tolist()
-            least = _NOTHING * max(map(abs, unit))
-            felt = [(mode, each) for mode, each in zip(self.modes, unit, strict=True) if abs(each) > least]
-            known = {m.label for m, _ in felt if name in m.gain_mm_s2_per_V and name not in m.assumed}
-            factors = [mode.gain_mm_s2_per_V[name] / each for mode, each in felt if mode.label in known]
-            if factors:
-                factor = float(np.median(factors))
-                offered += [(mode.label, name, factor * each) for mode, each in felt if mode.label not in known]
-        return tuple(offered)
-
     @property
     def ordered_zones(self) -> dict[str, Zone]:
         """Zones by name, from left to right."""
@@ -282,30 +261,8 @@ class Apparatus(Section):
 def examine_apparatus(source: Source) -> tuple[Reading[Apparatus], list[Problem]]:
     """Read and check an apparatus file; return its valid parts and its problems."""
     reading = read(source, Apparatus)
-    checks = _check_zones, _check_actuator_sets, _check_modes, check_shapes, check_patches
+    checks = _check_zones, _check_actuator_sets, _check_modes, check_shapes
     return reading, [*reading.problems, *(problem for check in checks for problem in check(reading))]
-
-
-_NOTHING = 1e-6
-"""Gain, relative to the largest of its set, below which a mode counts as not driven by the patches [1]."""
-
-
-def check_patches(reading: Reading[Apparatus]) -> Iterator[Problem]:
-    """Yield the patches that extend beyond the beam or end before they begin."""
-    length = reading.sound("beam", "length_mm")
-    for name, actuators in reading.items("actuator_sets"):
-        for index, (left, right) in enumerate(actuators.patches_mm):
-            path = ("actuator_sets", name, "patches_mm", index)
-            given = f"a patch from {left:g} to {right:g} mm"
-            if not left < right:
-                yield reading.problem(path, given, "the left end first", "exchange the two ends")
-            elif length is not None and max(-left, right) > length / 2 * (1 + 1e-9):
-                yield reading.problem(
-                    path,
-                    given,
-                    f"from {-length / 2:g} to {length / 2:g} mm, the ends of the {length:g} mm beam",
-                    "measure from mid-beam",
-                )
 
 
 def _check_zones(reading: Reading[Apparatus]) -> Iterator[Problem]:

@@ -181,7 +181,7 @@ class ActuatorSet(Section):
 
     channel: Annotated[int, Field(strict=True, ge=1, le=2)] = described("Generator output that feeds the set.")
     patches_mm: tuple[tuple[Number, Number], ...] = described(
-        "Left and right end of each patch [mm from mid-beam]; from them `check` suggests missing gains.", default=()
+        "Left and right end of each patch, for the record [mm from mid-beam].", default=()
     )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -104,12 +103,6 @@ class ModalModel:
             fingers = tuple(replace(finger, position=-abs(finger.position)) for finger in fingers)
         ordered = sorted(fingers, key=lambda finger: finger.position)
         return tuple((finger.contact(self.shapes, self.length) / mass, finger) for finger in ordered)
-
-    def patch_gains(self, patches: Sequence[tuple[float, float]]) -> FloatArray:
-        """Return the theoretical relative modal gains of patches wired together; see `stimulus.other_shapes`."""
-        from modaltouch.stimulus.other_shapes import patch_gains
-
-        return patch_gains(self.label, patches, self.length)
 
     def touched(self, fingers: tuple[Finger, ...]) -> ModalModel:
         """Return the same beam with other fingers on it."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -224,16 +223,3 @@ class MeasuredShapes:
         """
         coefficient = self._fit(self.position, self.shape)
         return np.asarray(coefficient @ mode_shapes(self._fitted(self.position), position, self.length))
-
-
-def patch_gains(label: ArrayLike, patches: Sequence[tuple[float, float]], length: float) -> FloatArray:
-    """Return the theoretical relative modal gains of piezoelectric patches wired together, (n_modes,) array.
-
-    A patch bends the beam by opposite moments at its two ends and drives a mode in proportion to the difference of the
-    mode's slopes there. Theory gives the ratios between modes; their common factor must be measured on one of them. A
-    moment pair does not drive the rigid modes; in practice the tape under the beam does, which is not modelled. The
-    ends of each patch are from mid-beam [m]; raises ValueError if one extends beyond the beam or has no length.
-    """
-    ends = np.asarray(patches, dtype=float)
-    slopes = mode_shapes(label, ends.ravel(), length, derivative=1).reshape(-1, *ends.shape)
-    return np.asarray((slopes[:, :, 1] - slopes[:, :, 0]).sum(axis=1))

@@ -10,7 +10,6 @@ import pytest
 
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.source import InputError
-from modaltouch.stimulus.other_shapes import patch_gains
 
 Edit = Callable[..., Path]
 FILE = "apparatus/beam_100x6x2.yaml"
@@ -206,41 +205,3 @@ def test_an_apparatus_without_a_twin_has_an_ideal_beam(edit: Edit, apparatus: Ap
     assert twin.natural_frequency_mismatch == twin.gain_mismatch == twin.generator_gain_mismatch == 0
     assert (twin.fingers, twin.amplifier.bandwidth_kHz, twin.amplifier.delay_us) == (None, None, None)
     assert apparatus.twin.unlisted_modes != ()
-
-
-def test_patches_predict_missing_gains(edit: Edit) -> None:
-    """Ratios by theory (slope differences), scaled by the one measured gain."""
-    pair = "side: {channel: 2, patches_mm: [[-30, -15], [15, 30]]}"
-    apparatus = Apparatus.read(
-        edit(
-            FILE,
-            ("side: {channel: 2}", pair),
-            ("gain_mm_s2_per_V: {side: -8346}", "gain_mm_s2_per_V: {}"),
-        )
-    )
-    unit = patch_gains([5, 7, 9], [(-0.03, -0.015), (0.015, 0.03)], 0.1)
-    offered = {(label, name): gain for label, name, gain in apparatus.offered_gains()}
-    assert offered[7, "side"] == pytest.approx(6500 * unit[1] / unit[0], rel=1e-12)
-    # Mode 9 is in the table, but assumed; what is measured is not offered again.
-    assert offered[9, "side"] == pytest.approx(6500 * unit[2] / unit[0], rel=1e-12)
-    assert (5, "side") not in offered
-    assert (1, "side") not in offered
-
-
-def test_without_patches_no_gain_is_predicted(apparatus: Apparatus) -> None:
-    """The paper does not give the positions of its patches."""
-    assert apparatus.offered_gains() == ()
-
-
-@pytest.mark.parametrize(
-    ("ends", "message"),
-    [
-        ("[15, 60]", r"a patch from 15 to 60 mm; allowed: from -50 to 50 mm, the ends of the 100 mm beam"),
-        ("[30, 15]", r"a patch from 30 to 15 mm; allowed: the left end first; exchange the two ends"),
-    ],
-)
-def test_impossible_patches_are_refused(edit: Edit, ends: str, message: str) -> None:
-    """With file, line and column."""
-    file = edit(FILE, ("side: {channel: 2}", f"side: {{channel: 2, patches_mm: [{ends}]}}"))
-    with pytest.raises(InputError, match=r"beam_100x6x2\.yaml:22:35: .*" + message):
-        Apparatus.read(file)
