@@ -54,10 +54,6 @@ def check(
     sensitivity: Annotated[
         bool, typer.Option("--sensitivity", help="Also show how well the beam must be identified.")
     ] = False,
-    designs: Annotated[
-        bool,
-        typer.Option("--designs", help="Also show designs with a lower peak voltage for the field, and their cost."),
-    ] = False,
     contrast: Annotated[
         bool,
         typer.Option(
@@ -89,8 +85,8 @@ def check(
     with reporting(json_output=json_output):
         checked = preflight.check_legibility(preflight.examine(protocol, calibration, marked=with_marked_calibration))
         asked: dict[str, Any] = {}
-        if not checked.problems and (sensitivity or designs or contrast or tolerance is not None):
-            asked = checked.explore(sensitivity=sensitivity, designs=designs, contrast=contrast, tolerance=tolerance)
+        if not checked.problems and (sensitivity or contrast or tolerance is not None):
+            asked = checked.explore(sensitivity=sensitivity, contrast=contrast, tolerance=tolerance)
         if export is not None and not checked.problems:
             _export(checked, export)
         if json_output:
@@ -214,28 +210,6 @@ def _show_explored(asked: dict[str, Any]) -> None:
             f"error {drawn['median_modal_error_mm_s']:.1f} mm/s (median), {drawn['p95_modal_error_mm_s']:.1f} mm/s "
             "(95th percentile)"
         )
-    if rows := asked.get("designs"):
-        print_table(
-            "Other voltages for the same field at the highest level",
-            (
-                "design",
-                "peak V",
-                "energy V²s",
-                "residual mm/s",
-                f"mode of {rows[0]['unmodelled_frequency_Hz']:.0f} Hz mm/s",
-            ),
-            [
-                (
-                    row["design"],
-                    f"{row['peak_drive_V']:.0f}",
-                    f"{row['energy_V2_s']:.1f}",
-                    f"{row['residual_mm_s']:.0e}",
-                    f"{row['unmodelled_speed_mm_s']:.2f}",
-                )
-                for row in rows
-            ],
-        )
-        say("[dim]The last column is the speed of a supposed mode that the table of the beam lacks.[/]")
     if rows := asked.get("contrast"):
         _show_contrast(rows)
     if found := asked.get("samples"):

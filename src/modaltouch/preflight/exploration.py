@@ -1,4 +1,4 @@
-"""Optional figures of a stimulus: fingers, sensitivity to the identified beam, other designs, contrast, samples."""
+"""Optional figures of a stimulus: fingers, sensitivity to the identified beam, contrast, samples."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from modaltouch.preflight.design_inputs import DesignInputs
 from modaltouch.preflight.figures import by_name, finite, zone_centres
 from modaltouch.protocol import Findings
 from modaltouch.rig import instrument_of
-from modaltouch.stimulus import ModalModel, Stimulus
+from modaltouch.stimulus import Stimulus
 
 Design = tuple[DesignInputs, Stimulus]
 """The inputs of a design, and the stimulus designed from them."""
@@ -32,7 +32,6 @@ def explore(
     pairs: tuple[str, ...],
     *,
     sensitivity: bool = False,
-    designs: bool = False,
     contrast: bool = False,
     tolerance: float | None = None,
 ) -> dict[str, Any]:
@@ -40,8 +39,6 @@ def explore(
     asked: dict[str, Any] = {}
     if sensitivity:
         asked["sensitivity"] = {**({"placement": next(iter(placed))} if placed else {}), **sensitivity_figures(*sound)}
-    if designs:
-        asked["designs"] = design_figures(sound[1])
     if contrast:
         asked["contrast"] = [*contrast_figures(placed or dict.fromkeys(pairs, sound))]
     if tolerance is not None:
@@ -78,26 +75,6 @@ def sensitivity_figures(inputs: DesignInputs, stimulus: Stimulus) -> dict[str, A
             "p95_modal_error_mm_s": float(np.quantile(spread.modal_error, 0.95)) * 1e3,
         },
     }
-
-
-def design_figures(stimulus: Stimulus) -> list[dict[str, Any]]:
-    """Return the cost of other drives that reach the same modal states, and their response in an unmodelled mode.
-
-    This mode is assumed to lie between the two highest modelled modes, with their mean damping ratio and the gains of
-    the higher one.
-    """
-    unmodelled = _assumed_mode(stimulus.model)
-    return [
-        {
-            "design": row["name"],
-            "peak_drive_V": row["peak_voltage"],
-            "energy_V2_s": row["energy"],
-            "residual_mm_s": float(row["residual"]) * 1e3,
-            "unmodelled_speed_mm_s": float(row["unmodelled_speed"]) * 1e3,
-            "unmodelled_frequency_Hz": float(unmodelled.natural_frequency[0]),
-        }
-        for row in stimulus.compare_designs(unmodelled)
-    ]
 
 
 def contrast_figures(designs: dict[str, Design]) -> Iterator[dict[str, Any]]:
@@ -168,16 +145,6 @@ def sample_figures(inputs: DesignInputs, stimulus: Stimulus, tolerance: float) -
         "tried": [{"n_samples": n, "error": error} for n, error in found.tried],
         "said": str(found),
     }
-
-
-def _assumed_mode(model: ModalModel) -> ModalModel:
-    """Return a model with one mode, between the two highest modes of the given model."""
-    order = np.argsort(model.natural_frequency)
-    highest = order[-2:]
-    between = float(np.exp(np.log(model.natural_frequency[highest]).mean()))
-    ratio = float(model.damping_ratio[highest].mean())
-    gain = model.modal_gain[order[-1:]]
-    return ModalModel((max(model.label) + 1,), np.array([between]), np.array([ratio]), gain, model.length)
 
 
 def continuous_figures(inputs: DesignInputs, stimulus: Stimulus) -> dict[str, Any]:

@@ -110,29 +110,6 @@ def _rows(reach: ReachabilityGramian) -> FloatArray:
     return np.asarray(rows.reshape(*reach.row.shape[:2], -1))
 
 
-def compare_designs(steering: Steering, amplifier: Amplifier, unmodelled: ModalModel) -> list[dict[str, float | str]]:
-    """Return peak voltage, energy, residual and unmodelled speed of each design, as in `Stimulus.compare_designs`."""
-    drives = {
-        "exact": exact_drive(steering),
-        "4-norm": least_norm(steering, 4.0),
-        "8-norm": least_norm(steering, 8.0),
-        "least peak": least_peak(steering),
-    }
-    timing, system = steering.timing, DiagonalSystem.of(unmodelled, amplifier)
-    return [
-        {
-            "name": name,
-            "peak_voltage": float(np.abs(drive.before_focus).max()),
-            "energy": float((drive.before_focus**2).sum() * timing.hold),
-            "residual": drive.residual,
-            "unmodelled_speed": float(
-                np.abs(system.read(system.state_at(drive.before_focus, timing, timing.focusing_instant))).max()
-            ),
-        }
-        for name, drive in drives.items()
-    ]
-
-
 _HALVINGS = 14
 """Bisections of log10(mu) over sixteen decades, which determine mu to 0.2 %."""
 

@@ -147,17 +147,6 @@ class Stimulus:
         """Highest voltage at the beam at the reference level, either sign, (n_channels,) array [V]."""
         return np.asarray(np.maximum(self.voltage.max(axis=1), -self.voltage.min(axis=1)))
 
-    def compare_designs(self, unmodelled: ModalModel) -> list[dict[str, float | str]]:
-        """Compare the designs by voltage, energy and excitation of unmodelled modes.
-
-        Each design has a dict of ``name``, ``peak_voltage`` [V], ``energy`` [V^2 s], ``residual`` [m/s] and
-        ``unmodelled_speed``, the largest ``|velocity|`` or ``|w eta|`` of the unmodelled modes, driven by the same
-        channels, at the focusing instant [m/s].
-        """
-        from modaltouch.stimulus.other_drives import compare_designs
-
-        return compare_designs(self._steering, self.amplifier, unmodelled)
-
     @cached_property
     def burst(self) -> Burst:
         """The codes, shared by all levels, and the amplitude of each channel at the reference level."""
