@@ -6,7 +6,6 @@ The tree is built from parser events, so that nesting, aliases and tags are chec
 from __future__ import annotations
 
 import re
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -133,24 +132,13 @@ def parse_tree(source: Source) -> tuple[Node | None, list[Problem]]:
 
 @lru_cache(maxsize=16)
 def _parsed(text: str) -> tuple[Node | None, list[Problem]]:
-    """Return the tree of a text and its problems, without the file name.
-
-    Valid texts are read by libyaml, which is twenty times as fast; ruamel.yaml reports the problems of invalid ones,
-    including tabs in forbidden places.
-    """
-    if "\t" not in text:
-        with suppress(yaml.YAMLError):
-            root = _built(reader := _Reader(yaml.parse(text, Loader=yaml.CSafeLoader)))
-            if not reader.problems:
-                return root, []
-    from ruamel.yaml import YAML, error
-
-    from modaltouch.protocol.syntax import syntax_problem
-
-    reader = _Reader(YAML(typ="safe", pure=True).parse(text))
+    """Return the tree of a text and its problems, without the file name."""
+    reader = _Reader(yaml.parse(text, Loader=yaml.CSafeLoader))
     try:
         return _built(reader), reader.problems
-    except (error.YAMLError, ValueError, AttributeError) as fault:  # the parser raises these for some directives
+    except yaml.YAMLError as fault:
+        from modaltouch.protocol.wording import syntax_problem
+
         return None, [*reader.problems, syntax_problem(text, fault)]
 
 
