@@ -224,7 +224,7 @@ def test_syntax_faults_do_not_hide_physical_ones(edit: Edit) -> None:
     """An unknown key, a misspelt one, a wrong level and a single answer are reported together with 400 mm/s."""
     file = edit(
         FILE,
-        ("  focus: C", "  colour: red\n  focus: C"),
+        ("conditions:\n", "colour: red\nconditions:\n"),
         ("hand: right ", "hnad: right "),
         (LEVELS, "[x, 400]"),
         ("    left: [left, num_4]\n    both: [up, down, num_8]\n", ""),

@@ -87,8 +87,8 @@ def find_design_inputs(findings: Findings) -> DesignInputs | None:
     between = set(findings.problems) - set(protocol.problems) - set(apparatus.problems)
     if any(problem.path.split(".")[0].split("[")[0] in _NEEDED for problem in between):
         return None
-    section = protocol.salvage("stimulus")
-    parts = {name: apparatus.salvage(name) for name in _NEEDED if name != "stimulus"}
+    section = protocol.sound("stimulus")
+    parts = {name: apparatus.sound(name) for name in _NEEDED if name != "stimulus"}
     if section is None or any(part is None for part in parts.values()):
         return None
     zones = dict(apparatus.items("zones"))

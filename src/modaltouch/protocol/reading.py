@@ -49,26 +49,6 @@ class Reading(Generic[Model]):
         except ValidationError:
             return None
 
-    def salvage(self, *path: Step) -> Any:
-        """Return the section at a path without its unknown keys; None if it has any other problem.
-
-        A probable misspelling of a key of the section is such a problem, since its value is needed.
-        """
-        value = self.sound(*path)
-        section, node = annotation_at(self.model, path), self.find(path)
-        if value is not None or node is None or not isinstance(node.content, dict):
-            return value
-        if not (isinstance(section, type) and issubclass(section, BaseModel)):
-            return None
-        known = {key: each.plain() for key, each in node.content.items() if key in section.model_fields}
-        absent = [name for name in section.model_fields if name not in known]
-        if any(suggest(key, absent) for key in node.content if key not in known):
-            return None
-        try:
-            return section.model_validate(known)
-        except ValidationError:
-            return None
-
     def items(self, *path: Step) -> list[tuple[Any, Any]]:
         """Return index (or key) and value of every valid entry of the list (or mapping) at a path."""
         node = self.find(path)

@@ -117,14 +117,6 @@ def test_valid_values_are_available_despite_other_faults() -> None:
     assert reading.sound("inner") is None
 
 
-def test_a_section_is_read_despite_unknown_keys() -> None:
-    """An unrelated key is ignored; a misspelt one is not, since its value is needed."""
-    foreign = read(Source(Path("x"), GOOD + "  colour: 1\n"), File)
-    assert foreign.salvage("inner") == Inner(speed_mm_s=5)
-    misspelt = read(Source(Path("x"), GOOD + "  level_V: [2]\n"), File)
-    assert misspelt.salvage("inner") is None
-
-
 def test_an_unreadable_text_has_no_valid_values() -> None:
     """Not even defaults are returned."""
     reading = read(Source(Path("x"), "a: [\n"), File)
