@@ -51,7 +51,6 @@ def test_a_simulated_session_loads_neither_lab_nor_analysis_nor_screen(tmp_path)
     assert not rooms(loaded) & {"lab", "analysis", "report"}
     assert not loaded & {
         "planning.power",
-        "preflight.design_errors",
         "preflight.designs",
         "preflight.results",
         "protocol.calibration",

@@ -229,12 +229,32 @@ def _examine_one(findings: Findings, inputs: DesignInputs | None) -> Preflight:
                     found = [*check_levels(inputs, design(inputs, on_grid=False), findings)]
                 problems += found
         except (ValueError, ArithmeticError) as error:
-            from modaltouch.preflight.design_errors import located
-
-            problems.append(located(error, findings))
+            problems.append(_located(error, findings))
     if not findings.problems:
         problems += [*Schedule.check(findings), *_check_masking_level(findings)]
     return Preflight(findings, tuple(sorted(set(problems))), inputs, stimulus)
+
+
+_KEYS = {
+    "points": "field",
+    "n_decomposed": "decomposed_modes",
+    "selection": "selected_modes",
+    "focusing_instant": "focusing_instant_ms",
+}
+"""Keys of the section stimulus with another name than the parameter of the design."""
+
+
+def _located(error: Exception, findings: Findings) -> Problem:
+    """Return an error of the design as a problem of the key that gives the parameter at fault."""
+    given, _, remedy = " ".join(str(error).split()).rpartition(": ")
+    told = f"a stimulus that cannot be made, {given or remedy}", "", remedy if given else ""
+    parameter, mode = getattr(error, "parameter", ""), getattr(error, "mode", 0)
+    if findings.apparatus is not None and mode:
+        index = [each.label for _, each in findings.apparatus.items("modes")].index(mode)
+        return findings.apparatus.problem(("modes", index, "gain_mm_s2_per_V"), *told)
+    if findings.apparatus is not None and parameter == "basis":
+        return findings.apparatus.problem(("beam", "measured_shapes"), *told)
+    return findings.problem(("stimulus", *filter(None, [_KEYS.get(parameter, parameter)])), *told)
 
 
 def _check_generator_itself(inputs: DesignInputs, findings: Findings) -> Iterator[Problem]:

@@ -408,11 +408,11 @@ def _check_sampling(protocol: Reading[Protocol], apparatus: Reading[Apparatus], 
 def _check_delay(protocol: Reading[Protocol], apparatus: Reading[Apparatus]) -> Iterator[Problem]:
     delay = apparatus.sound("amplifier", "delay_us")
     instant = protocol.sound("stimulus", "focusing_instant_ms")
-    if delay is not None and instant is not None and delay >= instant * 1e3:
+    if delay is not None and instant is not None and delay >= instant * 500:
         yield apparatus.problem(
             ("amplifier", "delay_us"),
-            f"{delay:g} us, later than the focusing instant of {instant:g} ms",
-            f"below {instant * 1e3:g} us, so that the drive reaches the beam by then",
+            f"{delay:g} us, more than half the time to the focusing instant of {instant:g} ms",
+            f"below {instant * 500:g} us, so that the drive reaches the beam in time",
             "write the delay in microseconds",
         )
 

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from modaltouch.stimulus.burst import Timing
 from modaltouch.stimulus.dynamics import DiagonalSystem
 from modaltouch.stimulus.modes import ModalModel
-from modaltouch.stimulus.quantities import ComplexArray, FloatArray
+from modaltouch.stimulus.quantities import ComplexArray, DesignError, FloatArray
 from modaltouch.stimulus.reachability import GramianSolver, ReachabilityGramian, Taper
 
 Law = Literal["exact", "paper"]
@@ -83,9 +83,11 @@ def check_drivable(model: ModalModel, target: FloatArray, timing: Timing) -> Non
         model.label, target, model.modal_gain, model.natural_frequency, strict=True
     ):
         if velocity != 0 and not gain.any():
-            raise ValueError(
+            raise DesignError(
                 f"mode {k} is asked for, but its gain is 0 m/s^2 per V on every channel; it must be driven by "
-                f"at least one: identify the gain, or select other modes"
+                f"at least one: identify the gain, or select other modes",
+                "modal_gain",
+                k,
             )
         if frequency >= timing.sampling_rate / 2:
             raise ValueError(
@@ -212,10 +214,11 @@ class Steering:
         n_channels = max(1, int(driving.any(axis=0).sum()))
         least = 2 + max(-(-n_conditions // n_channels), 2 * int(alone.sum(axis=0).max(initial=0)))
         if n_samples < least:
-            raise ValueError(
+            raise DesignError(
                 f"{n_samples} samples are fewer than {n_conditions} conditions on {n_channels} channels need; at "
                 f"least {least} must lie {where}: take more than {self.timing.n_samples} samples, or another focusing "
-                f"instant"
+                f"instant",
+                "focusing_instant",
             )
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from modaltouch.stimulus.quantities import FloatArray
+from modaltouch.stimulus.quantities import DesignError, FloatArray
 from modaltouch.stimulus.shapes import mode_shapes
 
 if TYPE_CHECKING:
@@ -66,9 +66,10 @@ class ModalModel:
             raise ValueError("fingers lie on a beam of unknown mass; give its moving mass: weigh it with its patches")
         for finger in self.fingers:
             if abs(finger.position) > self.length / 2:
-                raise ValueError(
+                raise DesignError(
                     f"a finger lies at {finger.position * 1e3:g} mm, off the beam, which spans "
-                    f"-{self.length * 500:g} to {self.length * 500:g} mm: place it on the beam"
+                    f"-{self.length * 500:g} to {self.length * 500:g} mm: place it on the beam",
+                    "fingers",
                 )
 
     @property

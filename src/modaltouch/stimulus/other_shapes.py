@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from modaltouch.stimulus.quantities import FloatArray
+from modaltouch.stimulus.quantities import DesignError, FloatArray
 from modaltouch.stimulus.shapes import mode_shapes, scaled_position
 
 WORST_CONDITION = 1e6
@@ -165,13 +165,14 @@ class MeasuredShapes:
         position = np.array(self.position, dtype=float)
         shape = np.array(self.shape, dtype=float)
         if (np.diff(position) <= 0).any() or np.abs(position).max(initial=0.0) > self.length / 2 * (1 + 1e-9):
-            raise ValueError(
+            raise DesignError(
                 f"the scan grid runs from {position[0] * 1e3:g} to {position[-1] * 1e3:g} mm; it must "
-                f"increase and lie on the beam of {self.length * 1e3:g} mm: sort it, and measure from mid-beam"
+                f"increase and lie on the beam of {self.length * 1e3:g} mm: sort it, and measure from mid-beam",
+                "basis",
             )
         if (np.abs(shape).max(axis=1) == 0).any():
             still = self.label[int(np.flatnonzero(np.abs(shape).max(axis=1) == 0)[0])]
-            raise ValueError(f"mode {still} is zero at every point: measure it again, or leave it out")
+            raise DesignError(f"mode {still} is zero at every point: measure it again, or leave it out", "basis")
         object.__setattr__(self, "position", position)
         # The mean square over the beam is that of the smooth fit, more accurate than a sum over a few points. Since the
         # theoretical shapes are orthonormal, it is the sum of the squared coefficients.
@@ -196,10 +197,11 @@ class MeasuredShapes:
         size = np.linalg.norm(self.shape, axis=1)
         likeness = np.abs(self.shape @ self.shape.T) / np.outer(size, size) - 2 * np.eye(len(self.label))
         one, other = np.unravel_index(int(likeness.argmax()), likeness.shape)
-        raise ValueError(
+        raise DesignError(
             f"{len(self.label)} shapes on {self.position.size} points are linearly dependent (condition number "
             f"{self.condition_number:.1e}, allowed {WORST_CONDITION:.0e}); the closest are modes "
-            f"{self.label[one]} and {self.label[other]}: scan more points, or leave one out"
+            f"{self.label[one]} and {self.label[other]}: scan more points, or leave one out",
+            "basis",
         )
 
     @cached_property

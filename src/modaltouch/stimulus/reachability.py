@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modaltouch.stimulus.quantities import ComplexArray, FloatArray
+from modaltouch.stimulus.quantities import ComplexArray, DesignError, FloatArray
 from modaltouch.stimulus.synthesis import synthesise
 
 
@@ -138,10 +138,12 @@ class GramianSolver:
         diagonal = np.diag(gramian)
         lost = np.flatnonzero(~((diagonal > 0) & np.isfinite(gramian).all(axis=1)))
         if lost.size:
-            raise ValueError(
+            raise DesignError(
                 f"mode {label[lost[0] % len(label)]} has {diagonal[lost[0]]:.3g} on the diagonal of the Gramian, which "
                 f"must be above 0: its motion under the drive is lost in rounding; leave the mode out, or check its "
-                f"frequency, damping and gain"
+                f"frequency, damping and gain",
+                "modal_gain",
+                label[lost[0] % len(label)],
             )
         scale = 1 / np.sqrt(diagonal)
         eigenvalue, eigenvector = np.linalg.eigh(gramian * scale[:, None] * scale)

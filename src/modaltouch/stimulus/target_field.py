@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from modaltouch.stimulus.modes import ModalModel
-from modaltouch.stimulus.quantities import FloatArray
+from modaltouch.stimulus.quantities import DesignError, FloatArray
 from modaltouch.stimulus.shapes import gauss_legendre, mode_shapes
 
 Shape = Literal[
@@ -77,9 +77,10 @@ class TargetField:
     def __post_init__(self) -> None:
         """Reject a sampled field without a level at its centre."""
         if self.shape == "sampled" and self._at_centre() <= 0:
-            raise ValueError(
+            raise DesignError(
                 f"the sampled field has the relative velocity {self._at_centre():g} at its centre of "
-                f"{self.centre * 1e3:g} mm, where the level holds; it must be above 0: centre it elsewhere"
+                f"{self.centre * 1e3:g} mm, where the level holds; it must be above 0: centre it elsewhere",
+                "points",
             )
 
     @property
@@ -157,9 +158,10 @@ class Projection:
             )
         beyond = [k for k in self.model.label if k > self.target_field.n_decomposed]
         if beyond:
-            raise ValueError(
+            raise DesignError(
                 f"mode {beyond[0]} is modelled, but the field is decomposed on {self.target_field.n_decomposed} modes "
-                f"only: decompose on at least {max(self.model.label)}"
+                f"only: decompose on at least {max(self.model.label)}",
+                "n_decomposed",
             )
 
     def _nodes(self, highest: int) -> tuple[FloatArray, FloatArray]:
@@ -210,10 +212,11 @@ class Projection:
         kept = np.where(np.isin(self.model.label, self.selected), self.coefficient, 0.0)
         at_centre = float(kept @ self.model.shapes([self.target_field.centre])[:, 0])
         if at_centre < _NOTHING:
-            raise ValueError(
+            raise DesignError(
                 f"the field at {self.target_field.centre * 1e3:g} mm has a projection of {at_centre:.2g} on the modes "
                 f"{', '.join(map(str, self.selected))}, which is not above zero within rounding: select modes that "
-                "move there with the field, or move the field"
+                "move there with the field, or move the field",
+                "selection",
             )
         return kept * (self.target_field.velocity / at_centre)
 
