@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from modaltouch.protocol import Findings, Trial
-from modaltouch.protocol.practice import Round, judge_round
+from modaltouch.protocol.schedule import Round, judge_round
 from modaltouch.protocol.trial import AnswerList, Condition
 
 PAPER = AnswerList.of({})

@@ -18,9 +18,8 @@ if TYPE_CHECKING:
     from modaltouch.protocol.findings import Experiment, Findings
     from modaltouch.protocol.levels import Levels
     from modaltouch.protocol.observers import ObserverFile
-    from modaltouch.protocol.practice import judge_round
     from modaltouch.protocol.questions import ScaleSection
-    from modaltouch.protocol.schedule import Schedule, Turn
+    from modaltouch.protocol.schedule import Schedule, Turn, judge_round
     from modaltouch.protocol.sections import AnswersSection, Protocol
     from modaltouch.protocol.source import InputError, Problem, Source, Sources, suggest
     from modaltouch.protocol.stimulus_sections import MaskingSection, StimulusSection
@@ -35,9 +34,8 @@ else:
             "findings": "Experiment Findings",
             "levels": "Levels",
             "observers": "ObserverFile",
-            "practice": "judge_round",
             "questions": "ScaleSection",
-            "schedule": "Schedule Turn",
+            "schedule": "Schedule Turn judge_round",
             "sections": "AnswersSection Protocol",
             "source": "InputError Problem Source Sources suggest",
             "stimulus_sections": "MaskingSection StimulusSection",

@@ -21,6 +21,7 @@ from math import comb
 from typing import Generic, TypeVar
 
 from modaltouch.protocol.conditions import Cell
+from modaltouch.protocol.orders import least_limit
 from modaltouch.protocol.schedule_section import LIMITS, NoOrderError
 from modaltouch.protocol.sections import Protocol
 from modaltouch.protocol.streams import Cuts, Stream
@@ -39,29 +40,8 @@ def refuse_runs(counts: Sequence[int], limit: int, key: str, n_others: int = 0) 
         )
 
 
-def least_limit(counts: Sequence[int]) -> int:
-    """Return the smallest limit on runs that the counts allow.
-
-    The trials of the most frequent kind must fit into the gaps before, between and after all others.
-
-    >>> least_limit([4, 4, 4]), least_limit([12]), least_limit([9, 2])
-    (1, 12, 3)
-    """
-    most = max(counts)
-    return -(-most // (sum(counts) - most + 1))
-
-
-STATE_LIMIT = 40_000
-"""Largest number of states for which the ways to continue are counted, which takes half a second."""
-
 State = tuple[int, tuple[int, ...]]
 """Remaining count of the last kind, and those of the other kinds in increasing order."""
-
-
-def n_states_at_most(counts: Sequence[int]) -> int:
-    """Return an upper bound on the number of states."""
-    most, n_kinds = max(counts), len(counts)
-    return (most + 1) * math.comb(most + n_kinds - 1, n_kinds - 1)
 
 
 @lru_cache(maxsize=8)

@@ -6,6 +6,7 @@ and orders can be counted or found by rejection; otherwise by a random walk.
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Sequence
 from operator import itemgetter
@@ -45,11 +46,31 @@ def are_certain(protocol: Protocol) -> bool:
         counts = [*Counter(cell[0] for cell in protocol.cells(name) * protocol.scheduled_repetitions).values()]
         if limit is None or limit >= max(counts):
             continue
-        from modaltouch.protocol.limited_orders import STATE_LIMIT, least_limit, n_states_at_most
-
         if limit < least_limit(counts) or (limit > 1 and n_states_at_most(counts) > STATE_LIMIT):
             return False
     return True
+
+
+STATE_LIMIT = 40_000
+"""Largest number of states for which the ways to continue are counted, which takes half a second."""
+
+
+def least_limit(counts: Sequence[int]) -> int:
+    """Return the smallest limit on runs that the counts allow.
+
+    The trials of the most frequent kind must fit into the gaps before, between and after all others.
+
+    >>> least_limit([4, 4, 4]), least_limit([12]), least_limit([9, 2])
+    (1, 12, 3)
+    """
+    most = max(counts)
+    return -(-most // (sum(counts) - most + 1))
+
+
+def n_states_at_most(counts: Sequence[int]) -> int:
+    """Return an upper bound on the number of states."""
+    most, n_kinds = max(counts), len(counts)
+    return (most + 1) * math.comb(most + n_kinds - 1, n_kinds - 1)
 
 
 def _shuffled(protocol: Protocol, cells: list[Cell], stream: Stream, effort: float) -> list[Cell]:
@@ -81,7 +102,7 @@ def draw_order(counts: Sequence[int], limit: int | None, stream: Stream, key: st
     limited_orders.refuse_runs(counts, limit, key)
     if limit == 1:
         return limited_orders.draw_unlike_neighbours(tuple(counts), stream)
-    if limited_orders.n_states_at_most(counts) <= limited_orders.STATE_LIMIT:
+    if n_states_at_most(counts) <= STATE_LIMIT:
         return limited_orders.draw_counted(counts, limit, stream)
     drawn = limited_orders.draw_by_rejection(counts, limit, stream)
     if drawn is None:

@@ -1,4 +1,4 @@
-"""Schedule of a session, drawn from protocol, participant and seed."""
+"""Schedule of a session, drawn from protocol, participant and seed, and results of its rounds of practice."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import json
 import math
 import re
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -21,7 +21,7 @@ from modaltouch.protocol.schedule_section import NoOrderError
 from modaltouch.protocol.sections import Protocol
 from modaltouch.protocol.source import InputError, Problem
 from modaltouch.protocol.streams import ALGORITHM, FORMER_ALGORITHM, Stream, key_of, seed_sequence
-from modaltouch.protocol.trial import Condition, Trial
+from modaltouch.protocol.trial import SIDES, Condition, Trial
 
 if TYPE_CHECKING:
     from modaltouch.protocol.findings import Findings
@@ -391,3 +391,30 @@ def _brief(trial: Trial) -> list[Any]:
     values = [trial.block, condition.finger_condition, *condition.zones, condition.velocity_mm_s, condition.placement]
     values += [condition.stimulus] if condition.stimulus else []
     return [*values, trial.interval] if trial.interval else values
+
+
+@dataclass(frozen=True)
+class Round:
+    """Result of a round of practice: number of trials with an expected answer, and of those answered so."""
+
+    n_judged: int
+    n_agreed: int
+
+    def passes(self, criterion: float | None) -> bool:
+        """Test whether the round meets a criterion."""
+        return criterion is None or self.n_agreed >= criterion * self.n_judged - 1e-9
+
+
+def judge_round(events: Iterable[Mapping[str, Any]], number: int, n_trials: int, protocol: Protocol) -> Round:
+    """Return the result of a round of practice, from 1, of `n_trials` each, from the events of the session log."""
+    first, last = (number - 1) * n_trials + 1, number * n_trials
+    judged: dict[int, bool] = {}
+    for event in events:
+        if event.get("event") != "trial" or not event["trial"]["practice"]:
+            continue
+        index, planned = event["trial"]["index"], event["planned"]
+        speeds = [planned[name] for name in map("speed_{}_mm_s".format, SIDES[3]) if name in planned]
+        expected = protocol.expected(Trial.from_dict(event["trial"]), speeds)
+        if first <= index <= last and expected is not None:
+            judged[index] = event["response"]["answer"] == expected
+    return Round(len(judged), sum(judged.values()))

@@ -20,11 +20,10 @@ from modaltouch.protocol.limited_orders import (
     draw_by_walk,
     draw_counted,
     draw_unlike_neighbours,
-    least_limit,
     longest_run,
     moves,
 )
-from modaltouch.protocol.orders import draw_order
+from modaltouch.protocol.orders import draw_order, least_limit
 from modaltouch.protocol.streams import Stream
 
 Draw = Callable[[Sequence[int], int, Stream], list[int] | None]
