@@ -26,7 +26,7 @@ from modaltouch.lab.calibration.file import CalibrationResult, corrected_inputs
 from modaltouch.lab.calibration.plant import DATA_SHEET
 from modaltouch.lab.common import NORMAL_95
 from modaltouch.preflight import Preflight, examine
-from modaltouch.preflight.design_inputs import design_to_fit
+from modaltouch.preflight.single_design import design_to_fit
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig.scope import Acquisition, Recording
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from modaltouch.preflight import Preflight, examine
-from modaltouch.preflight.figures import estimated_duration
+from modaltouch.preflight.single_design import estimated_duration
 from modaltouch.protocol.schedule import Schedule
 from modaltouch.protocol.source import InputError
 from modaltouch.protocol.trial import Condition, Trial

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from modaltouch.preflight.figures import by_name, estimated_duration, finger_places
 from modaltouch.preflight.results import design_figures_of, occasion_figures
+from modaltouch.preflight.single_design import by_name, estimated_duration, finger_places
 from modaltouch.protocol import Findings, Protocol
 
 PROTOCOLS = Path(__file__).parents[2] / "protocols"

@@ -20,7 +20,7 @@ from typer.testing import CliRunner, Result
 
 from modaltouch.cli import app
 from modaltouch.preflight import Preflight, examine
-from modaltouch.preflight.figures import errors_of_gains, zone_points
+from modaltouch.preflight.single_design import errors_of_gains, zone_points
 from modaltouch.protocol import InputError
 
 Edit = Callable[..., Path]

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from modaltouch.preflight import examine
-from modaltouch.preflight.design_inputs import design_to_fit
+from modaltouch.preflight.single_design import design_to_fit
 from modaltouch.rig.pacing import LATEST
 from modaltouch.stimulus.drive import Release
 

@@ -15,7 +15,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from test_faults import KINDS, WRONG, counted
 
-from modaltouch.preflight.design_inputs import design, find_design_inputs
+from modaltouch.preflight.single_design import design, find_design_inputs
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.findings import Findings
 from modaltouch.rig import instrument_of

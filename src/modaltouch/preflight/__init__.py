@@ -13,18 +13,16 @@ from modaltouch.system import lazily
 
 if TYPE_CHECKING:
     from modaltouch.preflight.checked import Preflight
-    from modaltouch.preflight.design_inputs import DesignInputs, design, design_to_fit
     from modaltouch.preflight.designs import delivered_figures, has_drifted, with_measured
     from modaltouch.preflight.examination import check_legibility, examine, examine_findings
-    from modaltouch.preflight.figures import estimated_duration, finite
+    from modaltouch.preflight.single_design import DesignInputs, design, design_to_fit, estimated_duration, finite
 else:
     __getattr__ = lazily(
         __name__,
         {
             "checked": "Preflight",
-            "design_inputs": "DesignInputs design design_to_fit",
             "examination": "check_legibility examine examine_findings",
-            "figures": "estimated_duration finite",
+            "single_design": "DesignInputs design design_to_fit estimated_duration finite",
             "designs": "delivered_figures has_drifted with_measured",
         },
     )

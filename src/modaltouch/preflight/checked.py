@@ -8,8 +8,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Self
 
-from modaltouch.preflight.design_inputs import DesignInputs
-from modaltouch.preflight.figures import field_figures, finger_places, stimulus_figures
+from modaltouch.preflight.single_design import DesignInputs, field_figures, finger_places, stimulus_figures
 from modaltouch.protocol import Experiment, Findings, InputError, Problem, Trial
 from modaltouch.stimulus import Burst, Stimulus
 

@@ -10,8 +10,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from modaltouch.preflight.checked import Preflight
-from modaltouch.preflight.design_inputs import DesignInputs, design_to_fit
-from modaltouch.preflight.figures import errors_of_gains, speeds_when_lifted, zone_points
+from modaltouch.preflight.single_design import (
+    DesignInputs,
+    design_to_fit,
+    errors_of_gains,
+    speeds_when_lifted,
+    zone_points,
+)
 from modaltouch.protocol import Apparatus, Findings, InputError, Problem, Trial
 from modaltouch.rig import instrument_of
 from modaltouch.stimulus import Burst, Stimulus

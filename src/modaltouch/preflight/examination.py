@@ -11,8 +11,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from modaltouch.preflight.checked import Preflight
-from modaltouch.preflight.design_inputs import DesignInputs, design, design_to_fit, find_design_inputs
-from modaltouch.preflight.figures import errors_of_gains, speeds_when_lifted, zone_points
+from modaltouch.preflight.single_design import (
+    DesignInputs,
+    design,
+    design_to_fit,
+    errors_of_gains,
+    find_design_inputs,
+    speeds_when_lifted,
+    zone_points,
+)
 from modaltouch.protocol import Findings, Problem, Schedule
 from modaltouch.rig import instrument_of
 from modaltouch.stimulus import Stimulus

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.preflight.design_inputs import DesignInputs
-from modaltouch.preflight.figures import by_name, finite, zone_centres
+from modaltouch.preflight.single_design import DesignInputs, by_name, finite, zone_centres
 from modaltouch.protocol import Findings
 from modaltouch.rig import instrument_of
 from modaltouch.stimulus import Stimulus

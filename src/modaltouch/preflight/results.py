@@ -6,9 +6,8 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
-from modaltouch.preflight.design_inputs import DesignInputs, design
 from modaltouch.preflight.exploration import continuous_figures, touched_figures
-from modaltouch.preflight.figures import estimated_duration, stimulus_figures
+from modaltouch.preflight.single_design import DesignInputs, design, estimated_duration, stimulus_figures
 from modaltouch.protocol import Apparatus, Findings, Protocol
 from modaltouch.rig import instrument_of
 from modaltouch.stimulus import Law, Stimulus

@@ -12,7 +12,7 @@ from modaltouch.lab.calibration import CalibrationLoop
 from modaltouch.lab.calibration.file import CalibrationResult, corrected_inputs
 from modaltouch.lab.laboratory import SILENT_PROGRESS
 from modaltouch.preflight import Preflight, examine
-from modaltouch.preflight.design_inputs import design_to_fit
+from modaltouch.preflight.single_design import design_to_fit
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.apparatus_sections import TrueAmplifier
 from modaltouch.rig.scope import Acquisition, Recording

@@ -12,7 +12,7 @@ import pytest
 from modaltouch.lab.calibration import calibrate_each, design_inputs_of, levels_between
 from modaltouch.lab.calibration.file import corrected_inputs
 from modaltouch.preflight import examine
-from modaltouch.preflight.design_inputs import design_to_fit
+from modaltouch.preflight.single_design import design_to_fit
 from modaltouch.protocol.apparatus import Apparatus
 
 THRESHOLD = Path(__file__).parents[3] / "protocols" / "threshold.yaml"

@@ -14,7 +14,7 @@ from modaltouch.lab.calibration.file import corrected_inputs, significant
 from modaltouch.lab.calibration.plant import ModalState
 from modaltouch.lab.laboratory import MeasurementProgress
 from modaltouch.preflight import Preflight, examine
-from modaltouch.preflight.design_inputs import design, design_to_fit
+from modaltouch.preflight.single_design import design, design_to_fit
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.source import InputError
 from modaltouch.rig.interface import RigError

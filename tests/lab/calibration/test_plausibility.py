@@ -12,7 +12,7 @@ from modaltouch.lab.calibration import CalibrationLoop
 from modaltouch.lab.calibration.file import corrected_inputs
 from modaltouch.lab.calibration.plausibility import mark_of
 from modaltouch.preflight import Preflight
-from modaltouch.preflight.design_inputs import design_to_fit
+from modaltouch.preflight.single_design import design_to_fit
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.apparatus_sections import TrueAmplifier, Vibrometer
 from modaltouch.rig.interface import RigError

@@ -16,7 +16,7 @@ from modaltouch.lab.calibration.file import (
     write_calibration,
 )
 from modaltouch.preflight import Preflight, examine
-from modaltouch.preflight.design_inputs import design_to_fit
+from modaltouch.preflight.single_design import design_to_fit
 from modaltouch.protocol.calibration import Calibration, examine_calibration
 from modaltouch.protocol.source import Source
 from modaltouch.record.chain import RecordError

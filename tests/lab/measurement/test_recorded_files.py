@@ -18,7 +18,7 @@ from modaltouch.lab.calibration.file import corrected_inputs
 from modaltouch.lab.laboratory import MeasurementProgress, open_laboratory
 from modaltouch.lab.recorded_files import RecordedFiles
 from modaltouch.preflight import examine
-from modaltouch.preflight.design_inputs import design_to_fit
+from modaltouch.preflight.single_design import design_to_fit
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig.interface import RigError
 from modaltouch.rig.scope import Acquisition, Recording
