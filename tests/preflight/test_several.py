@@ -89,9 +89,9 @@ def test_every_condition_meets_every_stimulus_equally_often(tmp_path: Path, orde
     [
         ([("blunt: {field", "blunt: {focus: Q, field")], "stimuli.blunt.focus", "'Q', which is not a zone"),
         ([("blunt: {field: {shape: raised_cosine, base_mm: 100}}", "blunt: {duration_ms: 200}")],
-         "stimuli.blunt.duration_ms", "200 ms at 7 bursts per second (stimulus blunt)"),
+         "stimuli.blunt.duration_ms", "200 ms at 7 bursts per second"),
         ([("blunt: {field: {shape: raised_cosine, base_mm: 100}}", "blunt: {repetition_rate_Hz: 30}")],
-         "stimuli.blunt.repetition_rate_Hz", "50 ms at 30 bursts per second (stimulus blunt)"),
+         "stimuli.blunt.repetition_rate_Hz", "50 ms at 30 bursts per second"),
         ([("blunt: {field: {shape: raised_cosine, base_mm: 100}}", "blunt: {selected_modes: [2]}")],
          "stimuli.blunt.selected_modes", "(stimulus blunt)"),
         ([("[80, 150]", "[80, 200]")], "conditions.peak_velocities_mm_s[1]", "(stimulus blunt)"),

@@ -128,8 +128,16 @@ def test_the_longest_presentation_must_be_whole_bursts(edit: Edit, seconds: str,
 
 
 LONG = [
-    ([("duration_ms: 50", "duration_ms: 138")], "16:16: stimulus.duration_ms: given 138 ms at 7", "135.714 ms"),
-    ([("repetition_rate_Hz: 7", "repetition_rate_Hz: 19.5")], "16:16: stimulus.duration_ms", "48.7179 ms"),
+    (
+        [("duration_ms: 50", "duration_ms: 138")],
+        "19:23: stimulus.repetition_rate_Hz: given 138 ms",
+        "6.88406 bursts per second",
+    ),
+    (
+        [("repetition_rate_Hz: 7", "repetition_rate_Hz: 19.5")],
+        "19:23: stimulus.repetition_rate_Hz",
+        "19 bursts per second",
+    ),
     (
         [("\nconditions:", "\nstimuli:\n  a: {law: exact}\n  b: {repetition_rate_Hz: 19.5}\n\nconditions:")],
         "23:27: stimuli.b.repetition_rate_Hz: given 50 ms at 19.5 bursts per second",

@@ -15,7 +15,7 @@ from modaltouch.protocol.reading import Reading, repeats
 from modaltouch.protocol.schedule_section import LIMITS
 from modaltouch.protocol.sections import AnswersSection, Protocol
 from modaltouch.protocol.source import Problem, suggest
-from modaltouch.protocol.stimulus_sections import check_masking, check_target_field, is_elsewhere, presented_levels
+from modaltouch.protocol.stimulus_sections import check_masking, check_target_field, presented_levels
 from modaltouch.protocol.trial import SHIPPED, TIME_OUT
 
 TRIAL_LIMIT = 10_000
@@ -133,12 +133,6 @@ def _check_stimulus(reading: Reading[Protocol]) -> Iterator[Problem]:
     section = ("stimulus",)
     keys = ("duration_ms", "focusing_instant_ms", "repetition_rate_Hz", "n_samples")
     duration, instant, rate, n_samples = (reading.sound(*section, key) for key in keys)
-    if duration is not None and rate is not None and duration * rate > 1e3:
-        given = f"{duration:g} ms at {rate:g} bursts per second"
-        key, most = "duration_ms", f"{1e3 / rate:g} ms, the time from one burst to the next"
-        if is_elsewhere(reading, keys[2]) and not is_elsewhere(reading, key):
-            key, most = keys[2], f"{1e3 / duration:g} bursts per second, each as long as {duration:g} ms"
-        yield reading.problem((*section, key), given, f"at most {most}", "shorten the burst or repeat it less often")
     if duration is not None and instant is not None and instant >= duration:
         yield reading.problem(
             (*section, "focusing_instant_ms"),

@@ -1,4 +1,4 @@
-"""Checks of the durations of a new protocol: whole bursts, gaps between bursts, pauses for a hand to settle.
+"""Checks of the durations of a new protocol: whole bursts, and gaps between bursts.
 
 They do not apply to records, so that a session begun under older rules can be resumed.
 """
@@ -10,9 +10,9 @@ from collections.abc import Iterator
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.conditions import check_way
 from modaltouch.protocol.reading import Reading
-from modaltouch.protocol.sections import AnswersSection, Protocol, whole_bursts
+from modaltouch.protocol.sections import Protocol, whole_bursts
 from modaltouch.protocol.source import Problem
-from modaltouch.protocol.stimulus_sections import STANDARD_LEVEL, is_elsewhere
+from modaltouch.protocol.stimulus_sections import STANDARD_LEVEL
 
 WHOLE = 5e-3
 """Tolerance of a duration for rounding in the file [bursts]."""
@@ -23,31 +23,12 @@ MOST_OF_PERIOD = 0.95
 
 def check_timing(protocol: Reading[Protocol], apparatus: Reading[Apparatus] | None) -> list[Problem]:
     """Return a problem for each duration not allowed in a new session."""
-    found = [*_check_settling(protocol), *_check_durations(protocol), *_check_written_once(protocol)]
+    found = [*_check_durations(protocol), *_check_written_once(protocol)]
+    if protocol.sound("answers", "ways", "two_hands") == "free_hand":
+        found += check_way(protocol, "two_hands")
     if apparatus is not None:
         found += [*_check_period(protocol, apparatus), *_check_catch_trials(protocol, apparatus)]
     return found
-
-
-def _check_settling(reading: Reading[Protocol]) -> Iterator[Problem]:
-    """Yield a free hand in ``two_hands``, and a pause too short for the answering hand to return to the beam.
-
-    For new files only; a record with either is resumed with `AnswersSection.settling_s`.
-    """
-    answers = reading.sound("answers")
-    if reading.sound("answers", "ways", "two_hands") == "free_hand":
-        yield from check_way(reading, "two_hands")
-        return
-    if not isinstance(answers, AnswersSection) or reading.find(("answers", "pause_s")) is None:
-        return
-    settling = [fingers for _, fingers in reading.items("conditions", "finger_conditions") if answers.settles(fingers)]
-    if settling and answers.pause_s < answers.settling_s:
-        yield reading.problem(
-            ("answers", "pause_s"),
-            f"{answers.pause_s:g} s, but in {settling[0]} a hand or finger that rests on the beam answers",
-            f"at least {answers.settling_s:g} s (answers.settling_s), for it to come back and rest",
-            "leave it out, or let a foot_switch or the experimenter give the answer (answers.ways)",
-        )
 
 
 def _rates(protocol: Reading[Protocol]) -> Iterator[tuple[tuple[str, ...], float]]:
@@ -101,29 +82,23 @@ def _check_written_once(protocol: Reading[Protocol]) -> Iterator[Problem]:
 
 
 def _check_period(protocol: Reading[Protocol], apparatus: Reading[Apparatus]) -> Iterator[Problem]:
-    if (apparatus.sound("generator", "repetition") or "single") != "single":
-        return
+    is_single = (apparatus.sound("generator", "repetition") or "single") == "single"
+    most, why = (MOST_OF_PERIOD, ", so that a burst is over before the next is triggered") if is_single else (1.0, "")
     shared = {key: protocol.sound("stimulus", key) for key in ("duration_ms", "repetition_rate_Hz")}
     for own in (None, *(protocol.sound("stimuli") or ())):
         section = ("stimulus",) if own is None else ("stimuli", own)
         duration, rate = (protocol.sound(*section, key) or shared[key] for key in shared)
-        is_written = own is None or any(protocol.sound(*section, key) for key in shared)
-        if duration is None or rate is None or not is_written or duration * rate <= MOST_OF_PERIOD * 1e3:
+        # The later of the two keys, in which a group or a stimulus differs from what all share.
+        written = {key: node.line for key in shared if (node := protocol.find((*section, key)))}
+        if duration is None or rate is None or not written or duration * rate <= most * 1e3:
             continue
-        if duration * rate > 1e3:
-            continue  # longer than the period, which is reported elsewhere
-        given = f"{duration:g} ms at {rate:g} bursts per second"
-        is_rate = (
-            protocol.sound(*section, "duration_ms") is None if own else is_elsewhere(protocol, "repetition_rate_Hz")
-        )
-        key, other, unit = (
-            ("repetition_rate_Hz", duration, "bursts per second") if is_rate else ("duration_ms", rate, "ms")
-        )
+        key = max(written, key=written.__getitem__)
+        other, unit = (rate, "ms") if key == "duration_ms" else (duration, "bursts per second")
         yield protocol.problem(
             (*section, key),
-            given,
-            f"at most {MOST_OF_PERIOD * 1e3 / other:.6g} {unit}, so that a burst is over before the next is triggered",
-            "shorten the burst, repeat it less often, or set generator.repetition to continuous",
+            f"{duration:g} ms at {rate:g} bursts per second",
+            f"at most {most * 1e3 / other:.6g} {unit}{why}",
+            "shorten the burst or repeat it less often" + ", or set generator.repetition to continuous" * is_single,
         )
 
 

@@ -239,15 +239,6 @@ def presented_levels(reading: Reading[Any]) -> dict[tuple[Step, ...], float]:
 Points = tuple[tuple[float, float], ...]
 
 
-def is_elsewhere(reading: Reading[Any], key: str) -> bool:
-    """Test whether a group, a kind of session or one of several stimuli overrides a key of the section stimulus."""
-    node, root, value = reading.find(("stimulus", key)), reading.root, reading.sound("stimulus", key)
-    if node is None or root is None:
-        return bool(value != StimulusSection.model_fields[key].default)
-    above = [(place, name) for name, place in root.keys.items() if place <= (node.line, node.column)]
-    return node.content != value or max(above)[1] != "stimulus"
-
-
 _FIELD = ("stimulus", "field")
 
 
