@@ -22,7 +22,7 @@ NAME = "sensation_levels.yaml"
         ("[2, 200]", "[2, 280]", "conditions.peak_velocities_mm_s[1]", "at most"),
         ("from: threshold ", "from: sensation_levels ", "conditions.sensation_levels.thresholds_from", "itself"),
         ("[1, 1.5, 2, 3]", "[1, 150]", "conditions.sensation_levels.multiples", "a ratio of at most 100"),
-        ("[1, 1.5, 2, 3]", "[1, 1.001, 2]", "conditions.sensation_levels.multiples[1]", "0.2 % apart"),
+        ("[1, 1.5, 2, 3]", "[1, 1.0, 2]", "conditions.sensation_levels.multiples[1]", "the same multiple as"),
         ("[1, 1.5, 2, 3]", "[0, 1]", "conditions.sensation_levels.multiples[0]", "above 0"),
         ("[1, 1.5, 2, 3]", "[]", "conditions.sensation_levels.multiples", "at least 1"),
         ("schedule:", "adaptive: {start_mm_s: 60}\n\nschedule:", "conditions.sensation_levels", "find their own"),

@@ -223,6 +223,7 @@ def _check_doubles(reading: Reading[Protocol]) -> Iterator[Problem]:
         ("conditions", "finger_conditions"): "finger condition",
         ("conditions", "peak_velocities_mm_s"): "peak velocity",
         ("conditions", "placements"): "placement",
+        ("conditions", "sensation_levels", "multiples"): "multiple",
         ("stimulus", "selected_modes"): "mode",
         ("answers", "below"): "answer",
     }

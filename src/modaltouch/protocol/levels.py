@@ -51,7 +51,6 @@ def _check_sensation_levels(reading: Reading[Any]) -> Iterator[Problem]:
         path, given = (*_SECTION, "thresholds_from"), f"'{name}', this protocol itself"
         yield reading.problem(path, given, "the name of an adaptive protocol", "give the one that finds thresholds")
     multiples = dict(reading.items(*_SECTION, "multiples"))
-    yield from _check_doubles(reading, multiples)
     faults = list(_check_bounds(reading, "they are calibrated by participant", "anyone may get"))
     yield from faults
     levels = [level for _, level in reading.items("conditions", "peak_velocities_mm_s")]
@@ -64,21 +63,6 @@ def _check_sensation_levels(reading: Reading[Any]) -> Iterator[Problem]:
             f"a ratio of at most {levels[1] / levels[0]:.4g}, that of conditions.peak_velocities_mm_s",
             "bring them closer together, or allow lower or higher levels",
         )
-
-
-def _check_doubles(reading: Reading[Any], multiples: dict[int, float]) -> Iterator[Problem]:
-    """Yield multiples too close for the four-digit resolution of the generator's amplitude."""
-    seen: dict[int, float] = {}
-    for index, value in multiples.items():
-        like = next((at for at, other in seen.items() if math.isclose(value, other, rel_tol=2e-3)), None)
-        if like is not None:
-            yield reading.problem(
-                (*_SECTION, "multiples", index),
-                f"{value:g}, almost the same as multiples[{like}]",
-                "multiples at least 0.2 % apart",
-                "remove one of them",
-            )
-        seen[index] = value
 
 
 def _check_adaptive(reading: Reading[Any]) -> Iterator[Problem]:
