@@ -186,16 +186,14 @@ def test_renamed_answers_give_the_same_numbers(tmp_path) -> None:
     assert caught == [row["answers"] for row in shipped["catch_trials"]]
 
 
-def test_a_missing_label_is_reported_with_its_place(tmp_path) -> None:
-    """The message gives file, line and column of the texts; a misspelt answer is reported in the protocol."""
+def test_a_missing_label_is_reported_where_it_is_needed(tmp_path) -> None:
+    """The message names the text and its file; for a misspelt answer it has the right one."""
     keys = "  keys:\n    stronger: [up]\n    weaker: [down]\n    lfet: [left]\n"
     write_protocol(tmp_path / "protocols", "demo", "grades", keys, {"stronger": "Stronger"})
     done = call("check", "protocols/grades.yaml", cwd=tmp_path)
-    texts = (tmp_path / "protocols" / "texts" / "english.yaml").read_text(encoding="utf-8").splitlines()
-    line = next(number for number, text in enumerate(texts, 1) if text.startswith("answers:"))
     assert done.exit_code == 2
-    assert f"english.yaml:{line}:" in done.stderr and "answers.weaker: given nothing; allowed: a text" in done.stderr
-    assert "answers.keys.lfet: given 'lfet', which has no label in english.yaml" in done.stderr
+    assert "answers.keys.weaker: given no text `answers.weaker` in english.yaml, which this needs" in done.stderr
+    assert "answers.keys.lfet: given no text `answers.lfet` in english.yaml" in done.stderr
     assert "did you mean 'left'?" in done.stderr
 
 

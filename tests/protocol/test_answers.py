@@ -91,7 +91,7 @@ def test_the_record_of_the_papers_answers_is_unchanged(shipped) -> None:
         (
             BOTH,
             "    rechts: [up]\n",
-            "answers.rechts: given nothing; allowed: a text, since demo.yaml offers the answer rechts",
+            "answers.keys.rechts: given no text `answers.rechts` in english.yaml, which this needs",
         ),
         (
             BOTH,
@@ -101,7 +101,7 @@ def test_the_record_of_the_papers_answers_is_unchanged(shipped) -> None:
         (
             BOTH,
             "    very strong: [up]\n",
-            "given nothing; allowed: a text, since demo.yaml offers the answer very_strong",
+            "given no text `answers.very_strong` in english.yaml, which this needs; allowed: a text there; add it",
         ),
     ],
 )

@@ -236,7 +236,7 @@ def test_impossible_answers_are_detected(
             KEYS + "  then: {stim_file: {scale: {kind: vas}}}\n",
             "then.stim_file: given stim_file, which has another meaning in the table of answers",
         ),
-        (KEYS + "  then: {sure: {scale: {kind: vas}}}\n", "given 'sure', which has no text in english.yaml"),
+        (KEYS + "  then: {sure: {scale: {kind: vas}}}\n", "then.sure: given no text `further.sure` in english.yaml"),
         (
             KEYS + "  then: {confidence: {keys: {felt: [a]}}}\n",
             "confidence.keys: given 1 answer; allowed: 2 to 7 answers",
@@ -245,7 +245,7 @@ def test_impossible_answers_are_detected(
             KEYS + "  then: {confidence: {keys: {felt: [a], certain: [a]}}}\n",
             "keys.certain[0]: given 'a', which already means felt; allowed: a key with no other meaning",
         ),
-        (KEYS + "  question: magnitud\n", "did you mean 'magnitude'? Else add `further.magnitud` to english.yaml"),
+        (KEYS + "  question: magnitud\n", "or the words here; did you mean 'magnitude'? Else add it"),
         (
             SCALE + "adaptive: {start_mm_s: 100, trials: 9}\n",
             "given focus_named, but the answers do not name each finger",

@@ -245,35 +245,44 @@ class Texts(Section):
 
 
 def check_words(protocol: Reading[Protocol], texts: Reading[Texts]) -> Iterator[Problem]:
-    """Yield a problem for each required text missing in the language file."""
-    yield from _check_further(protocol, texts)
-    yield from _lacking_fingers(protocol, texts)
-    file, offered = protocol.source.path.name, offered_answers(protocol)
+    """Yield a problem for each text that the protocol needs and the language file lacks, at the key that needs it."""
+    offered = offered_answers(protocol)
+    wanted: list[tuple[tuple[str, ...], tuple[str, ...]]] = []
+    lists: list[tuple[tuple[str, ...], tuple[str, ...]]] = []
+    lists += [(("answers", "keys"), offered.names)] if offered.names != (RATED,) else []
+    for section in (("answers", "then"), ("form",)):
+        for name, question in protocol.items(*section):
+            wanted += [((*section, name), ("further", name))] if question.question is None else []
+            lists.append(((*section, name, "keys"), tuple(question.keys)))
+    for keys, names in lists:
+        labels = [(name, name if name in SHIPPED else plain_word(name) or name) for name in names]
+        wanted += [((*keys, name), (label,) if name in SHIPPED else ("answers", label)) for name, label in labels]
+    if offered.naming() is not None:
+        wanted.append((("answers", "keys"), ("how_to_answer_or_none",)))
+    for named in (("answers", "question"), ("instructions",)):
+        words = protocol.sound(*named)
+        wanted += [(named, ("further", words))] if words and re.fullmatch(r"[A-Za-z0-9_-]{1,32}", words) else []
+    if protocol.value is not None:
+        design = protocol.value.conditions
+        fingers = [name for name in design.fingers_used if name.replace(" ", "_") not in Texts.model_fields]
+        wanted += [(("conditions", "finger_conditions"), ("fingers", name)) for name in fingers]
+        if any(len(zones) != 2 for zones in design.contacts):
+            wanted.append((("conditions", "zones"), ("place_each_finger",)))
     absent = [name for name in SHIPPED if name not in offered.names]
-    for answer in offered if offered.names != (RATED,) else ():
-        name = plain_word(answer.name) or answer.name
-        needed = [(name,) if name in SHIPPED else ("answers", name)]
-        needed += [("how_to_answer_or_none",)] if answer.means_nothing_felt else []
-        for path in needed:
-            field, node = Texts.model_fields[path[0]], texts.find(path)
-            # Missing required keys are also reported without a protocol.
-            if field.is_required() or (node is not None and node.content is not None):
-                continue
-            meant = suggest(answer.name, absent) if path[0] == "answers" else ""
-            if meant:
-                yield protocol.problem(
-                    ("answers", "keys", answer.name),
-                    f"'{answer.name}', which has no label in {texts.source.path.name}",
-                    f"{', '.join(SHIPPED)}, or a label",
-                    f"did you mean '{meant}'? Else add `{'.'.join(path)}` to the texts",
-                )
-                continue
-            yield texts.problem(
-                path,
-                "nothing",
-                f"a text, since {file} offers the answer {name}",
-                f"add the missing key `{'.'.join(path)}`",
-            )
+    for path, place in wanted if texts.root is not None else ():
+        node = texts.find(place)
+        # Missing required keys are also reported without a protocol.
+        if Texts.model_fields[place[0]].is_required() or (node is not None and node.content is not None):
+            continue
+        known = [*(texts.keys(place[0]) or ()), *(absent if path[:-1] == ("answers", "keys") else ())]
+        meant = suggest(place[-1], known) if len(place) > 1 else ""
+        yield protocol.problem(
+            path,
+            f"no text `{'.'.join(place)}` in {texts.source.path.name}, which this needs",
+            "a text there" + (", or the words here" if place[0] == "further" else ""),
+            f"did you mean '{meant}'? Else add it" if meant else "add it",
+            at_key=path[-1] == place[-1],
+        )
 
 
 _ROOM, _ROOM_IN_WORDS, _LONGEST_WORD = 120, 78, 17
@@ -314,46 +323,3 @@ def check_labels(protocol: Reading[Protocol], texts: Reading[Texts]) -> Iterator
                 "shorten it, or write a soft hyphen (U+00AD) or zero-width space (U+200B) where it may break",
             ),
         )
-
-
-def _lacking_fingers(protocol: Reading[Protocol], texts: Reading[Texts]) -> Iterator[Problem]:
-    """Yield the missing texts for a protocol's fingers: their names, and the placing of one or three."""
-    design = None if protocol.value is None else protocol.value.conditions
-    if design is None or texts.root is None:
-        return
-    paths: list[tuple[str, ...]] = [
-        ("fingers", name) for name in design.fingers_used if name.replace(" ", "_") not in Texts.model_fields
-    ]
-    if any(len(zones) != 2 for zones in design.contacts):
-        paths.append(("place_each_finger",))
-    for path in paths:
-        if texts.find(path) is None:
-            yield texts.problem(
-                path,
-                "nothing",
-                f"a text, since {protocol.source.path.name} has fingers other than two index or middle fingers",
-                f"add the missing key `{': '.join(path)}`",
-            )
-
-
-def _check_further(protocol: Reading[Protocol], texts: Reading[Texts]) -> Iterator[Problem]:
-    """Yield the missing texts and labels of further questions and of the form."""
-    wanted: list[tuple[tuple[str, ...], str, str]] = []
-    for questions in (("answers", "then"), ("form",)):
-        for name, question in protocol.items(*questions):
-            path = (*questions, str(name))
-            wanted += [(path, "further", str(name))] if question.question is None else []
-            wanted += [
-                ((*path, "keys", answer), "answers", answer) for answer in question.keys if answer not in SHIPPED
-            ]
-    for path in (("answers", "question"), ("instructions",)):
-        words = protocol.sound(*path)
-        wanted += [(path, "further", words)] if words and re.fullmatch(r"[A-Za-z0-9_-]{1,32}", words) else []
-    for path, section, name in wanted:
-        known = texts.keys(section) or []
-        if name not in known:
-            file, meant = texts.source.path.name, suggest(name, known)
-            remedy = f"did you mean '{meant}'? Else " if meant else ""
-            given = f"'{name}', which has no text in {file}"
-            remedy += f"add `{section}.{name}` to {file}" + (", or write the words here" * (section == "further"))
-            yield protocol.problem(path, given, f"a text under `{section}`", remedy, at_key=path[-1] == name)
