@@ -42,19 +42,6 @@ def test_pairs_without_a_finger_on_the_focus_are_listed(edit: Edit) -> None:
     ]
 
 
-@pytest.mark.parametrize(("width", "warned"), [(20, False), (20.5, True), (60, True)])
-def test_a_contact_wider_than_a_zone_is_warned_of(edit: Edit, width: float, warned: bool) -> None:
-    """A zone of the paper is 20 mm wide; the file may be given in the protocol or by `check --fingers`."""
-    said = f"a finger's contact is {width:g} mm wide, a zone only 20; a fingertip touches about 10 mm"
-    path = edit("under_the_finger.yaml", ("fingers: typical ", "fingers: wide.yaml "))
-    wide = path.with_name("wide.yaml")
-    wide.write_text(f"fingers: {{mass_g: 0.05, damping_N_s_per_m: 0.2, contact_width_mm: {width}}}")
-    paper = examine(path.with_name(PAPER))
-    for warnings in (examine(path).as_dict()["warnings"], paper.as_dict(fingers=str(wide))["warnings"]):
-        assert any(said in each for each in warnings) == warned
-    assert not any("contact" in each for each in paper.as_dict(fingers="none")["warnings"])
-
-
 @pytest.mark.parametrize(
     ("changes", "silent"),
     [

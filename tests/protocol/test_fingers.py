@@ -174,7 +174,7 @@ def test_swapped_placements_need_the_other_hand(named: Callable[..., Findings]) 
             "fingers: {mass_g: 0.1, damping_N_s_per_m: 0.5, contact_width_mm: 0,\n"
             "  maxwell: [{stiffness_N_per_mm: 0, relaxation_ms: 1}, {stiffness_N_per_mm: 1}]}\n",
             [
-                "1:66: fingers.contact_width_mm: given 0; allowed: a number [mm] above 0",
+                "1:66: fingers.contact_width_mm: given 0; allowed: a number [mm] above 0, at most 40",
                 "2:34: fingers.maxwell[0].stiffness_N_per_mm: given 0; allowed: a number [N/mm] above 0",
                 "2:56: fingers.maxwell[1].relaxation_ms: given nothing; allowed: a number [ms] above 0; add the "
                 "missing key `relaxation_ms`",

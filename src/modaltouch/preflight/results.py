@@ -59,7 +59,7 @@ def check_results(preflight: Preflight, *, compare: bool = False, fingers: str |
         return values
     apparatus = preflight.sound[0].apparatus
     values |= {
-        "warnings": _warnings(preflight, fingers),
+        "warnings": _warnings(preflight),
         "unknown_gains": [{"mode": label, "set": name} for label, name in apparatus.unknown_gains()],
         "assumed_gains": [{"mode": label, "set": name} for label, name in apparatus.assumed_gains()],
     }
@@ -104,13 +104,12 @@ def _levels(preflight: Preflight, fingers: str | None) -> list[dict[str, Any]]:
     return [{**row, "touched": each} for row, each in zip(rows, _touched(preflight, fingers), strict=True)]
 
 
-def _warnings(preflight: Preflight, fingers: str | None) -> list[str]:
-    findings, protocol, apparatus = preflight.findings, preflight.experiment.protocol, preflight.experiment.apparatus
+def _warnings(preflight: Preflight) -> list[str]:
+    protocol, apparatus = preflight.experiment.protocol, preflight.experiment.apparatus
     return [
         *([f"the calibration misses its limits: {preflight.calibration_mark}"] if preflight.calibration_mark else []),
         *_stimulus_warnings(preflight),
         *placement_warnings({name: part.sound[0] for name, part in preflight.designs.items()}),
-        *contact_warnings(findings if fingers in (None, "none") else findings.under(fingers)),
         *design_warnings(protocol),
         *answer_warnings(protocol),
         *interval_warnings(protocol),
@@ -202,15 +201,6 @@ def placement_warnings(designs: Mapping[str, DesignInputs]) -> list[str]:
         f"the velocity from {band[0]:g} to {band[1]:g} Hz at the focus is made the same at every placement: levels are "
         f"multiplied by {shares}"
     ]
-
-
-def contact_warnings(findings: Findings) -> list[str]:
-    """Return a warning if a contact is wider than a zone, which is probably a typing error."""
-    placed = {} if findings.placements is None else findings.placements.all()
-    widest = max((finger.width * 1e3 for laid in placed.values() for finger in laid), default=0.0)
-    narrowest = min(zone.width_mm for zone in findings.experiment().apparatus.zones.values())
-    warning = f"a finger's contact is {widest:g} mm wide, a zone only {narrowest:g}; a fingertip touches about 10 mm"
-    return [f"{warning}: check contact_width_mm"] if widest > narrowest else []
 
 
 def stimulus_warnings(inputs: DesignInputs, stimulus: Stimulus, figures: list[dict[str, Any]]) -> Iterator[str]:

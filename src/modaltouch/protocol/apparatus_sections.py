@@ -338,7 +338,9 @@ class FingerSection(Section):
     mass_g: NotNegative = described("Mass that moves with the beam [g].")
     damping_N_s_per_m: NotNegative = described("Viscous damping [N s/m].")  # noqa: N815
     stiffness_N_per_mm: NotNegative = described("Stiffness [N/mm].", default=0.0)  # noqa: N815
-    contact_width_mm: Positive = described("Width of the contact along the beam [mm].", default=10.0)
+    contact_width_mm: Annotated[Positive, Field(le=40)] = described(
+        "Width of the contact along the beam [mm]; that of a fingertip is about 10.", default=10.0
+    )
     maxwell: Annotated[tuple[MaxwellSection, ...], Field(max_length=8)] = described(
         "Springs in series with dampers, in addition to the rest.", default=()
     )
