@@ -48,9 +48,7 @@ def check(
     calibration: CALIBRATION = None,
     with_marked_calibration: WITH_MARKED = False,
     json_output: JSON = False,
-    compare: Annotated[
-        bool, typer.Option("--compare", help="Also show the other drive law, and the generator without burst mode.")
-    ] = False,
+    compare: Annotated[bool, typer.Option("--compare", help="Also show the other drive law.")] = False,
     sensitivity: Annotated[
         bool, typer.Option("--sensitivity", help="Also show how well the beam must be identified.")
     ] = False,
@@ -164,8 +162,6 @@ def show(
             f"[dim]Law {stimulus['law']} at {stimulus['velocity_mm_s']:g} mm/s on the same rig: worst modal error "
             f"{stimulus['worst_modal_error_mm_s']:.3g} mm/s[/]"
         )
-    if fallback := values.get("continuous_fallback"):
-        say(f"[dim]{escape(fallback['warning'])}[/]")
     for warning in values["warnings"]:
         say(f"[yellow]{escape(warning)}[/]")
     _show_explored(asked or {})

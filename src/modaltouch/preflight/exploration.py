@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,6 @@ from numpy.typing import NDArray
 
 from modaltouch.preflight.single_design import DesignInputs, by_name, finite, zone_centres
 from modaltouch.protocol import Findings
-from modaltouch.rig import instrument_of
 from modaltouch.stimulus import Stimulus
 
 Design = tuple[DesignInputs, Stimulus]
@@ -143,33 +141,6 @@ def sample_figures(inputs: DesignInputs, stimulus: Stimulus, tolerance: float) -
         "error": found.error,
         "tried": [{"n_samples": n, "error": error} for n, error in found.tried],
         "said": str(found),
-    }
-
-
-def continuous_figures(inputs: DesignInputs, stimulus: Stimulus) -> dict[str, Any]:
-    """Return the error at the highest level and the first focusing instant if the generator repeats ``continuous``.
-
-    A record of a whole period leaves fewer points for the burst: its steps are up to half a point early or late, in
-    addition to the jitter of the clock.
-    """
-    burst, timing, velocity = stimulus.burst, stimulus.timing, max(inputs.levels.values()) * 1e-3
-    played = replace(timing, n_samples=timing.converter.max_points, duration=1 / timing.repetition_rate)
-    # Only samples up to the focusing instant affect the error.
-    codes = instrument_of(inputs.apparatus).continuous_codes(burst)[:, : int(timing.focusing_instant / played.hold) + 2]
-    states = stimulus.system.states_by_channel(played.converter.signed(codes), played, timing.focusing_instant)
-    reached = np.concatenate(stimulus.system.read(stimulus.volts_per_code(velocity) @ states))
-    target = np.concatenate(stimulus.corrected_target) * (velocity / stimulus.target_field.velocity)
-    error = 1e3 * float(np.abs(reached - target).max())
-    step = 1e6 * (played.hold / 2 + 1 / timing.clock_rate)
-    return {
-        "velocity_mm_s": velocity * 1e3,
-        "n_samples": played.n_samples,
-        "step_error_us": step,
-        "worst_modal_error_mm_s": error,
-        "warning": (
-            f"played continuously, without burst mode, {velocity * 1e3:g} mm/s cannot be exact: steps come up to "
-            f"{step:.2g} us late or early, and a mode is missed by {error:.2g} mm/s"
-        ),
     }
 
 

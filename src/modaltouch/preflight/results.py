@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
-from modaltouch.preflight.exploration import continuous_figures, touched_figures
+from modaltouch.preflight.exploration import touched_figures
 from modaltouch.preflight.single_design import DesignInputs, design, estimated_duration, stimulus_figures
 from modaltouch.protocol import Apparatus, Findings, Protocol
 from modaltouch.rig import instrument_of
@@ -64,7 +64,7 @@ def check_results(preflight: Preflight, *, compare: bool = False, fingers: str |
         "assumed_gains": [{"mode": label, "set": name} for label, name in apparatus.assumed_gains()],
     }
     if compare:
-        values |= {"comparison": comparison(preflight), "continuous_fallback": continuous_figures(*preflight.sound)}
+        values["comparison"] = comparison(preflight)
     return values
 
 

@@ -59,8 +59,9 @@ class GeneratorSection(Section):
     repetition: Literal["single", "timer", "continuous", "wired", "burst"] = described(
         "single: each burst is triggered by its own command, counted and timed; timer: the generator's free timer, "
         "whose bursts are neither counted nor timed; wired: a pulse source at the trigger input, which counts them; "
-        "continuous: one record of burst and silence, for a generator whose burst mode cannot be used (this cannot be "
-        "exact: check --compare shows the error). `burst` is the former name of timer.",
+        "continuous: one record of burst and silence, for a generator whose burst mode cannot be used (its steps "
+        "come up to half a sample early or late: 0.014 mm/s of 200 in the paper's stimulus). `burst` is the "
+        "former name of timer.",
         default="single",
     )
     trigger_latency_ms: Latency | None = described(
