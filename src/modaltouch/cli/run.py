@@ -361,28 +361,17 @@ def can_ask() -> bool:
 
 
 def ask_rig(may_ask: bool) -> str:
-    """Prompt for the generator's VISA address, listing those visible to this machine; return it or ``simulated``."""
+    """Prompt for the generator's VISA address until it is one; return it, or ``simulated``."""
     if not may_ask:
         raise typer.BadParameter(
             "a session needs a rig: give --rig with the generator's VISA address (`modaltouch rig list` shows what "
             "this machine can see), or --rig simulated, where nothing vibrates"
         )
-    from modaltouch.rig import RigError, find_instruments
-
-    try:
-        found = find_instruments()
-    except RigError as error:
-        found = ()
-        typer.secho(str(error), err=True, fg=typer.colors.YELLOW)
-    for number, address in enumerate(found, start=1):
-        typer.echo(f"{number}  {address}", err=True)
-    hint = "its number above" if found else "none is seen; one on the network answers at TCPIP::<its address>::INSTR"
+    hint = "such as TCPIP::192.168.1.20::INSTR; `modaltouch rig list` shows what this machine can see"
     while True:
         given = str(
             _prompt(f"Generator's VISA address ({hint}), or {sessions.SIMULATED}", default="", shown=False)
         ).strip()
-        if given.isdecimal() and 1 <= int(given) <= len(found):
-            return found[int(given) - 1]
         if given.casefold() == sessions.SIMULATED or "::" in given:
             return given if "::" in given else sessions.SIMULATED
         typer.secho(f"given {given!r}; allowed: a VISA address, or {sessions.SIMULATED}", err=True, fg=typer.colors.RED)
