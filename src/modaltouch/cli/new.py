@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Iterator
-from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Annotated
 
@@ -45,29 +44,22 @@ def write_study(folder: Path, template: str) -> tuple[Path, ...]:
     Raises
     ------
     InputError
-        If there is no such protocol, or the folder is not empty or cannot be written; written files are removed.
+        If there is no such protocol, or the folder is not empty or cannot be written.
     """
     contents = _contents(template)
-    with ExitStack() as undo:
-        try:
-            if folder.exists() and (held := next(folder.iterdir(), None)):
-                raise protocol.InputError.of(
-                    folder, f"a folder that holds {held.name}", "a folder that is new or empty"
-                )
-            for place, text in contents.items():
-                file = folder / place
-                for parent in reversed([each for each in file.parents if not each.exists()]):
-                    # Sessions are private to their owner, and a session does not change the mode of an existing folder.
-                    parent.mkdir(mode=0o700 if parent == folder / "results" else 0o777)
-                    undo.callback(_remove, parent)
-                with file.open("x", encoding="utf-8", newline="\n") as opened:
-                    undo.callback(_remove, file)
-                    opened.write(text)
-        except OSError as error:
-            raise protocol.InputError.of(
-                folder, f"a folder that cannot be written ({error.strerror})", "one that you may write to"
-            ) from error
-        undo.pop_all()
+    try:
+        if folder.exists() and (held := next(folder.iterdir(), None)):
+            raise protocol.InputError.of(folder, f"a folder that holds {held.name}", "a folder that is new or empty")
+        # Sessions are private to their owner, and a session does not change the mode of an existing folder.
+        (folder / "results").mkdir(mode=0o700, parents=True)
+        for place, text in contents.items():
+            (folder / place).parent.mkdir(parents=True, exist_ok=True)
+            with (folder / place).open("x", encoding="utf-8", newline="\n") as opened:
+                opened.write(text)
+    except OSError as error:
+        raise protocol.InputError.of(
+            folder, f"a folder that cannot be written ({error.strerror})", "one that you may write to"
+        ) from error
     return tuple(folder / place for place in contents)
 
 
@@ -105,8 +97,3 @@ def _readme(protocols: list[protocol.Protocol]) -> Iterator[str]:
     yield f"| `modaltouch verify results/{name}/sub-p01/ses-1` | check the record by recomputing it |"
     yield f"| `modaltouch analyse results/{name}` | the same for the real sessions |"
     yield f"\nDescribe your beam in `protocols/{first.apparatus}`, and edit the screens in `protocols/{first.texts}`."
-
-
-def _remove(path: Path) -> None:
-    with suppress(OSError):  # keeps files that others have added
-        path.rmdir() if path.is_dir() else path.unlink()

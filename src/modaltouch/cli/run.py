@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import sys
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -277,26 +276,21 @@ def demonstrate(
     checked = preflight.examine(protocol.Source.shipped("protocol")["demo"]).require()
     name = checked.experiment.protocol.protocol
     with window.some_display() as display:
-        for number in itertools.count(1):
-            place = record.SessionFolder(results, "simulated", name, DEMO_PARTICIPANT, number)
-            if place.log.exists():
-                continue
-            traces = place.dataset / "derivatives" / f"sub-{DEMO_PARTICIPANT}_ses-{number}"
-            screenshots = window_options.screenshots or traces / "screenshots"
-            tell(f"Session {number} on {display}: a simulated participant answers in the window, about a minute.")
-            setup = sessions.wire_run(
-                checked,
-                DEMO_PARTICIPANT,
-                session=number,
-                answers="robot",
-                seed=seed,
-                results=results,
-                window_options=replace(window_options, screenshots=screenshots),
-            )
-            # A concurrent demonstration may take this number while the window opens.
-            with suppress(record.RecordExistsError):
-                session = sessions.begin(replace(setup, on_progress=on_progress))
-                break
+        places = (record.SessionFolder(results, "simulated", name, DEMO_PARTICIPANT, n) for n in itertools.count(1))
+        place = next(place for place in places if not place.log.exists())
+        traces = place.dataset / "derivatives" / f"sub-{DEMO_PARTICIPANT}_ses-{place.session}"
+        screenshots = window_options.screenshots or traces / "screenshots"
+        tell(f"Session {place.session} on {display}: a simulated participant answers in the window, about a minute.")
+        setup = sessions.wire_run(
+            checked,
+            DEMO_PARTICIPANT,
+            session=place.session,
+            answers="robot",
+            seed=seed,
+            results=results,
+            window_options=replace(window_options, screenshots=screenshots),
+        )
+        session = sessions.begin(replace(setup, on_progress=on_progress))
     tell(f"{session.n_answered} answers recorded; now the analysis.")
     report = analysis.analyse(session.path.parent, traces / "analysis", mode="simulated")
     return {"session": session.path.parent, "screenshots": screenshots, "report": report.files["report.html"]}

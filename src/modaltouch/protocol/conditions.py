@@ -379,8 +379,9 @@ def _check_answers(reading: Reading[Any], names: list[str], number: int) -> Iter
 
 def check_way(reading: Reading[Any], name: str) -> Iterator[Problem]:
     """Yield a problem if the way to answer needs a free hand while both hands are on the beam."""
-    way, is_misspelt = reading.sound("answers", "ways", name), reading.is_misspelt("answers", "ways")
-    if reading.sound("answers", "given_by") != "experimenter" and way in (None, "free_hand") and not is_misspelt:
+    way = reading.sound("answers", "ways", name)
+    is_free = way == "free_hand" or (way is None and not reading.problems)  # it may be there, misspelt
+    if reading.sound("answers", "given_by") != "experimenter" and is_free:
         path = ("answers", "ways", name) if way else ("answers",)
         yield reading.problem(
             path,

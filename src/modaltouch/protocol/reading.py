@@ -75,13 +75,6 @@ class Reading(Generic[Model]):
         node = self.find(path)
         return list(node.content) if node is not None and isinstance(node.content, dict) else None
 
-    def is_misspelt(self, *path: str) -> bool:
-        """Test whether a key is missing because it is misspelt, which is reported at the misspelt key."""
-        from modaltouch.protocol.wording import keys_of
-
-        known, written = keys_of(self.model, path[:-1]), self.keys(*path[:-1]) or []
-        return path[-1] not in written and any(suggest(key, path[-1:]) for key in written if key not in known)
-
     def length(self, *path: Step) -> int | None:
         """Return the number of entries of the list at a path; None if there is no list."""
         node = self.find(path)
