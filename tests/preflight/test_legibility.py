@@ -24,15 +24,17 @@ def faults(preflight: Preflight, file: Path, window: WindowOptions | None = None
     return [str(problem).replace(f"{file.parent}/", "") for problem in problems]
 
 
-def test_a_letter_without_a_font_is_reported_at_its_place(edit: Edit) -> None:
+@pytest.mark.parametrize(
+    ("written", "told"),
+    [("\U0010fffd", "'\\U0010fffd' (a control or unnamed character)"), ("\t", "'\\t' (a tab)")],
+)
+def test_a_letter_without_a_font_is_reported_at_its_place(edit: Edit, written: str, told: str) -> None:
     """The fault has line and column of the text; a private-use character is in no font."""
-    texts = edit(TEXTS, ("question: Where did", "question: Where \U0010fffd did"))
+    texts = edit(TEXTS, ("question: Where did", f"question: Where {written} did"))
     file = texts.parents[1] / "demo.yaml"
     (fault,) = faults(examine(file), file)
     line = [row.startswith("question:") for row in texts.read_text(encoding="utf-8").splitlines()].index(True) + 1
-    assert fault.startswith(
-        f"{TEXTS}:{line}:11: question: given '\\U0010fffd' (a control or unnamed character), which no installed font"
-    )
+    assert fault.startswith(f"{TEXTS}:{line}:11: question: given {told}, which no installed font")
     assert "modaltouch doctor" in fault
 
 

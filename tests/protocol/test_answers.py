@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -220,3 +221,11 @@ def test_what_the_participant_reads_is_not_empty(edit: Edit, line: str) -> None:
     """The screen would show nothing, or the question of the texts in place of the one that was left blank."""
     with pytest.raises(InputError, match="given an empty text; allowed: at least one word; write what the participant"):
         Findings.read(edit(FILE, ("\nanswers:\n", f"\n{line}\nanswers:\n"))).experiment()
+
+
+def test_an_empty_question_of_a_record_is_that_of_the_texts(edit: Edit) -> None:
+    """It was allowed once, and asked so; a new file may not have it."""
+    experiment = Findings.read(edit(FILE)).experiment()
+    text = experiment.sources.protocol.text.replace("\nanswers:\n", "\nanswers:\n  question: ''\n")
+    sources = replace(experiment.sources, protocol=replace(experiment.sources.protocol, text=text))
+    assert Findings.restored(sources).experiment().texts.question == experiment.texts.question

@@ -1,4 +1,4 @@
-"""Checks of the durations of a new protocol: whole bursts, and gaps between bursts.
+"""Checks of a new protocol: whole bursts, gaps between bursts, and words that a participant can read.
 
 They do not apply to records, so that a session begun under older rules can be resumed.
 """
@@ -11,7 +11,7 @@ from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.conditions import check_way
 from modaltouch.protocol.reading import Reading
 from modaltouch.protocol.sections import Protocol, whole_bursts
-from modaltouch.protocol.source import Problem
+from modaltouch.protocol.source import EMPTY, Problem
 from modaltouch.protocol.stimulus_sections import STANDARD_LEVEL
 
 WHOLE = 5e-3
@@ -23,12 +23,23 @@ MOST_OF_PERIOD = 0.95
 
 def check_timing(protocol: Reading[Protocol], apparatus: Reading[Apparatus] | None) -> list[Problem]:
     """Return a problem for each duration not allowed in a new session."""
-    found = [*_check_durations(protocol), *_check_written_once(protocol)]
+    found = [*_check_durations(protocol), *_check_written_once(protocol), *_check_shown(protocol)]
     if protocol.sound("answers", "ways", "two_hands") == "free_hand":
         found += check_way(protocol, "two_hands")
     if apparatus is not None:
         found += [*_check_period(protocol, apparatus), *_check_catch_trials(protocol, apparatus)]
     return found
+
+
+def _check_shown(protocol: Reading[Protocol]) -> Iterator[Problem]:
+    """Yield empty words that a participant should read; those of a record were replaced by those of the texts."""
+    paths = [("answers", "question"), ("instructions",)]
+    for section in (("answers", "then"), ("form",), ("people",)):
+        paths += [(*section, name, "question") for name in protocol.keys(*section) or ()]
+    choices = [("people", name, "choices") for name in protocol.keys("people") or ()]
+    words = [(path, protocol.sound(*path)) for path in paths]
+    words += [((*path, index), text) for path in choices for index, text in protocol.items(*path)]
+    yield from (protocol.problem(path, *EMPTY) for path, text in words if text is not None and not text.strip())
 
 
 def _rates(protocol: Reading[Protocol]) -> Iterator[tuple[tuple[str, ...], float]]:

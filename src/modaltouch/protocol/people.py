@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 from pydantic import Field, TypeAdapter, ValidationError, create_model, model_validator
 
 from modaltouch.protocol.reading import Reading, read
-from modaltouch.protocol.section import Number, Section, Shown, Text, described
+from modaltouch.protocol.section import Number, Section, Text, described
 from modaltouch.protocol.source import Problem, Source, fault
 
 if TYPE_CHECKING:
@@ -24,8 +24,8 @@ class PersonField(Section):
         "number; choice: one of the choices; text: some words; consent: yes or no. Without a yes to a required "
         "consent, the session does not begin and nothing is stored."
     )
-    question: Shown = described("The question, in the participant's language.")
-    choices: tuple[Shown, ...] = described(
+    question: Text = described("The question, in the participant's language.")
+    choices: tuple[Text, ...] = described(
         "Possible answers, for a choice.", default=(), json_schema_extra={"uniqueItems": True}
     )
     lowest: Number | None = described("Smallest number that is accepted; null for any.", default=None)

@@ -10,7 +10,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from pydantic import Field, PrivateAttr, model_validator
 
 from modaltouch.protocol.reading import Reading
-from modaltouch.protocol.section import Number, Positive, Section, Shown, Text, Word, described
+from modaltouch.protocol.section import Number, Positive, Section, Text, Word, described
 from modaltouch.protocol.source import Problem, fault, suggest
 from modaltouch.protocol.trial import RATED, TIME_OUT
 
@@ -213,7 +213,7 @@ class AskedSection(Section):
     }  # fmt: skip
     """Alternative key names: number pad without NumLock; French digit row, which needs Shift for digits."""
 
-    question: Shown | None = described(
+    question: Text | None = described(
         "The question, written out, or the name of a text under `further` in the texts. Null for the one that follows "
         "from the answers, if the texts have it, or else the text `question`; for a further question, or one of the "
         "form, null for the text under `further` that has its name.",

@@ -59,14 +59,6 @@ Label = Annotated[int, Field(strict=True, ge=1, le=1000)]
 Text = str
 
 
-def not_empty(text: str) -> str:
-    """Return a text that is shown to the participant; it must contain more than spaces."""
-    if not text.strip():
-        raise fault("an empty text", "at least one word", "write what the participant should read")
-    return text
-
-
-Shown = Annotated[Text, AfterValidator(not_empty)]
 Word = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,32}$")]
 FileName = Annotated[
     str,

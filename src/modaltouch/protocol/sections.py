@@ -13,7 +13,7 @@ from modaltouch.protocol.conditions import AdaptiveSection, Cell, CellsSection, 
 from modaltouch.protocol.people import PersonField, read_people
 from modaltouch.protocol.questions import AskedSection, KeyName, QuestionSection
 from modaltouch.protocol.schedule_section import Overrides, ScheduleSection
-from modaltouch.protocol.section import Count, FileName, NotNegative, Positive, Section, Shown, Text, Word, described
+from modaltouch.protocol.section import Count, FileName, NotNegative, Positive, Section, Text, Word, described
 from modaltouch.protocol.stimulus_sections import (
     IntervalsSection,
     MaskingSection,
@@ -267,7 +267,7 @@ class Protocol(Section):
         default={},
         exclude_if=lambda given: not given,
     )
-    instructions: Shown | None = described(
+    instructions: Text | None = described(
         "What the experiment asks of the participant, written out, or the name of a text under `further` in the texts; "
         "null for the text `instructions`, which follows the design in the shipped texts.",
         default=None,

@@ -97,6 +97,10 @@ def fault(given: str, allowed: str, remedy: str = "") -> PydanticCustomError:
     )
 
 
+EMPTY = "an empty text", "at least one word", "write what the participant should read"
+"""What is wrong with a text that is shown and has no word, in the three parts of a `Problem`."""
+
+
 def format_path(path: Iterable[str | int]) -> str:
     """Format a path for messages.
 

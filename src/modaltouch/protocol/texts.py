@@ -12,9 +12,9 @@ from pydantic import AfterValidator, Field, ValidationInfo, field_validator
 
 from modaltouch.protocol.conditions import FingerName, offered_answers
 from modaltouch.protocol.reading import Reading
-from modaltouch.protocol.section import Section, Text, Word, described, not_empty, plain_word
+from modaltouch.protocol.section import Section, Text, Word, described, plain_word
 from modaltouch.protocol.sections import Protocol
-from modaltouch.protocol.source import Problem, fault, suggest
+from modaltouch.protocol.source import EMPTY, Problem, fault, suggest
 from modaltouch.protocol.trial import RATED, SHIPPED
 
 _PLACEHOLDERS: dict[str, frozenset[str]] = {
@@ -47,7 +47,8 @@ _OPTIONAL: dict[str, frozenset[str]] = {
 
 def _check_text(text: str, wanted: frozenset[str] = frozenset(), optional: frozenset[str] = frozenset()) -> str:
     """Validate a text: not empty, with all required placeholders, and no others except the optional ones."""
-    not_empty(text)
+    if not text.strip():
+        raise fault(*EMPTY)
     needed = ", ".join(f"{{{name}}}" for name in sorted(wanted)) or "no words in braces"
     try:
         fields = [field for field in string.Formatter().parse(text) if field[1] is not None]

@@ -162,7 +162,7 @@ def _check_letters(findings: Findings) -> Iterator[Problem]:
     for reading in (findings.texts, findings.protocol):
         for path, text in _strings((), None if reading is None else reading.root):
             if reading is not None and (lacking := typesetter.lacking(text)):
-                name = unicodedata.name(lacking[0], "a control or unnamed character")
+                name = "a tab" if lacking[0] == "\t" else unicodedata.name(lacking[0], "a control or unnamed character")
                 given, allowed = f"{lacking[0]!r} ({name}), which no installed font has", "letters of installed fonts"
                 remedy = "use another character, or install a font that has it (`modaltouch doctor` names packages)"
                 yield reading.problem(path, given, allowed, remedy)
