@@ -379,6 +379,19 @@ def test_a_short_pause_becomes_the_time_that_hands_need(edit: Edit) -> None:
     assert (answers.pause("one_hand"), answers.pause("two_hands")) == (1.0, 1.5)
 
 
+@pytest.mark.parametrize(
+    ("name", "old", "new", "said"),
+    [
+        (FILE, "  zone_pairs:", "  zone_pair:", "zone_pair: given 'zone_pair', which is not a key here"),
+        ("comparison_2ifc.yaml", "second: 2}", "second: 3}", "answers.intervals.second: given 3, but a trial has 2"),
+    ],
+)
+def test_what_follows_from_a_fault_is_not_reported(edit: Edit, name: str, old: str, new: str, said: str) -> None:
+    """Neither that there are no zones, nor that no answer names the second interval."""
+    (found,) = faults(edit(name, (old, new)))
+    assert said in found
+
+
 def test_a_misspelt_section_is_reported_once(edit: Edit) -> None:
     """Not also as a missing section."""
     (said,) = faults(edit(FILE, ("\nconditions:", "\ncondition:")))

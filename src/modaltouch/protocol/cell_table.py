@@ -83,16 +83,18 @@ def _read_table(source: Source) -> tuple[Node, list[Problem]]:
     header = lines[0] if lines else ""
     separator = next((mark for mark in ",;\t" if mark in header), ",")
     names = [name for name, _ in _fields(header, separator)]
+    missing = [name for name in _REQUIRED if name not in names]
     for name, column in _fields(header, separator):
         if name not in COLUMNS or names.count(name) > 1:
-            meant = suggest(name, COLUMNS)
-            remedy = f"did you mean '{meant}'?" if meant and meant not in names else "remove it"
+            meant = suggest(name, set(COLUMNS) - set(names))
+            missing = [each for each in missing if each != meant]
+            remedy = f"did you mean '{meant}'?" if meant else "remove it"
             if name in StimulusVariant.model_fields:
                 remedy = f"give it to the `stimuli` of the protocol ({name}), and name one in the column stimulus"
             problems.append(
                 Problem(path, 1, column, "", f"the column {name!r}", f"once each: {', '.join(COLUMNS)}", remedy)
             )
-    if missing := [name for name in _REQUIRED if name not in names]:
+    if missing:
         given = f"a table without the column{'s' * (len(missing) > 1)} {', '.join(missing)}"
         problems.append(Problem(path, 1, 1, "", given, ", ".join(COLUMNS), "name the columns in the first line"))
     for number, line in enumerate(lines[1:], start=2):

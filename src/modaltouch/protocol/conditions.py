@@ -291,7 +291,8 @@ def check_contacts(reading: Reading[Any]) -> Iterator[Problem]:
 def _check_zones(reading: Reading[Any]) -> Iterator[Problem]:
     given = [key for key in ("zones", "zone_pairs") if reading.find(("conditions", key)) is not None]
     is_listed = any(reading.find(("conditions", key)) is not None for key in ("cells", "table"))
-    if len(given) != 1 and not is_listed and reading.find(("conditions",)) is not None:
+    is_absent = not given and not reading.problems  # it may be there, misspelt
+    if (is_absent or len(given) == 2) and not is_listed and reading.find(("conditions",)) is not None:
         what = "both zones and zone_pairs" if given else "neither zones nor zone_pairs"
         yield reading.problem(
             ("conditions", *given[:1]),

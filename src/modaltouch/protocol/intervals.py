@@ -122,7 +122,8 @@ def _check_asked(reading: Reading[Any]) -> Iterator[Problem]:
             "give both answers a meaning",
         )
     places = reading.sound("intervals", "comparison_in") or range(1, 1 + (number or 0))
-    if named and (unnamed := [place for place in places if place not in dict(meanings).values()]):
+    is_sound = all(meaning in ("same", "different") or meaning <= (number or meaning) for _, meaning in meanings)
+    if named and is_sound and (unnamed := [place for place in places if place not in dict(meanings).values()]):
         yield reading.problem(
             ("answers", "intervals"),
             f"no answer for interval {unnamed[0]}, which may hold the comparison",
