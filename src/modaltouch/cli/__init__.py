@@ -5,9 +5,12 @@ Commands take arguments and produce lines, JSON and an exit status. The other pa
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
+import shutil
 import sys
+import textwrap
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import partial
@@ -26,37 +29,47 @@ __all__ = ["BAD_INPUT", "INTERRUPTED", "app", "print_json"]
 
 
 def print_table(title: str, headings: Sequence[str], rows: Iterable[Sequence[str]], *, n_words: int = 1) -> None:
-    """Print a table whose columns after the first `n_words` are numbers; cells may contain Rich markup.
+    """Print a table whose columns after the first `n_words` are numbers.
 
     On a narrow screen, headings and words wrap between words; numbers never wrap, and no column is cut off.
     """
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
+    lines = [list(row) for row in rows]
+    columns = [[heading, *(line[place] for line in lines)] for place, heading in enumerate(headings)]
+    widths = [max(map(len, column)) for column in columns]
+    most = shutil.get_terminal_size().columns - 3 * len(headings) - 1
+    if sum(widths) > most:
+        natural, widths = widths, []
+        for place, (heading, *cells) in enumerate(columns):
+            unbroken = [*heading.split(), *(" ".join(cells).split() if place < n_words else cells)]
+            widths.append(max(map(len, unbroken), default=1))
+        for place in range(n_words):
+            widths[place] = max(widths[place], min(natural[place], widths[place] + most - sum(widths)))
 
-    lines, console = [[Text.from_markup(cell, emoji=False) for cell in row] for row in rows], Console(emoji=False)
-    columns = [[line[place].plain for line in lines] for place in range(len(headings))]
-    widest = [max(map(len, [heading, *cells])) for heading, cells in zip(headings, columns, strict=True)]
-    rules = 3 * len(headings) + 1
-    is_narrow = sum(widest) + rules > console.width
-    table = Table(title=title, title_justify="left")
-    for place, (heading, cells) in enumerate(zip(headings, columns, strict=True)):
-        is_words = place < n_words
-        longest = max(map(len, [*heading.split(), *(" ".join(cells).split() if is_words else cells)]), default=1)
-        width = None if is_words or not is_narrow else longest
-        table.add_column(heading, justify="left" if is_words else "right", min_width=longest, width=width)
+    def draw(cells: Sequence[str], edge: str) -> None:
+        wrapped = (textwrap.wrap(cell, width) or [""] for cell, width in zip(cells, widths, strict=True))
+        for parts in itertools.zip_longest(*wrapped, fillvalue=""):
+            shown = (each.ljust(width) if place < n_words else each.rjust(width)
+                     for place, (each, width) in enumerate(zip(parts, widths, strict=True)))  # fmt: skip
+            print(edge, f" {edge} ".join(shown), edge)
+
+    def rule(left: str, line: str, cross: str, right: str) -> None:
+        print(left + cross.join(line * (width + 2) for width in widths) + right)
+
+    say(*filter(None, [title]))
+    rule("┏", "━", "┳", "┓")
+    draw(headings, "┃")
+    rule("┡", "━", "╇", "┩")
     for line in lines:
-        table.add_row(*line)
-    least = sum(int(column.min_width or 0) for column in table.columns) + rules
-    console.width = max(console.width, least)
-    console.print(table, crop=False, soft_wrap=False)
+        draw(line, "│")
+    rule("└", "─", "┴", "┘")
 
 
-def say(*lines: Any, markup: bool = True) -> None:
-    """Print lines, which may contain Rich markup, or Rich tables."""
-    from rich.console import Console
-
-    Console(highlight=False, emoji=False).print(*lines, sep="\n", markup=markup)
+def say(*lines: str, **style: Any) -> None:
+    """Print lines, wrapped between words to the width of the terminal, in a style as of `typer.style`."""
+    width = shutil.get_terminal_size().columns
+    for line in lines:
+        for part in textwrap.wrap(line, width, break_long_words=False, break_on_hyphens=False) or [""]:
+            typer.secho(part, **style)
 
 
 def make_bars() -> Progress:

@@ -116,25 +116,24 @@ def show(
     asked: dict[str, Any] | None = None,
 ) -> None:
     """Print a summary of the protocol's sessions and the additional results in `asked`."""
-    from rich.markup import escape
-
     values = checked.as_dict(compare=compare, fingers=fingers)
     catches = f" ({values['n_catch_trials']} of them catch trials)" if values["n_catch_trials"] else ""
     say(
-        f"[bold]{escape(values['title'] or values['protocol'])}[/]: {values['n_trials']} trials{catches} and "
-        f"{values['n_practice_trials']} for practice, about {values['estimated_duration_min']:.0f} min"
+        f"{values['title'] or values['protocol']}: {values['n_trials']} trials{catches} and "
+        f"{values['n_practice_trials']} for practice, about {values['estimated_duration_min']:.0f} min",
+        bold=True,
     )
     stimuli = values["stimuli"]
     say(*_stimulus_lines(checked, stimuli))
     for each in values.get("occasions", ()):
         levels = ", ".join(format(level, "g") for level in each["peak_velocities_mm_s"])
         say(
-            f"{escape(' '.join(filter(None, (each['group'], each['session_kind']))))}: {each['n_trials']} trials and "
+            f"{' '.join(filter(None, (each['group'], each['session_kind'])))}: {each['n_trials']} trials and "
             f"{each['n_practice_trials']} for practice, about {each['estimated_duration_min']:.0f} min; {levels} mm/s"
         )
     if calibration := values["calibration"]:
         say(
-            f"Calibrated {calibration['made']} on {escape(calibration['generator'])}: worst modal error then "
+            f"Calibrated {calibration['made']} on {calibration['generator']}: worst modal error then "
             f"{calibration['worst_modal_error_mm_s']:.2g} mm/s at {calibration['reference_mm_s']:g} mm/s"
         )
     if own := values["sensation_levels"]:
@@ -148,9 +147,9 @@ def show(
         if any("touched" in each for each in rows):
             _show_touched(rows, whose)
     if any("touched" in each for each in stimuli):
-        say(f"[dim]{_PULL}[/]")
+        say(_PULL, dim=True)
     elif fingers is None and (untouched := checked.untouched_warning()):
-        say(f"[yellow]{escape(untouched)}[/]")
+        say(untouched, fg="yellow")
     if (highest := max(stimuli, key=lambda each: each["velocity_mm_s"]))["release"] == "free":
         say(
             f"Released freely, at {highest['velocity_mm_s']:g} mm/s the first burst misses a mode by "
@@ -159,11 +158,11 @@ def show(
         )
     for stimulus in values.get("comparison", []):
         say(
-            f"[dim]Law {stimulus['law']} at {stimulus['velocity_mm_s']:g} mm/s on the same rig: worst modal error "
-            f"{stimulus['worst_modal_error_mm_s']:.3g} mm/s[/]"
+            f"Law {stimulus['law']} at {stimulus['velocity_mm_s']:g} mm/s on the same rig: worst modal error "
+            f"{stimulus['worst_modal_error_mm_s']:.3g} mm/s",
+            dim=True,
         )
-    for warning in values["warnings"]:
-        say(f"[yellow]{escape(warning)}[/]")
+    say(*values["warnings"], fg="yellow")
     _show_explored(asked or {})
 
 
@@ -228,8 +227,9 @@ def _show_contrast(rows: list[dict[str, Any]]) -> None:
         n_words=2,
     )
     say(
-        "[dim]contrast: the drive that moves the other zone least, regardless of the field and of modes that are not "
-        "in the table; the skin is most sensitive below 1 kHz.[/]"
+        "contrast: the drive that moves the other zone least, regardless of the field and of modes that are not "
+        "in the table; the skin is most sensitive below 1 kHz.",
+        dim=True,
     )
 
 

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from modaltouch import lab
-from modaltouch.cli import APPARATUS, JSON, SEED_OF_TWIN, SHIPPED_APPARATUS, say
+from modaltouch.cli import APPARATUS, JSON, SEED_OF_TWIN, SHIPPED_APPARATUS, print_table, say
 from modaltouch.cli.lab import MEASURED_RIG, carry_out
 
 FILES = Annotated[
@@ -114,27 +114,29 @@ def identify(
 
 def _show(result: dict[str, Any]) -> None:
     """Print Table I, failures of the half-power method, further modes, warnings, and the files written."""
-    from rich.table import Table
-
     wanted = result.get("table_modes")
     listed = [mode for mode in result["modes"] if wanted is None or mode["label"] in wanted]
     gains = [name for name in result["sets"] if any(name in mode["gain_mm_s2_per_V"] for mode in result["modes"])]
-    say(_table(Table, listed, gains))
+    print_table(
+        "Table I by joint fit, in brackets the half-width of the 95 % interval in the last digits; half-power damping "
+        "beside it",
+        ("mode", "f [Hz]", "xi", *(f"G {name}" for name in gains), "MAC", "xi half"),
+        [_row(mode, gains) for mode in listed],
+        n_words=0,
+    )
     if gains:
-        say("[dim]Gains in mm/s^2 per V at the beam[/]")
+        say("Gains in mm/s^2 per V at the beam", dim=True)
     for reason, names in _unresolved(listed).items():
-        say(f"[yellow]No half-power damping of {', '.join(names)}: {reason}[/]")
+        say(f"No half-power damping of {', '.join(names)}: {reason}", fg="yellow")
     others = [
         f"{mode['natural_frequency_Hz']['value']:.0f}" + (f" (torsion {mode['torsion']})" if mode["torsion"] else "")
         for mode in result["modes"]
         if mode not in listed
     ]
     if others:
-        say(f"[dim]Also found, but not in the table: {', '.join(others)} Hz[/]")
-    say(f"[dim]M{result['misfit_verdict'][1:]}[/]")
-    say(f"[dim]{result['repeatability'][:1].upper()}{result['repeatability'][1:]}[/]")
-    for warning in result["warnings"]:
-        say(f"[yellow]{warning[:1].upper()}{warning[1:]}[/]")
+        say(f"Also found, but not in the table: {', '.join(others)} Hz", dim=True)
+    say(*(text[:1].upper() + text[1:] for text in (result["misfit_verdict"], result["repeatability"])), dim=True)
+    say(*(warning[:1].upper() + warning[1:] for warning in result["warnings"]), fg="yellow")
     beam = result["free_free"]
     if beam is not None:
         verdict = "are" if beam["recognised"] else "are not"
@@ -144,34 +146,22 @@ def _show(result: dict[str, Any]) -> None:
             f"{beam['deviation']:.2%}"
         )
     if result["apparatus_file"]:
-        say(f"Written: {result['apparatus_file']}, with a table and figures next to it", markup=False)
+        say(f"Written: {result['apparatus_file']}, with a table and figures next to it")
     else:
-        say("[dim]No apparatus file: gains need positions along the beam, and responses to a voltage[/]")
+        say("No apparatus file: gains need positions along the beam, and responses to a voltage", dim=True)
 
 
-def _table(table_kind: Any, modes: list[dict[str, Any]], gains: list[str]) -> Any:
-    """Return Table I."""
-    table = table_kind(
-        title="Table I by joint fit, in brackets the half-width of the 95 % interval in the last digits; half-power "
-        "beside it",
-        title_justify="left",
-        box=None,
-        pad_edge=False,
-        padding=(0, 1, 0, 0),
-    )
-    for heading in ("mode", "f [Hz]", "xi", *(f"G {name}" for name in gains), "MAC", "xi half"):
-        table.add_column(heading, justify="right", no_wrap=True)
-    for mode in modes:
-        half = mode["half_power"]
-        table.add_row(
-            str(mode["label"] or ""),
-            _with_interval(mode["natural_frequency_Hz"]),
-            _with_interval(mode["damping_ratio"]),
-            *(_with_interval(mode["gain_mm_s2_per_V"].get(name)) for name in gains),
-            _plain(mode["mac"], ".4f"),
-            _plain(half["damping_ratio"], ".4f") if half["resolved"] else "-",
-        )
-    return table
+def _row(mode: dict[str, Any], gains: list[str]) -> list[str]:
+    """Return a row of Table I."""
+    half = mode["half_power"]
+    return [
+        str(mode["label"] or ""),
+        _with_interval(mode["natural_frequency_Hz"]),
+        _with_interval(mode["damping_ratio"]),
+        *(_with_interval(mode["gain_mm_s2_per_V"].get(name)) for name in gains),
+        _plain(mode["mac"], ".4f"),
+        _plain(half["damping_ratio"], ".4f") if half["resolved"] else "-",
+    ]
 
 
 def _unresolved(modes: list[dict[str, Any]]) -> dict[str, list[str]]:

@@ -138,8 +138,6 @@ def calibrate(
 
 def _show_calibration(out: Path, protocol: Path, values: dict[str, Any]) -> None:
     """Print the remaining errors and the verified levels."""
-    from rich.markup import escape
-
     from modaltouch.protocol import Calibration
 
     calibration = Calibration.of({key: value for key, value in values.items() if key != "file"})
@@ -153,10 +151,10 @@ def _show_calibration(out: Path, protocol: Path, values: dict[str, Any]) -> None
         "including the vibrometer's sensitivity"
     )
     if calibration.mark:
-        say(f"[yellow]Marked: {escape(calibration.mark)}[/]")
-    say(f"Written: {out}", markup=False)
+        say(f"Marked: {calibration.mark}", fg="yellow")
+    say(f"Written: {out}")
     marked = " --with-marked-calibration" if calibration.mark else ""
-    say(f"Next: modaltouch run {protocol} --calibration {out}{marked}", markup=False)
+    say(f"Next: modaltouch run {protocol} --calibration {out}{marked}")
 
 
 def _show_stimulus(name: str, own: Any) -> None:
@@ -246,9 +244,9 @@ def _show_comparison(values: dict[str, Any]) -> None:
     rows = []
     for number, method in enumerate(methods):
         cells = [line["cells"][number] for line in shown]
-        rows.append((method["name"], *(f"[bold]{cell['text']}[/]" if cell["best"] else cell["text"] for cell in cells)))
+        rows.append((method["name"], *("*" * cell["best"] + cell["text"] for cell in cells)))
     print_table(
-        f"Target: {values['velocity_mm_s']:g} mm/s at the focus; the best of each column bold",
+        f"Target: {values['velocity_mm_s']:g} mm/s at the focus; the best of each column with *",
         ("method", *(COLUMNS[line["key"]] for line in shown)),
         rows,
     )

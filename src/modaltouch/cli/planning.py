@@ -212,15 +212,13 @@ def _done(found: planning.Power) -> str:
 
 def tell(found: planning.Power, target: float) -> None:
     """Print a power analysis: power by family and size, participants needed, and minimum numbers for significance."""
-    from rich.markup import escape
-
     study = found.study
     what = "False alarms, with no effect simulated, of" if study.null else "Power of"
-    observer, name = escape(study.observer.name), escape(study.design.stimulus)
+    observer, name = study.observer.name, study.design.stimulus
     alone = f"; the tests of {name} alone, as by `analyse --stimulus {name}`" if name else ""
     alone += ": without it the correction is over all stimuli, as `prereg` simulates" * bool(name)
     say(
-        f"[bold]{what}[/] {study.design.title} with observer {observer}: share of {_done(found)} in "
+        f"{what} {study.design.title} with observer {observer}: share of {_done(found)} in "
         f"which at least one test of a family is significant at {analysis.ALPHA:g} after Holm's correction, in per "
         f"cent with a 95 % interval{alone}"
     )
@@ -251,8 +249,9 @@ def tell(found: planning.Power, target: float) -> None:
         least = floor.least_participants
         reach = "any number of participants" if least is None else f"fewer than {least} participants"
         say(
-            f"[dim]{floor.family} ({floor.n_tests} test{'s' * (floor.n_tests != 1)}, {floor.n_repetitions} per cell): "
-            f"never significant with {reach}[/]"
+            f"{floor.family} ({floor.n_tests} test{'s' * (floor.n_tests != 1)}, {floor.n_repetitions} per cell): "
+            f"never significant with {reach}",
+            dim=True,
         )
 
 

@@ -231,14 +231,13 @@ def _is_ours(file: Path) -> bool:
 
 def _show(shown: dict[str, Any]) -> None:
     """Print one dataset, at most 80 columns wide."""
-    from rich.markup import escape
-
-    say(f"[bold]{escape(shown['heading'])}[/]\n[dim]{escape(shown['folder'])}[/]")
-    print_table("", _SESSION_HEADINGS, [list(map(escape, row)) for row in shown["sessions"]], n_words=3)
+    say(shown["heading"], bold=True)
+    say(shown["folder"], dim=True)
+    print_table("", _SESSION_HEADINGS, shown["sessions"], n_words=3)
     if shown["orders"]:
-        print_table("", _ORDER_HEADINGS, [list(map(escape, row)) for row in shown["orders"]])
-    remarks = (f"[yellow]{escape(line)}[/]" for line in shown["remarks"])
-    say(*remarks, *(f"next: {escape(line)}" for line in shown["next"]))
+        print_table("", _ORDER_HEADINGS, shown["orders"])
+    say(*shown["remarks"], fg="yellow")
+    say(*(f"next: {line}" for line in shown["next"]))
 
 
 _SESSION_HEADINGS = ("participant", "session", "state", "begun (UTC)", "duration (min)", "answers")
