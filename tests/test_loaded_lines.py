@@ -84,14 +84,14 @@ def test_an_analysis_of_sessions_loads_only_reading_and_auditing(results, tmp_pa
 
 
 def test_check_loads_no_library_that_it_does_not_use():
-    """A search for plugins would load e-mail and sockets; a valid file needs neither ruamel.yaml nor SciPy."""
+    """A search for plugins would load e-mail and sockets; no valid file needs ruamel.yaml or SciPy, no table Rich."""
     program = (
         PROGRAM
         + """
-sys.stderr.write(" ".join({"email", "socket", "ruamel", "scipy", "pandas", "psychopy"} & set(sys.modules)))
+sys.stderr.write(" ".join({"email", "socket", "ruamel", "scipy", "pandas", "psychopy", "rich"} & set(sys.modules)))
 """
     )
-    command = [sys.executable, "-c", program, "check", DEMO, "--json"]
+    command = [sys.executable, "-c", program, "check", DEMO]
     done = subprocess.run(command, capture_output=True, text=True, timeout=150, check=True)
     assert done.stderr.endswith("}")
 

@@ -7,7 +7,6 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
-from itertools import product
 from typing import Any
 
 from modaltouch.protocol.reading import Reading
@@ -152,7 +151,7 @@ _NAME_IT = "add it there, or leave it out"
 
 
 def check_cells(reading: Reading[Any]) -> Iterator[Problem]:
-    """Yield the problems of listed and excluded cells: unknown names, repeated or missing cells, empty blocks."""
+    """Yield the problems of listed and excluded cells: unknown names, and levels that are set in another way."""
     conditions = reading.sound("conditions")
     if conditions is None:
         return
@@ -171,21 +170,6 @@ def check_cells(reading: Reading[Any]) -> Iterator[Problem]:
     for index in range(len(conditions.cells)):
         for key, noun, known in zip(("finger_conditions", "stimuli"), nouns, names.values(), strict=True):
             yield from reading.unlisted(("conditions", "cells", index, key), noun, known, _NAME_IT)
-    seen: dict[tuple[Any, ...], int] = {}
-    for index, each in enumerate(conditions.cells if reading.sound("schedule", "order") != "as_listed" else ()):
-        own = each.finger_conditions or names["finger_condition"], each.peak_velocities_mm_s
-        expanded = list(product(*own, [each.pair], each.stimuli or names["stimulus"] or ("",)))
-        twice = next((cell for cell in expanded if cell in seen), None)
-        if twice is not None:
-            first = reading.find(("conditions", "cells", seen[twice]))
-            where = f"line {first.line}" if first and first.file else f"cells[{seen[twice]}]"
-            yield reading.problem(
-                ("conditions", "cells", index),
-                f"{'-'.join(twice[2])} at {twice[1]:g} mm/s in {twice[0]}, the same cell as {where}",
-                "each cell once",
-                "remove one of them, and give the other a weight for more trials",
-            )
-        seen |= dict.fromkeys(expanded, index)
     for index, left_out in enumerate(conditions.exclude):
         for noun, (kind, known) in zip(nouns, names.items(), strict=True):
             if (name := getattr(left_out, kind)) is not None and name not in known:

@@ -216,15 +216,16 @@ class ConditionsSection(Section):
     )
     cells: Annotated[tuple[CellsSection, ...], Field(max_length=10_000)] = described(
         "The cells one by one, in place of zone_pairs and peak_velocities_mm_s, for a design that is not crossed: "
-        "levels of each pair, weights, an order of your own (schedule.order: as_listed), such as "
+        "levels of each pair, weights (as of a cell that is listed more than once), an order of your own "
+        "(schedule.order: as_listed), such as "
         "{pair: [A, C], peak_velocities_mm_s: [80, 100], weight: 2}.",
         default=(),
         exclude_if=lambda given: not given,
     )
     table: Text | None = described(
         "CSV file with the cells, relative to this file, in place of zone_pairs and peak_velocities_mm_s: one line per "
-        "cell, with the columns zone_left, zone_right (empty for one finger), peak_velocity_mm_s and, where needed, "
-        "zone_between, finger_condition, stimulus and weight (as under cells). Null for none.",
+        "cell or trial, with the columns zone_left, zone_right (empty for one finger), peak_velocity_mm_s and, where "
+        "needed, zone_between, finger_condition, stimulus and weight (as under cells). Null for none.",
         default=None,
         exclude_if=lambda given: given is None,
     )

@@ -70,6 +70,13 @@ def test_a_table_gives_levels_by_pair_and_weights(folder: Path) -> None:
     assert sound(findings).conditions.peak_velocities_mm_s == (80.0, 200.0, 150.0, 100.0)
 
 
+def test_a_line_for_each_trial_is_a_weight(folder: Path) -> None:
+    """A table of trials repeats its cells, in any order."""
+    weighted = sound(read(folder, "  table: cells.csv\n", TABLE))
+    lines = TABLE.replace(",2\n", ",1\n") + "A,C,80,,1\n"
+    assert driven(sound(read(folder, "  table: cells.csv\n", lines))) == driven(weighted)
+
+
 def test_one_level_may_be_written_in_two_ways(folder: Path) -> None:
     """As in spreadsheets: 80 and 80.0."""
     findings = read(folder, "  table: cells.csv\n", TABLE.replace("B,D,150", "B,D,80.0"))
@@ -147,10 +154,6 @@ def test_every_order_presents_the_same_cells(folder: Path, order: str) -> None:
             "cells.csv:2:1 given 6 fields; allowed: 5, one for each column; correct the",
         ),
         (TABLE.replace("A,C,80,", 'A,"C,80,'), "cells.csv:2:1 given an unpaired quotation mark; allowed: q"),
-        (
-            TABLE + "A,C,80,,\n",
-            "cells.csv:6:1 given A-C at 80 mm/s in one_hand, the same cell as line 2; allowed: each",
-        ),
         (TABLE.splitlines()[0] + "\n", "cells.csv:1:1 given a table without rows; allowed: at least one cell"),
     ],
 )
