@@ -189,15 +189,6 @@ def check_excluded(reading: Reading[Any]) -> Iterator[Problem]:
                 "cells of the design",
                 "correct it, or remove it",
             )
-    empty = [name for name in conditions.finger_conditions if not protocol.cells(name)]
-    if conditions.exclude and len(empty) == len(conditions.finger_conditions):
-        yield reading.problem(
-            ("conditions", "exclude"),
-            "every cell of the design",
-            "some of them, so that there are trials",
-            "leave out one of the entries",
-        )
-        return
     for name in protocol.stimuli:
         if not protocol.with_stimulus(name).conditions.peak_velocities_mm_s:
             yield reading.problem(
@@ -208,7 +199,7 @@ def check_excluded(reading: Reading[Any]) -> Iterator[Problem]:
                 at_key=True,
             )
     for index, name in enumerate(conditions.finger_conditions):
-        if name in empty:
+        if not protocol.cells(name):
             yield reading.problem(
                 ("conditions", "finger_conditions", index),
                 f"{name}, which has no cells left",

@@ -6,6 +6,7 @@ They do not apply to records, so that a session begun under older rules can be r
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import product
 
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.conditions import check_way
@@ -42,40 +43,24 @@ def _check_shown(protocol: Reading[Protocol]) -> Iterator[Problem]:
     yield from (protocol.problem(path, *EMPTY) for path, text in words if text is not None and not text.strip())
 
 
-def _rates(protocol: Reading[Protocol]) -> Iterator[tuple[tuple[str, ...], float]]:
-    """Yield path and value of the repetition rate, and of each of several stimuli that overrides it."""
-    for section in (("stimulus",), *(("stimuli", name) for name in protocol.sound("stimuli") or ())):
-        path = (*section, "repetition_rate_Hz")
-        if (rate := protocol.sound(*path)) is not None:
-            yield path, rate
-
-
 def _check_durations(protocol: Reading[Protocol]) -> Iterator[Problem]:
-    for key in ("presentation_s", "longest_presentation_s"):
-        seconds = protocol.sound("answers", key)
-        if seconds is None:
+    for key, name in product(("presentation_s", "longest_presentation_s"), protocol.sound("stimuli") or ("",)):
+        seconds, own = protocol.sound("answers", key), ("stimuli", name)
+        rate = protocol.sound(*own, "repetition_rate_Hz") or protocol.sound("stimulus", "repetition_rate_Hz")
+        counted = key == "presentation_s" and protocol.sound(*own, "presentation_bursts") is not None
+        n_bursts = 1.0 if None in (seconds, rate) or counted else seconds * rate
+        if n_bursts > 1 - WHOLE and abs(n_bursts - round(n_bursts)) <= WHOLE:
             continue
-        own = protocol.sound("stimuli") or {}
-        for path, rate in _rates(protocol):
-            shared = [name for name in own if protocol.sound("stimuli", name, "repetition_rate_Hz") is None]
-            names = shared if path[0] == "stimulus" else [path[1]]
-            counted = names and all(protocol.sound("stimuli", name, "presentation_bursts") for name in names)
-            if counted and key == "presentation_s":
-                continue  # each has a separate number of bursts
-            n_bursts = seconds * rate
-            if n_bursts > 1 - WHOLE and abs(n_bursts - round(n_bursts)) <= WHOLE:
-                continue
-            below, above = int(n_bursts), int(n_bursts) + 1
-            nearest = " or ".join(f"{n / rate:.5g} s ({n} burst{'s' * (n > 1)})" for n in (below, above))
-            if n_bursts < 1:
-                nearest = f"{1 / rate:.5g} s (1 burst), or more"
-            yield protocol.problem(
-                ("answers", key),
-                f"{seconds:g} s, which is {n_bursts:.4g} bursts at {rate:g} per second",
-                f"whole bursts: {nearest}",
-                "or give `presentation_bursts`" if key == "presentation_s" else "or leave it out",
-            )
-            break
+        below, above = int(n_bursts), int(n_bursts) + 1
+        nearest = " or ".join(f"{n / rate:.5g} s ({n} burst{'s' * (n > 1)})" for n in (below, above))
+        if n_bursts < 1:
+            nearest = f"{1 / rate:.5g} s (1 burst), or more"
+        yield protocol.problem(
+            ("answers", key),
+            f"{seconds:g} s, which is {n_bursts:.4g} bursts at {rate:g} per second",
+            f"whole bursts: {nearest}",
+            "or give `presentation_bursts`" if key == "presentation_s" else "or leave it out",
+        )
 
 
 def _check_written_once(protocol: Reading[Protocol]) -> Iterator[Problem]:

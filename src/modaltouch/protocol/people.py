@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import Field, TypeAdapter, ValidationError, create_model, model_validator
 
-from modaltouch.protocol.reading import Reading, read
+from modaltouch.protocol.reading import Reading
 from modaltouch.protocol.section import Number, Section, Text, described
-from modaltouch.protocol.source import Problem, Source, fault
+from modaltouch.protocol.source import Problem, fault
 
 if TYPE_CHECKING:
     import numpy as np
@@ -122,8 +121,3 @@ def check_people(reading: Reading[Any]) -> Iterator[Problem]:
         if name in ("participant_id", "HED"):
             given = f"{name}, to which BIDS gives another meaning"
             yield reading.problem(("people", name), given, "any other name", "choose another", at_key=True)
-
-
-def read_people(fields: Mapping[str, PersonField], path: Path) -> dict[str, float | str | None]:
-    """Read the answers from a YAML file, one line per field."""
-    return read(Source.load(path), model_of(fields)).require().model_dump()

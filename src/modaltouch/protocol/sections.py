@@ -10,10 +10,12 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from modaltouch.protocol.conditions import AdaptiveSection, Cell, CellsSection, ConditionsSection, FingerCondition
-from modaltouch.protocol.people import PersonField, read_people
+from modaltouch.protocol.people import PersonField, model_of
 from modaltouch.protocol.questions import AskedSection, KeyName, QuestionSection
+from modaltouch.protocol.reading import read
 from modaltouch.protocol.schedule_section import Overrides, ScheduleSection
 from modaltouch.protocol.section import Count, FileName, NotNegative, Positive, Section, Text, Word, described
+from modaltouch.protocol.source import Source
 from modaltouch.protocol.stimulus_sections import (
     IntervalsSection,
     MaskingSection,
@@ -65,8 +67,6 @@ class MarkersSection(Section):
 
 AnswerWay = Literal["free_hand", "lifting", "foot_switch", "experimenter"]
 Seconds = Annotated[NotNegative, Field(le=600)]
-
-_UNIQUE = {"uniqueItems": True}
 
 USUAL_PRESENTATION, USUAL_LONGEST = 2.0, 60.0
 """Default duration of a stimulus that stops before the question, and of an unanswered one [s]."""
@@ -305,7 +305,7 @@ class Protocol(Section):
 
     def read_people(self, path: Path) -> dict[str, float | str | None]:
         """Read a participant's answers from a YAML file; raise InputError if it has problems."""
-        return read_people(self.people, path)
+        return read(Source.load(path), model_of(self.people)).require().model_dump()
 
     @property
     def n_trials(self) -> int:
