@@ -68,34 +68,18 @@ class Preflight:
 
     def of_untouched_beam(self) -> Self:
         """Return self if there are no problems and the stimuli are for the untouched beam, else raise InputError."""
-        self.require()
-        if self.findings.fingers is not None:
-            raise InputError(
-                [
-                    self.findings.problem(
-                        ("stimulus", "fingers"),
-                        "fingers, but this measures the untouched beam",
-                        "none",
-                        "make a copy of the protocol without them",
-                    )
-                ]
-            )
-        return self
+        given, remedy = "fingers, but this measures the untouched beam", "make a copy of the protocol without them"
+        return self._refused(self.findings.fingers is not None, ("stimulus", "fingers"), given, "none", remedy)
 
     def of_one_stimulus(self) -> Self:
         """Return self if there are no problems and the protocol has a single stimulus, else raise InputError."""
+        given, remedy = f"{len(self.variants)} stimuli", "make a separate protocol for each"
+        return self._refused(bool(self.variants), ("stimuli",), given, "one stimulus", remedy)
+
+    def _refused(self, holds: bool, path: tuple[str, ...], given: str, allowed: str, remedy: str) -> Self:
         self.require()
-        if self.variants and self.findings.protocol is not None:
-            raise InputError(
-                [
-                    self.findings.protocol.problem(
-                        ("stimuli",),
-                        f"{len(self.variants)} stimuli",
-                        "one stimulus",
-                        "make a separate protocol for each",
-                    )
-                ]
-            )
+        if holds:
+            raise InputError([self.findings.problem(path, given, allowed, remedy)])
         return self
 
     def with_levels(self, levels_mm_s: tuple[float, ...]) -> Self:

@@ -19,9 +19,6 @@ if TYPE_CHECKING:
 
 _NEEDED = ("stimulus", "beam", "actuator_sets", "modes", "amplifier", "generator")
 
-_FALLBACK_LEVEL = 100.0
-"""Level of the design if the protocol has no valid one [mm/s]; results scale linearly with it."""
-
 
 @dataclass(frozen=True)
 class DesignInputs:
@@ -67,7 +64,7 @@ class DesignInputs:
         """Highest level within the safety limit, at which the codes span the generator's range [mm/s]."""
         return max(
             [level for level in self.levels.values() if level <= self.velocity_limit],
-            default=min(self.levels.values(), default=_FALLBACK_LEVEL),
+            default=min(self.levels.values()),
         )
 
     @property
@@ -100,7 +97,7 @@ def find_design_inputs(findings: Findings) -> DesignInputs | None:
     points = section.field.points or ()
     if section.field.shape == "sampled" and findings.field is not None:
         points = findings.points()
-    if points is None:
+    if points is None or not findings.levels:
         return None
     limit = apparatus.sound("safety", "velocity_limit_mm_s")
     used = Apparatus.model_construct(apparatus="", zones=zones, **parts)

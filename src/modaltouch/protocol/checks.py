@@ -23,44 +23,33 @@ TRIAL_LIMIT = 10_000
 
 
 def _check_schedule(reading: Reading[Protocol]) -> Iterator[Problem]:
-    """Yield a problem for each inconsistency between keys of ``conditions`` and ``schedule``, as far as valid."""
-    own = ("sensation_levels", "multiples") if reading.sound("conditions", "sensation_levels") else None
-    n_pairs, n_levels = len(contacts(reading)), len(reading.items("conditions", *(own or ("peak_velocities_mm_s",))))
-    n_blocks = len(reading.items("conditions", "finger_conditions"))
-    repetitions = reading.sound("schedule", "repetitions")
-    n_in_run = reading.sound("adaptive", "trials") if is_adaptive(reading) else n_levels * (repetitions or 0)
-    if repetitions is None or n_in_run is None or not n_pairs or not n_levels:
+    """Yield the problems of a valid design with its numbers of trials, and limits that have no effect."""
+    if (protocol := reading.value) is None:
         return
-    n_driven = n_pairs * n_in_run * (len(reading.sound("stimuli") or ()) or 1)
-    n_all = n_driven * max(n_blocks, 1)
-    if reading.value is not None:
-        conditions = reading.value.conditions.finger_conditions
-        each = [len(reading.value.cells(name)) * reading.value.scheduled_repetitions for name in conditions]
-        n_driven, n_all = min(each), sum(each)
-    n_catch = reading.sound("schedule", "catch_trials") or 0
-    n_trials = n_all + n_catch * max(n_blocks, 1)
-    order = reading.sound("schedule", "order")
-    limits = {key: limit for key in LIMITS if (limit := reading.sound("schedule", key)) is not None}
-    idle = "" if order in ("shuffled", None) else next(iter(limits), "")
+    schedule, names = protocol.schedule, protocol.conditions.finger_conditions
+    n_driven = [len(protocol.cells(name)) * protocol.scheduled_repetitions for name in names]
+    n_trials = sum(n_driven) + schedule.catch_trials * len(names)
+    limits = {key: limit for key in LIMITS if (limit := getattr(schedule, key)) is not None}
+    idle = "" if schedule.order == "shuffled" else next(iter(limits), "")
     yield from reading.faults(
         (
-            n_catch > n_driven,
+            schedule.catch_trials > min(n_driven),
             ("schedule", "catch_trials"),
-            f"{n_catch}, but only {n_driven} trials of a finger condition have a stimulus",
-            f"at most {n_driven}",
+            f"{schedule.catch_trials}, but only {min(n_driven)} trials of a finger condition have a stimulus",
+            f"at most {min(n_driven)}",
             "use fewer: each follows a trial with a stimulus",
         ),
         (
             n_trials > TRIAL_LIMIT,
             ("schedule", "repetitions"),
-            f"{repetitions}, which gives {n_trials} trials",
+            f"{schedule.repetitions}, which gives {n_trials} trials",
             f"at most {TRIAL_LIMIT} trials",
             "repeat less often",
         ),
         (
             idle,
             ("schedule", idle),
-            f"{limits.get(idle)} with the order {order}",
+            f"{limits.get(idle)} with the order {schedule.order}",
             "null, or order: shuffled",
             "remove the limit or shuffle the trials",
         ),
