@@ -21,8 +21,7 @@ from math import comb
 from typing import Generic, TypeVar
 
 from modaltouch.protocol.conditions import Cell
-from modaltouch.protocol.orders import least_limit
-from modaltouch.protocol.schedule_section import LIMITS, NoOrderError
+from modaltouch.protocol.schedule_section import LIMITS, NoOrderError, least_limit
 from modaltouch.protocol.sections import Protocol
 from modaltouch.protocol.streams import Cuts, Stream
 

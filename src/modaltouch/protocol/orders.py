@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from operator import itemgetter
 
 from modaltouch.protocol.conditions import Cell
-from modaltouch.protocol.schedule_section import LIMITS
+from modaltouch.protocol.schedule_section import LIMITS, least_limit
 from modaltouch.protocol.sections import Protocol
 from modaltouch.protocol.streams import ALGORITHM, Stream
 
@@ -53,18 +53,6 @@ def are_certain(protocol: Protocol) -> bool:
 
 STATE_LIMIT = 40_000
 """Largest number of states for which the ways to continue are counted, which takes half a second."""
-
-
-def least_limit(counts: Sequence[int]) -> int:
-    """Return the smallest limit on runs that the counts allow.
-
-    The trials of the most frequent kind must fit into the gaps before, between and after all others.
-
-    >>> least_limit([4, 4, 4]), least_limit([12]), least_limit([9, 2])
-    (1, 12, 3)
-    """
-    most = max(counts)
-    return -(-most // (sum(counts) - most + 1))
 
 
 def n_states_at_most(counts: Sequence[int]) -> int:

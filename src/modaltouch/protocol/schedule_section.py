@@ -144,6 +144,18 @@ class NoOrderError(ValueError):
         self.key, self.parts = key, (given, allowed, remedy)
 
 
+def least_limit(counts: Sequence[int]) -> int:
+    """Return the smallest limit on runs that the counts allow.
+
+    The trials of the most frequent kind must fit into the gaps before, between and after all others.
+
+    >>> least_limit([4, 4, 4]), least_limit([12]), least_limit([9, 2])
+    (1, 12, 3)
+    """
+    most = max(counts)
+    return -(-most // (sum(counts) - most + 1))
+
+
 class ResumeSection(Section):
     """Resumption of an interrupted session."""
 

@@ -137,9 +137,30 @@ def _parsed(text: str) -> tuple[Node | None, list[Problem]]:
     try:
         return _built(reader), reader.problems
     except yaml.YAMLError as fault:
-        from modaltouch.protocol.wording import syntax_problem
+        return None, [*reader.problems, _syntax_problem(text, fault)]
 
-        return None, [*reader.problems, syntax_problem(text, fault)]
+
+def _syntax_problem(text: str, error: Any) -> Problem:
+    """Return an error of the parser as a problem."""
+    mark = getattr(error, "problem_mark", None)
+    if mark is None:  # the position of a character is in bytes
+        before = text.encode()[: error.position].decode()
+        line, column = before.count("\n") + 1, len(before) - before.rfind("\n")
+        given = f"the character U+{error.character:04X}, which YAML does not allow"
+        return Problem("", line, column, "", given, "printable text", "remove it")
+    line, column = mark.line + 1, mark.column + 1
+    written = [*text.split("\n"), ""][line - 1]
+    if "\t" in written[: max(column, len(written) - len(written.lstrip()))]:
+        return Problem("", line, column, "", "a tab, but YAML needs spaces", "spaces", "indent only with spaces")
+    return Problem(
+        "",
+        line,
+        column,
+        "",
+        f"text that is not YAML ({' '.join(filter(None, (error.problem, error.context)))})",
+        "YAML 1.2",
+        "check indentation, brackets, quotes and colons here and in the line above",
+    )
 
 
 def _built(reader: _Reader) -> Node | None:

@@ -14,29 +14,6 @@ from modaltouch.protocol.source import Problem, suggest
 from modaltouch.protocol.tree import Node
 
 
-def syntax_problem(text: str, error: Any) -> Problem:
-    """Return an error of the parser as a problem."""
-    mark = getattr(error, "problem_mark", None)
-    if mark is None:  # the position of a character is in bytes
-        before = text.encode()[: error.position].decode()
-        line, column = before.count("\n") + 1, len(before) - before.rfind("\n")
-        given = f"the character U+{error.character:04X}, which YAML does not allow"
-        return Problem("", line, column, "", given, "printable text", "remove it")
-    line, column = mark.line + 1, mark.column + 1
-    written = [*text.split("\n"), ""][line - 1]
-    if "\t" in written[: max(column, len(written) - len(written.lstrip()))]:
-        return Problem("", line, column, "", "a tab, but YAML needs spaces", "spaces", "indent only with spaces")
-    return Problem(
-        "",
-        line,
-        column,
-        "",
-        f"text that is not YAML ({' '.join(filter(None, (error.problem, error.context)))})",
-        "YAML 1.2",
-        "check indentation, brackets, quotes and colons here and in the line above",
-    )
-
-
 def problems_of(reading: Any, error: ValidationError) -> list[Problem]:
     """Return the problems of a tree that its model rejects, without those that follow from others.
 

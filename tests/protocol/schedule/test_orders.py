@@ -23,7 +23,8 @@ from modaltouch.protocol.limited_orders import (
     longest_run,
     moves,
 )
-from modaltouch.protocol.orders import draw_order, least_limit
+from modaltouch.protocol.orders import draw_order
+from modaltouch.protocol.schedule_section import least_limit
 from modaltouch.protocol.streams import Stream
 
 Draw = Callable[[Sequence[int], int, Stream], list[int] | None]
