@@ -43,7 +43,7 @@ def write_validation(
         Pairs of zones touched by two fingers.
     context : dict
         Plain values on the validation: ``title`` and ``protocol`` (its file), ``apparatus``, ``mode``, ``generator``,
-        ``scope``, ``limit`` (highest voltage at the beam [V]), ``calibration`` (its file or None) and ``commit``.
+        ``scope``, ``calibration`` (its file or None) and ``commit``.
     folder : Path
         Folder for the results.
 
@@ -60,7 +60,7 @@ def write_validation(
     files = page_files(
         "modaltouch.lab",
         "validation",
-        [ReportFigure(name, *each) for name, each in draw_all(evidences, context["limit"]).items()],
+        [ReportFigure(name, *each) for name, each in draw_all(evidences).items()],
         title=f"Validation: {context['title']}",
         occasion=context,
         level=format(round(evidences[0].observation.velocity * 1e3, 6), "g"),
@@ -178,7 +178,6 @@ def _context(preflight: Preflight, protocol: Path, field: Scan) -> dict[str, Any
         "mode": field.mode,
         "generator": field.facts["settings"]["generator"],
         "scope": field.facts["settings"]["scope"],
-        "limit": experiment.apparatus.amplifier.limit_V,
         "calibration": None if calibration is None else str(calibration.source.path),
         "commit": commit(),
     }

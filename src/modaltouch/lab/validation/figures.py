@@ -1,4 +1,4 @@
-"""Fig. 2 and 5 to 8 of the paper, the zones and the drive, for both laws; readable in greyscale."""
+"""Fig. 2 and 5 to 8 of the paper, and the zones, for both laws; readable in greyscale."""
 
 from __future__ import annotations
 
@@ -275,30 +275,7 @@ def _envelope(time: FloatArray, course: FloatArray) -> tuple[FloatArray, FloatAr
     return time[: n_parts * n].reshape(n_parts, n).mean(axis=1), parts.min(axis=2), parts.max(axis=2)
 
 
-def draw_drives(evidences: Sequence[Evidence], limit: float) -> Figure:
-    """Draw the voltages measured at the beam, and the amplifier's limit [V]."""
-    n_channels = evidences[0].observation.stimulus.model.n_channels
-    with house_style(7.6, 1.5 * n_channels + 0.6, n_channels, len(evidences), sharex=True, sharey=True) as (
-        figure,
-        panels,
-    ):
-        for column, evidence in zip(panels.T, evidences, strict=True):
-            drive = evidence.observation.course.drive.mean(axis=(0, 1))
-            time = evidence.observation.course.time * 1e3
-            for axes, volts, number in zip(column, drive, range(1, n_channels + 1), strict=True):
-                axes.plot(time, volts, color=DARK, linewidth=0.5, rasterized=True)
-                for line in (-limit, limit):
-                    axes.axhline(line, color=INK, linewidth=0.8, linestyle="--")
-                words = f"output {number}: {np.abs(volts).max():.0f} V"
-                axes.text(0.01, 0.86, words, fontsize=7.5, va="top", transform=axes.transAxes)
-                quiet_grid(axes)
-            column[0].set_title(LAW_TITLES[evidence.law], loc="left")
-            column[-1].set_xlabel("time [ms]")
-        figure.supylabel("voltage at the beam [V]; dashed: limit", fontsize=9)
-    return figure
-
-
-def draw_all(evidences: Sequence[Evidence], limit: float) -> dict[str, tuple[Figure, str]]:
+def draw_all(evidences: Sequence[Evidence]) -> dict[str, tuple[Figure, str]]:
     """Draw the figures, each with its caption, by file name."""
     drawn = {
         "fig_2": (
@@ -339,5 +316,4 @@ def draw_all(evidences: Sequence[Evidence], limit: float) -> dict[str, tuple[Fig
             draw_zones(evidence),
             f"Velocity at the centre of each zone over time, law “{evidence.law}”.",
         )
-    drawn["drive"] = (draw_drives(evidences, limit), "Drive as measured at the beam.")
     return drawn
