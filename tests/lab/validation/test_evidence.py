@@ -283,14 +283,3 @@ def test_too_few_points_in_a_kept_scan_are_refused(preflight, kept, tmp_path, ev
         (tmp_path / place.name / "scan.json").write_text(json.dumps(facts))
     with pytest.raises(ValueError, match="20 points are too few"):
         read_laws(preflight.inputs, tmp_path)
-
-
-def test_a_copied_record_in_a_kept_scan_is_refused(preflight, kept, tmp_path, evidences):
-    """One point has the velocities of its neighbour; noise never repeats."""
-    shutil.copytree(kept, tmp_path, dirs_exist_ok=True)
-    one, other = (tmp_path / "exact_field" / f"position_{index:03}.npz" for index in (10, 11))
-    with np.load(one) as file, np.load(other) as source:
-        arrays = {**file, "velocity": source["velocity"]}
-    np.savez(one, **arrays)
-    with pytest.raises(RecordInputError, match="exact_field: two records are identical: one is a copy; scan again"):
-        read_laws(preflight.inputs, tmp_path)
