@@ -24,7 +24,7 @@ from modaltouch.record import RecordInputError
 from modaltouch.report import ReportFigure, page_files, refuse_other, write_files
 from modaltouch.rig import Acquisition
 from modaltouch.stimulus import Law, Stimulus
-from modaltouch.system import Interrupted, commit, version
+from modaltouch.system import commit, version
 
 COMMAND = "validate"
 """The command that owns the folder."""
@@ -152,21 +152,16 @@ def _observe(
     with progress.interruptible() as heard:
         scope = RecordedFiles(record, experiment.apparatus, heard) if record else None
         with open_laboratory(experiment.apparatus, rig, heard, scope=scope) as laboratory:
-            try:
-                return record_laws(
-                    inputs,
-                    laboratory,
-                    stimulus.target_field.velocity,
-                    n_points=points,
-                    n_records=averages,
-                    rows=rows,
-                    folder=folder,
-                    source=experiment.sources.apparatus,
-                )
-            except (Interrupted, KeyboardInterrupt) as error:
-                if folder is None:
-                    error.add_note("give a folder with --scan to keep what is measured")
-                raise
+            return record_laws(
+                inputs,
+                laboratory,
+                stimulus.target_field.velocity,
+                n_points=points,
+                n_records=averages,
+                rows=rows,
+                folder=folder,
+                source=experiment.sources.apparatus,
+            )
 
 
 def _context(preflight: Preflight, protocol: Path, field: Scan) -> dict[str, Any]:
