@@ -8,7 +8,7 @@ import pytest
 
 from modaltouch.lab.laboratory import open_laboratory
 from modaltouch.lab.validation import record_laws
-from modaltouch.lab.validation.evidence import Evidence, Observation
+from modaltouch.lab.validation.evidence import Evidence
 from modaltouch.lab.validation.plausibility import evaluate
 from modaltouch.preflight import Preflight, examine
 from modaltouch.rig.simulator.motion import TrueState
@@ -30,7 +30,7 @@ def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def recorded(preflight: Preflight, kept: Path) -> tuple[list[Observation], TrueState]:
+def recorded(preflight: Preflight, kept: Path) -> tuple[list[Evidence], TrueState]:
     """Return the recordings, and the true state under the last law 1.6 us after the focusing instant.
 
     By then the voltage sent before the focusing instant has passed the twin's amplifier (1 us, 300 kHz).
@@ -47,6 +47,6 @@ def recorded(preflight: Preflight, kept: Path) -> tuple[list[Observation], TrueS
 
 
 @pytest.fixture(scope="session")
-def evidences(recorded: tuple[list[Observation], TrueState]) -> list[Evidence]:
+def evidences(recorded: tuple[list[Evidence], TrueState]) -> list[Evidence]:
     """Return the evaluated recordings."""
     return evaluate(recorded[0])

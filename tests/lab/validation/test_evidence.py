@@ -11,7 +11,7 @@ import pytest
 from modaltouch.lab.laboratory import open_laboratory
 from modaltouch.lab.scan import take_scan
 from modaltouch.lab.validation import plans, read_laws, record_laws
-from modaltouch.lab.validation.evidence import Observation, Prediction
+from modaltouch.lab.validation.evidence import Evidence
 from modaltouch.lab.validation.key_figures import key_figures
 from modaltouch.lab.validation.plausibility import evaluate
 from modaltouch.record.chain import RecordInputError
@@ -26,7 +26,7 @@ def test_the_lag_is_that_of_the_twin(evidences):
 def test_achieved_coefficients_are_those_of_the_true_beam(evidences, recorded):
     """Within 0.6 mm/s, the error of four records of 8 bits and the loss of the low-pass."""
     true = recorded[1]
-    assert evidences[1].law == "paper"
+    assert evidences[1].stimulus.law == "paper"
     assert evidences[1].achieved_coefficient == pytest.approx(true.velocity, abs=0.6e-3)
 
 
@@ -54,13 +54,12 @@ def test_spot_and_duration_agree_with_the_paper(evidences):
 def test_standard_errors_need_several_records(evidences):
     """Four records give one, a single record does not."""
     assert (evidences[0].coefficient_error > 0).all()
-    one = evidences[0]
-    single = type(one)(_first_record_only(one.observation), one.prediction, one.lag)
+    single = _first_record_only(evidences[0])
     assert np.isnan(single.coefficient_error).all()
     assert key_figures(single, ())["coefficients"][0]["standard_error_mm_s"] is None
 
 
-def _first_record_only(observation: Observation) -> Observation:
+def _first_record_only(observation: Evidence) -> Evidence:
     arrays = tuple({**each, "velocity": each["velocity"][:1]} for each in observation.field.arrays)
     return replace(observation, field=replace(observation.field, arrays=arrays))
 
@@ -83,13 +82,13 @@ def test_scans_of_another_stimulus_are_refused(edit, kept, evidences):
 
 def test_recordings_unlike_the_prediction_are_refused(evidences):
     """Exchanged wires or a wrong trigger: no delay makes the recordings fit."""
-    observation = evidences[0].observation
+    observation = evidences[0]
     late = replace(observation.field, arrays=tuple({**a, "time": a["time"] + 60e-6} for a in observation.field.arrays))
     with pytest.raises(RecordInputError, match="do not match the predictions at any delay from -5 to"):
         evaluate([replace(observation, field=late)])
 
 
-def changed(observation: Observation, name: str, times: np.ndarray, scan: str = "field") -> Observation:
+def changed(observation: Evidence, name: str, times: np.ndarray, scan: str = "field") -> Evidence:
     """Return an observation with an array multiplied by a factor per point, or per point and channel."""
     arrays = [
         {**each, name: np.reshape(by, (1, -1, 1)[: each[name].ndim]) * each[name]}
@@ -109,7 +108,7 @@ def changed(observation: Observation, name: str, times: np.ndarray, scan: str = 
 )
 def test_wrongly_scaled_velocities_are_refused(points, factor, said, evidences):
     """Accelerations in g, one inverted point, a gain changed midway."""
-    observation = evidences[0].observation
+    observation = evidences[0]
     times = np.ones(observation.field.positions.size)
     times[points] = factor
     with pytest.raises(RecordInputError, match=said):
@@ -118,7 +117,7 @@ def test_wrongly_scaled_velocities_are_refused(points, factor, said, evidences):
 
 def test_a_missing_drive_is_refused(evidences):
     """A disconnected probe would show zero beside the predicted 30 V."""
-    observation = evidences[0].observation
+    observation = evidences[0]
     for factors, said in (
         ([1.0, 0.0], "2 measures 0 V .* 30 V"),
         ([0.16, 6.0], "1 measures 29 V .* 184 V"),
@@ -166,14 +165,14 @@ def test_steps_of_a_converter_are_no_drive(preflight):
 
 def test_a_wrongly_scaled_zone_is_refused(evidences):
     """Half the speed or the opposite sign at one zone would give wrong contrasts."""
-    observation = evidences[0].observation
+    observation = evidences[0]
     for factor, moves in ((0.5, r"0\.(49|50)"), (-1.0, r"-(0\.99|1\.00)")):
         times = np.array([1.0, factor, 1.0, 1.0, 1.0])
         with pytest.raises(RecordInputError, match=rf"^at \S+ mm the beam moves {moves} times as fast as"):
             evaluate([changed(observation, "velocity", times, "course")])
 
 
-def with_velocity(observation: Observation, change: Callable[[int, np.ndarray], np.ndarray], which: str) -> Observation:
+def with_velocity(observation: Evidence, change: Callable[[int, np.ndarray], np.ndarray], which: str) -> Evidence:
     """Return an observation with other velocities in one scan, by point and velocity over the samples."""
     scan = getattr(observation, which)
     arrays = tuple({**each, "velocity": change(point, each["velocity"])} for point, each in enumerate(scan.arrays))
@@ -186,12 +185,12 @@ def with_velocity(observation: Observation, change: Callable[[int, np.ndarray], 
 )
 def test_a_constant_velocity_is_refused(which, points, where, evidences):
     """An output of the vibrometer that is not at zero adds 20 mm/s, throughout a scan or at one of its points."""
-    raised = with_velocity(evidences[0].observation, lambda point, each: each + 0.02 * (point in points), which)
+    raised = with_velocity(evidences[0], lambda point, each: each + 0.02 * (point in points), which)
     with pytest.raises(RecordInputError, match=rf"^{where}the velocity has a constant offset of (19|20) mm/s: set the"):
         evaluate([raised])
 
 
-def moved(observation: Observation, order: list[int]) -> Observation:
+def moved(observation: Evidence, order: list[int]) -> Evidence:
     """Return an observation with the field of other points at each point."""
     scan = observation.field
     arrays = tuple(
@@ -206,14 +205,14 @@ def test_a_field_moved_by_one_point_is_refused(evidences):
         with pytest.raises(
             RecordInputError, match=f"the beam moves as at points {shift} mm away: check the origin and"
         ):
-            evaluate([moved(evidences[0].observation, order)])
+            evaluate([moved(evidences[0], order)])
 
 
 def test_two_points_exchanged_are_refused(evidences):
     """Two neighbours on the flank of the focus: at one of them the rest is a tenth of the velocity."""
     order = [*range(16), 17, 16, *range(18, 41)]
     with pytest.raises(RecordInputError, match="^at -10 mm the velocity is not that of the beam there: check"):
-        evaluate([moved(evidences[0].observation, order)])
+        evaluate([moved(evidences[0], order)])
 
 
 def delayed(velocity: np.ndarray, by: float, step: float) -> np.ndarray:
@@ -240,7 +239,7 @@ def delayed(velocity: np.ndarray, by: float, step: float) -> np.ndarray:
 )
 def test_records_that_are_late_at_some_points_are_refused(which, points, by, said, evidences):
     """A trigger that fires late: 5 us at the focus are 8 mm/s there, and half a period of the highest mode."""
-    observation = evidences[0].observation
+    observation = evidences[0]
     time = getattr(observation, which).time
     late = with_velocity(
         observation, lambda point, each: delayed(each, by, time[1] - time[0]) if point in points else each, which
@@ -251,7 +250,7 @@ def test_records_that_are_late_at_some_points_are_refused(which, points, by, sai
 
 def test_a_delay_that_changes_between_the_laws_is_refused(evidences):
     """5 us more under the paper's law: its velocities were compared 2.5 us beside the focusing instant."""
-    one, other = (each.observation for each in evidences)
+    one, other = evidences
     step = other.field.time[1] - other.field.time[0]
     late = with_velocity(other, lambda _, each: delayed(each, 5e-6, step), "field")
     with pytest.raises(
@@ -262,11 +261,11 @@ def test_a_delay_that_changes_between_the_laws_is_refused(evidences):
 
 def test_a_mirrored_field_is_refused(evidences):
     """A prediction whose antisymmetric part has the other sign: positions were counted from the wrong end."""
-    observation = evidences[0].observation
+    observation = evidences[0]
     model = observation.stimulus.model
     label = tuple(each + (each == 5) for each in model.label)
     uneven = replace(observation, stimulus=replace(observation.stimulus, model=replace(model, label=label)))
-    prediction = Prediction.of(uneven)
+    prediction = uneven.prediction
     near = np.searchsorted(prediction.time, observation.field.time)
     seen = [prediction.field[:, near][40 - point] for point in range(41)]
     mirrored = with_velocity(uneven, lambda point, each: np.broadcast_to(seen[point], each.shape), "field")

@@ -24,7 +24,7 @@ TORSION = 0.004
 def twisted(evidences: list[Evidence]) -> Evidence:
     """Return the evidence of a beam with a torsion of a cosine along it, 4 mm/s on rows 2.5 mm off the mid-line."""
     evidence = evidences[0]
-    observation, field = evidence.observation, evidence.observation.field
+    field = evidence.field
     course = TORSION * np.cos(np.pi * (field.positions / 0.1 + 0.5))
     rows = []
     for sign in (1, -1):
@@ -34,12 +34,12 @@ def twisted(evidences: list[Evidence]) -> Evidence:
         ]
         facts = {**field.facts, "settings": {**field.facts["settings"], "across_mm": sign * 2.5}}
         rows.append(replace(field, facts=facts, arrays=tuple(arrays)))
-    return replace(evidence, observation=replace(observation, rows=tuple(rows)))
+    return replace(evidence, further_rows=tuple(rows))
 
 
 def test_torsion_is_the_part_that_grows_across_the_beam(twisted: Evidence) -> None:
     """With equal noise on every row only the cosine remains: its rms over 41 points from end to end."""
-    place = twisted.observation.field.positions
+    place = twisted.field.positions
     expected = TORSION * np.cos(np.pi * (place / 0.1 + 0.5))
     np.testing.assert_allclose(twisted.torsion.mean(axis=0), expected, atol=1e-6)
     assert [scan.across for scan in twisted.rows] == [-2.5e-3, 0.0, 2.5e-3]
@@ -70,7 +70,9 @@ def test_kept_rows_are_read_without_an_option(
     folder = shutil.copytree(kept, tmp_path / "scans")
     for each in evidences:
         for across in (-2.5, 2.5):
-            row = shutil.copytree(folder / f"{each.law}_field", folder / f"{each.law}_field_{across:+g}_mm")
+            row = shutil.copytree(
+                folder / f"{each.stimulus.law}_field", folder / f"{each.stimulus.law}_field_{across:+g}_mm"
+            )
             facts = json.loads((row / "scan.json").read_text(encoding="utf-8"))
             facts["settings"]["across_mm"] = across
             (row / "scan.json").write_text(json.dumps(facts), encoding="utf-8")

@@ -14,7 +14,7 @@ from modaltouch.lab.identification.shapes import check_points
 from modaltouch.lab.laboratory import SILENT_PROGRESS, SIMULATED, Laboratory, MeasurementProgress, open_laboratory
 from modaltouch.lab.recorded_files import RecordedFiles
 from modaltouch.lab.scan import DESCRIPTION, Scan, ScanPlan, kept_rows, read_scan, row_name, rows_over, take_scan
-from modaltouch.lab.validation.evidence import Evidence, Observation
+from modaltouch.lab.validation.evidence import Evidence
 from modaltouch.lab.validation.figures import PAPER_WORST, draw_all
 from modaltouch.lab.validation.key_figures import AROUND, figure_tables, findings, key_figures, validation_table
 from modaltouch.lab.validation.plausibility import evaluate
@@ -63,8 +63,8 @@ def write_validation(
         [ReportFigure(name, *each) for name, each in draw_all(evidences).items()],
         title=f"Validation: {context['title']}",
         occasion=context,
-        level=format(round(evidences[0].observation.velocity * 1e3, 6), "g"),
-        laws=[each.law for each in evidences],
+        level=format(round(evidences[0].velocity * 1e3, 6), "g"),
+        laws=[each.stimulus.law for each in evidences],
         figures=figures,
         lag=lag,
         paper_worst=PAPER_WORST,
@@ -144,7 +144,7 @@ def _observe(
     rows: Sequence[float],
     record: Path | None,
     progress: MeasurementProgress,
-) -> list[Observation]:
+) -> list[Evidence]:
     """Take the recordings, or read earlier ones."""
     experiment, (inputs, stimulus) = preflight.experiment, preflight.sound
     if folder is not None and complete(folder, rows):
@@ -240,7 +240,7 @@ def record_laws(
     rows: Sequence[float] = (),
     folder: Path | None = None,
     source: Source | None = None,
-) -> list[Observation]:
+) -> list[Evidence]:
     """Play the drive of each law on a rig, and return the recordings.
 
     Parameters
@@ -265,11 +265,11 @@ def record_laws(
             name = row_name(f"{law}_{plan.about['what']}", plan.across)
             place = None if folder is None else folder / name
             scans.append(take_scan(laboratory, plan, place, source=source, step=name))
-        observed.append(_observation(inputs, stimulus, velocity, scans))
+        observed.append(_evidence(inputs, stimulus, velocity, scans))
     return observed
 
 
-def read_laws(inputs: DesignInputs, folder: Path) -> list[Observation]:
+def read_laws(inputs: DesignInputs, folder: Path) -> list[Evidence]:
     """Read the recordings of each law from the scans in a folder, with all rows found there; no rig is needed.
 
     Raises
@@ -293,7 +293,7 @@ def read_laws(inputs: DesignInputs, folder: Path) -> list[Observation]:
             scans.append(scan)
         velocity = float(scans[0].facts["settings"]["velocity_mm_s"]) * 1e-3
         check_points(scans[0].positions, stimulus.model.label, stimulus.model.length)
-        observed.append(_observation(inputs, stimulus, velocity, scans))
+        observed.append(_evidence(inputs, stimulus, velocity, scans))
         centres = [*observed[-1].zones.values()]
         if scans[1].positions.size != len(centres) or not np.allclose(scans[1].positions, centres):
             raise RecordInputError(f"{folder}: the zones recorded there are not those of the apparatus; give its file")
@@ -312,6 +312,6 @@ def complete(folder: Path, rows: Sequence[float] = ()) -> bool:
     return all((place / DESCRIPTION).exists() for place in places) and all(read_scan(each).complete for each in places)
 
 
-def _observation(inputs: DesignInputs, stimulus: Stimulus, velocity: float, scans: Sequence[Scan]) -> Observation:
+def _evidence(inputs: DesignInputs, stimulus: Stimulus, velocity: float, scans: Sequence[Scan]) -> Evidence:
     zones = {name: zone.centre_mm * 1e-3 for name, zone in inputs.apparatus.ordered_zones.items()}
-    return Observation(stimulus, velocity, zones, inputs.section.focus, scans[0], scans[1], tuple(scans[2:]))
+    return Evidence(stimulus, velocity, zones, inputs.section.focus, scans[0], scans[1], tuple(scans[2:]))

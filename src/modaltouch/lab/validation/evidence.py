@@ -14,33 +14,6 @@ from modaltouch.lab.scan import Scan
 from modaltouch.stimulus import Stimulus, mode_shapes
 
 
-@dataclass(frozen=True, eq=False)
-class Observation:
-    """The recordings of one drive law.
-
-    Attributes
-    ----------
-    stimulus, velocity
-        The stimulus that was played, and its level [m/s].
-    zones : dict of str to float
-        Zones and their centres, from left to right [m].
-    focus : str
-        Zone of the focus.
-    field, course : Scan
-        Velocity along the beam around the focusing instant, and at the centres of the zones throughout the burst.
-    rows : tuple of Scan
-        The field on further rows across the width.
-    """
-
-    stimulus: Stimulus
-    velocity: float
-    zones: dict[str, float]
-    focus: str
-    field: Scan
-    course: Scan
-    rows: tuple[Scan, ...] = ()
-
-
 def spot_width(position: FloatArray, field: FloatArray, centre: float, fraction: float) -> float:
     """Return the width of a field around its focus, at a fraction of its value there [m].
 
@@ -50,22 +23,11 @@ def spot_width(position: FloatArray, field: FloatArray, centre: float, fraction:
     at_centre = float(np.interp(centre, position, field))
     if at_centre == 0:
         return math.nan
-    height = field / at_centre
-    left, right = position <= centre, position >= centre
-    down = _first_below(np.append(position[left], centre)[::-1], np.append(height[left], 1.0)[::-1], fraction)
-    up = _first_below(np.insert(position[right], 0, centre), np.insert(height[right], 0, 1.0), fraction)
-    return abs(up - down)
-
-
-def _first_below(place: FloatArray, height: FloatArray, fraction: float) -> float:
-    """Return the place, from the first point on, at which a linearly interpolated height falls to a fraction."""
-    below = np.flatnonzero(height < fraction)
-    if below.size == 0:
-        return float(place[-1])
-    after = int(below[0])
-    high, low = height[after - 1], height[after]
-    share = (high - fraction) / (high - low)
-    return float(place[after - 1] + share * (place[after] - place[after - 1]))
+    above = field / at_centre - fraction
+    falls = np.flatnonzero(np.diff(above >= 0))
+    places = position[falls] - above[falls] * np.diff(position)[falls] / np.diff(above)[falls]
+    left, right = places[places < centre], places[places > centre]
+    return float(right.min(initial=position[-1]) - left.max(initial=position[0]))
 
 
 def root_mean_square(values: FloatArray) -> float:
@@ -84,6 +46,10 @@ def mean_velocity(scan: Scan) -> FloatArray:
     return np.asarray(scan.velocity.mean(axis=1))
 
 
+FINE = 401
+"""Number of points at which smooth fields are drawn and their widths evaluated."""
+
+
 @dataclass(frozen=True, eq=False)
 class Prediction:
     """Velocities predicted for the identified beam and the codes as played, over time since the start of a burst [s].
@@ -98,15 +64,6 @@ class Prediction:
     field: FloatArray
     course: FloatArray
 
-    @classmethod
-    def of(cls, observation: Observation) -> Prediction:
-        """Predict the velocities at the positions of an observation."""
-        stimulus, timing = observation.stimulus, observation.stimulus.timing
-        places = observation.field.positions
-        played = stimulus.velocity_history([*places, *observation.course.positions], observation.velocity)
-        time = np.asarray(np.arange(timing.n_samples) * timing.hold + stimulus.amplifier.delay, dtype=float)
-        return cls(time, played[: places.size], played[places.size :])
-
     def around(self, first: float, last: float) -> Callable[[FloatArray], FloatArray]:
         """Return a function from instants in an interval [s] to the field, (n_points, n_instants) [m/s]."""
         from scipy.interpolate import CubicSpline
@@ -116,84 +73,89 @@ class Prediction:
         return interpolated
 
 
-FINE = 401
-"""Number of points at which smooth fields are drawn and their widths evaluated."""
-
-
 @dataclass(frozen=True, eq=False)
 class Evidence:
     """The measured effect of one drive law, with target and prediction, at the level as played.
 
     Attributes
     ----------
-    observation : Observation
-        The recordings.
-    prediction : Prediction
-        The prediction for the identified beam.
+    stimulus, velocity
+        The stimulus that was played, and its level [m/s].
+    zones : dict of str to float
+        Zones and their centres, from left to right [m].
+    focus : str
+        Zone of the focus.
+    field, course : Scan
+        Velocity along the beam around the focusing instant, and at the centres of the zones throughout the burst.
+    further_rows : tuple of Scan
+        The field on further rows across the width.
     lag : float
         Delay of the measurement relative to the prediction, subtracted from all times here [s].
     """
 
-    observation: Observation
-    prediction: Prediction
-    lag: float
+    stimulus: Stimulus
+    velocity: float
+    zones: dict[str, float]
+    focus: str
+    field: Scan
+    course: Scan
+    further_rows: tuple[Scan, ...] = ()
+    lag: float = 0.0
 
-    @property
-    def law(self) -> str:
-        """The drive law."""
-        return self.observation.stimulus.law
+    @cached_property
+    def prediction(self) -> Prediction:
+        """The velocities predicted at the same positions."""
+        timing, places = self.stimulus.timing, self.field.positions
+        played = self.stimulus.velocity_history([*places, *self.course.positions], self.velocity)
+        time = np.asarray(np.arange(timing.n_samples) * timing.hold + self.stimulus.amplifier.delay, dtype=float)
+        return Prediction(time, played[: places.size], played[places.size :])
 
     @property
     def instant(self) -> float:
         """The focusing instant [s]."""
-        return self.observation.stimulus.timing.focusing_instant
-
-    @property
-    def centre(self) -> float:
-        """Centre of the target field [m]."""
-        return self.observation.stimulus.target_field.centre
+        return self.stimulus.timing.focusing_instant
 
     @property
     def target(self) -> FloatArray:
         """Target coefficients of the modelled modes, 0 for those not selected, (n_modes,) array [m/s]."""
-        stimulus = self.observation.stimulus
-        return stimulus.target * (self.observation.velocity / stimulus.target_field.velocity)
+        stimulus = self.stimulus
+        return stimulus.target * (self.velocity / stimulus.target_field.velocity)
 
     @cached_property
     def target_coefficient(self) -> FloatArray:
         """Coefficients of the target field on all modes of its decomposition, from mode 1 [m/s]."""
-        return self.observation.stimulus.projection.decomposition * self.observation.velocity
+        return self.stimulus.projection.decomposition * self.velocity
 
     @cached_property
     def predicted_coefficient(self) -> FloatArray:
         """Coefficients predicted for the codes on the identified beam, (n_modes,) array [m/s]."""
-        return self.observation.stimulus.achieved(self.observation.velocity)[0]
+        return self.stimulus.achieved(self.velocity)[0]
 
     @cached_property
     def position(self) -> FloatArray:
         """Positions of the smooth fields, (FINE,) array [m]."""
-        half = self.observation.stimulus.model.length / 2
+        half = self.stimulus.model.length / 2
         return np.linspace(-half, half, FINE)
 
     @cached_property
     def target_field(self) -> FloatArray:
         """The target field, (FINE,) array [m/s]."""
-        return self.observation.stimulus.target_field.profile(self.position) * self.observation.velocity
+        return self.stimulus.target_field.profile(self.position) * self.velocity
 
     @cached_property
     def selected_field(self) -> FloatArray:
         """The field of the selected modes, (FINE,) array [m/s]."""
-        return self.target @ self.observation.stimulus.model.shapes(self.position)
+        return self.target @ self.stimulus.model.shapes(self.position)
 
     @cached_property
     def predicted_field(self) -> FloatArray:
         """The field predicted for the codes on the identified beam, (FINE,) array [m/s]."""
-        return self.predicted_coefficient @ self.observation.stimulus.model.shapes(self.position)
+        return self.predicted_coefficient @ self.stimulus.model.shapes(self.position)
 
     @cached_property
     def snapshots(self) -> FloatArray:
         """Field at the focusing instant in each record, (n_records, n_positions) array [m/s]."""
-        return self._at_focus(self.observation.field)
+        return self._at_focus(self.field)
 
     def _at_focus(self, scan: Scan) -> FloatArray:
         from scipy.interpolate import CubicSpline
@@ -210,7 +172,7 @@ class Evidence:
     @cached_property
     def rows(self) -> list[Scan]:
         """Scans of the field on the mid-line and any further rows, from edge to edge."""
-        return sorted((self.observation.field, *self.observation.rows), key=lambda scan: scan.across)
+        return sorted((self.field, *self.further_rows), key=lambda scan: scan.across)
 
     @cached_property
     def field_over_width(self) -> FloatArray:
@@ -239,14 +201,14 @@ class Evidence:
     @cached_property
     def fitted_labels(self) -> tuple[int, ...]:
         """Labels of the modes fitted to the measured field: the modelled ones and further ones if the points allow."""
-        stimulus = self.observation.stimulus
+        stimulus = self.stimulus
         # Without the two modes above the modelled ones, their motion would be attributed to others.
-        most = min(max(stimulus.model.label) + 2, self.observation.field.positions.size * 2 // 3)
+        most = min(max(stimulus.model.label) + 2, self.field.positions.size * 2 // 3)
         return tuple(sorted({*stimulus.model.label, *range(1, most + 1)}))
 
     def _shapes(self, position: FloatArray) -> FloatArray:
         """Return the shapes of the fitted modes, from the model or else from theory."""
-        model = self.observation.stimulus.model
+        model = self.stimulus.model
         shapes = mode_shapes(self.fitted_labels, position, model.length)
         shapes[[self.fitted_labels.index(label) for label in model.label]] = model.shapes(position)
         return shapes
@@ -254,12 +216,12 @@ class Evidence:
     @cached_property
     def _projections(self) -> FloatArray:
         """Coefficients of every snapshot on the fitted modes, (n_records, n_fitted) array [m/s]."""
-        shapes = self._shapes(self.observation.field.positions)
+        shapes = self._shapes(self.field.positions)
         return np.asarray(np.linalg.lstsq(shapes.T, self.snapshots.T, rcond=None)[0].T)
 
     @property
     def _modelled(self) -> list[int]:
-        return [self.fitted_labels.index(label) for label in self.observation.stimulus.model.label]
+        return [self.fitted_labels.index(label) for label in self.stimulus.model.label]
 
     @property
     def achieved_coefficient(self) -> FloatArray:
@@ -287,18 +249,18 @@ class Evidence:
         return scan.time - self.lag
 
     @cached_property
-    def course(self) -> FloatArray:
+    def zone_velocity(self) -> FloatArray:
         """Mean velocity at the zones throughout the burst, (n_zones, n_times) array [m/s]."""
-        return mean_velocity(self.observation.course)
+        return mean_velocity(self.course)
 
     @property
     def _focus_row(self) -> int:
-        return list(self.observation.zones).index(self.observation.focus)
+        return list(self.zones).index(self.focus)
 
     @property
     def focus_course(self) -> FloatArray:
         """Mean velocity at the focus throughout the burst, (n_times,) array [m/s]."""
-        return np.asarray(self.course[self._focus_row])
+        return np.asarray(self.zone_velocity[self._focus_row])
 
     @property
     def time_above_90(self) -> dict[str, float]:
@@ -307,7 +269,7 @@ class Evidence:
         ``measured`` and ``predicted``.
         """
         courses = {
-            "measured": (self.times(self.observation.course), self.focus_course),
+            "measured": (self.times(self.course), self.focus_course),
             "predicted": (self.prediction.time, self.prediction.course[self._focus_row]),
         }
         return {name: self._above_90(*course) for name, course in courses.items()}
@@ -320,11 +282,11 @@ class Evidence:
     @property
     def zone_peak(self) -> dict[str, dict[str, float]]:
         """Highest speed at the centre of each zone throughout the burst, ``measured`` and ``predicted`` [m/s]."""
-        peaks = (np.abs(course).max(axis=1).tolist() for course in (self.course, self.prediction.course))
+        peaks = (np.abs(course).max(axis=1).tolist() for course in (self.zone_velocity, self.prediction.course))
         both = zip(*peaks, strict=True)
         return {
             zone: dict(zip(("measured", "predicted"), each, strict=True))
-            for zone, each in zip(self.observation.zones, both, strict=True)
+            for zone, each in zip(self.zones, both, strict=True)
         }
 
 

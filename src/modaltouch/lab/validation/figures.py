@@ -23,7 +23,7 @@ PAPER_WORST = 6.0
 
 def draw_decomposition(evidence: Evidence) -> Figure:
     """Draw the coefficients of the target field, with the selected modes marked, as in Fig. 2."""
-    stimulus, wished = evidence.observation.stimulus, evidence.target_coefficient * 1e3
+    stimulus, wished = evidence.stimulus, evidence.target_coefficient * 1e3
     labels = np.arange(1, wished.size + 1)
     kinds: tuple[tuple[str, Any, dict[str, Any]], ...] = (
         ("selected", np.isin(labels, stimulus.selected), {"color": DARK}),
@@ -58,7 +58,7 @@ def draw_coefficients(evidences: Sequence[Evidence]) -> Figure:
             for axes in row:
                 axes.set_xticks(range(len(lines)), [str(line["mode"]) for line in lines])
                 quiet_grid(axes)
-            row[0].set_title(LAW_TITLES[evidence.law], loc="left")
+            row[0].set_title(LAW_TITLES[evidence.stimulus.law], loc="left")
             row[0].set_ylabel("coefficient [mm/s]")
             row[1].set_ylabel("achieved minus desired [mm/s]")
         for axes in panels[-1]:
@@ -102,7 +102,7 @@ def draw_fields(evidences: Sequence[Evidence]) -> Figure:
             _draw_difference(column[1], evidence)
             for axes in column:
                 quiet_grid(axes)
-            column[0].set_title(LAW_TITLES[evidence.law], loc="left")
+            column[0].set_title(LAW_TITLES[evidence.stimulus.law], loc="left")
         panels[0, 0].set_ylabel("velocity at the\nfocusing instant [mm/s]")
         panels[1, 0].set_ylabel("measured\nminus ... [mm/s]")
         figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=4, frameon=False)
@@ -111,13 +111,13 @@ def draw_fields(evidences: Sequence[Evidence]) -> Figure:
 
 def _draw_field(axes: Axes, evidence: Evidence) -> None:
     place = evidence.position * 1e3
-    for name, centre in evidence.observation.zones.items():
+    for name, centre in evidence.zones.items():
         axes.text(centre * 1e3, 0.99, name, ha="center", va="top", color=FAINT, transform=axes.get_xaxis_transform())
     axes.plot(place, evidence.target_field * 1e3, color=INK, linestyle="--", linewidth=1, label="desired")
     axes.plot(place, evidence.selected_field * 1e3, color=MIDDLE, linewidth=2.6, label="selected modes")
     axes.plot(place, evidence.measured_field * 1e3, color=DARK, linewidth=1, label="measured, smooth")
     axes.errorbar(
-        evidence.observation.field.positions * 1e3,
+        evidence.field.positions * 1e3,
         evidence.measured_points * 1e3,
         yerr=np.nan_to_num(NORMAL_95 * evidence.points_error * 1e3),
         fmt="o",
@@ -126,7 +126,7 @@ def _draw_field(axes: Axes, evidence: Evidence) -> None:
         elinewidth=0.7,
         label="measured",
     )
-    axes.set_ylim(top=1.13 * max(evidence.observation.velocity, float(evidence.measured_points.max())) * 1e3)
+    axes.set_ylim(top=1.13 * max(evidence.velocity, float(evidence.measured_points.max())) * 1e3)
 
 
 def _draw_difference(axes: Axes, evidence: Evidence) -> None:
@@ -153,12 +153,12 @@ def draw_over_width(evidences: Sequence[Evidence]) -> Figure:
     with house_style(7.6, 4.4, 3, len(evidences), sharex=True, sharey=True) as (figure, panels):
         for column, evidence, each in zip(panels.T, evidences, fields, strict=True):
             across = np.array([scan.across for scan in evidence.rows])
-            y, x = (grid.ravel() for grid in np.meshgrid(across, evidence.observation.field.positions, indexing="ij"))
+            y, x = (grid.ravel() for grid in np.meshgrid(across, evidence.field.positions, indexing="ij"))
             for axes, values, limit in zip(column, each, highest.tolist(), strict=True):
                 drawn = draw_map(axes, x, y, values.ravel() * 1e3, limit)
                 if evidence is evidences[-1]:
                     figure.colorbar(drawn, ax=panels[list(column).index(axes)], label="[mm/s]", pad=0.02)
-            column[0].set_title(LAW_TITLES[evidence.law], loc="left")
+            column[0].set_title(LAW_TITLES[evidence.stimulus.law], loc="left")
             column[-1].set_xlabel("position along the beam [mm]")
         for axes, name in zip(panels[:, 0], ("at the focus", "highest speed", "torsion at the focus"), strict=True):
             axes.set_ylabel(f"{name}:\nacross [mm]", fontsize=8)
@@ -177,20 +177,20 @@ LOWEST = 150.0
 
 def draw_maps(evidences: Sequence[Evidence]) -> Figure:
     """Draw velocity over position and time around the focus as in Fig. 5."""
-    highest = max(float(np.abs(mean_velocity(each.observation.field)).max()) for each in evidences) * 1e3
+    highest = max(float(np.abs(mean_velocity(each.field)).max()) for each in evidences) * 1e3
     with house_style(7.6, 4.4, 1, len(evidences), sharex=True, sharey=True) as (figure, [panels]):
         for axes, evidence in zip(panels, evidences, strict=True):
             # A sixth of the shortest period is enough for a figure.
             time, velocity = around_focus(evidence, 2e-6)
-            time, velocity, place = time * 1e3, velocity.T * 1e3, evidence.observation.field.positions * 1e3
+            time, velocity, place = time * 1e3, velocity.T * 1e3, evidence.field.positions * 1e3
             look: dict[str, Any] = {"cmap": SIGNED, "vmin": -highest, "vmax": highest, "rasterized": True}
             image = axes.pcolormesh(place, time, velocity, shading="gouraud", **look)
-            half = 0.5 * evidence.observation.velocity * 1e3
+            half = 0.5 * evidence.velocity * 1e3
             axes.contour(place, time, velocity, levels=[half], colors="black", linewidths=0.7)
             axes.axhline(evidence.instant * 1e3, color="white", linewidth=0.5, linestyle=":")
-            for name, centre in evidence.observation.zones.items():
+            for name, centre in evidence.zones.items():
                 axes.text(centre * 1e3, time[0], name, ha="center", va="bottom", fontsize=8, color="white")
-            axes.set_title(LAW_TITLES[evidence.law], loc="left")
+            axes.set_title(LAW_TITLES[evidence.stimulus.law], loc="left")
             ticks = evidence.instant * 1e3 + np.linspace(-AROUND, AROUND, 9) * 1e3 * 0.999
             axes.set(xlabel="position along the beam [mm]", ylim=(time[0], time[-1]), yticks=ticks)
             axes.yaxis.set_major_formatter("{x:.2f}")
@@ -215,7 +215,7 @@ def draw_spectrograms(evidences: Sequence[Evidence]) -> Figure:
             )  # fmt: skip
             axes.axvline(evidence.instant * 1e3, color=DARK, linewidth=0.7, linestyle=":")
             axes.set(xlabel="time [ms]", yscale="log", ylim=(LOWEST * 1e-3, frequency[-1] * 1e-3))
-            axes.set_title(LAW_TITLES[evidence.law], loc="left")
+            axes.set_title(LAW_TITLES[evidence.stimulus.law], loc="left")
             _mark_modes(axes, evidence)
         panels[0].set_ylabel("frequency [kHz]")
         ticks = (0.2, 0.5, 1, 2, 5, 10, 20, 50, 100)
@@ -226,9 +226,9 @@ def draw_spectrograms(evidences: Sequence[Evidence]) -> Figure:
 
 
 def _mark_modes(axes: Axes, evidence: Evidence) -> None:
-    model = evidence.observation.stimulus.model
+    model = evidence.stimulus.model
     for label, frequency in zip(model.label, model.natural_frequency, strict=True):
-        selected = label in evidence.observation.stimulus.selected
+        selected = label in evidence.stimulus.selected
         axes.plot([0.0, 0.025], [frequency * 1e-3] * 2, color=DARK, linewidth=1.4 if selected else 0.6,
                   transform=axes.get_yaxis_transform())  # fmt: skip
         axes.text(0.035, frequency * 1e-3, f"{label}", va="center", fontsize=6.5, color=DARK if selected else FAINT,
@@ -236,20 +236,15 @@ def _mark_modes(axes: Axes, evidence: Evidence) -> None:
 
 
 def draw_zones(evidence: Evidence) -> Figure:
-    """Draw the velocity at every zone over time: the envelope throughout the burst, and details around the focus."""
-    observation, time = evidence.observation, evidence.times(evidence.observation.course)
-    reach = 1.12 * float(np.abs(evidence.course).max()) * 1e3
-    with house_style(
-        7.6, 0.95 * len(observation.zones) + 0.9, len(observation.zones), 2, sharex="col", sharey=True
-    ) as (figure, panels):
-        middles, lowest, highest = _envelope(time, evidence.course)
-        for row, name, measured, low, high, predicted in zip(
-            panels, observation.zones, evidence.course, lowest, highest, evidence.prediction.course, strict=True
-        ):
-            row[0].fill_between(middles * 1e3, low * 1e3, high * 1e3, color=DARK, linewidth=0)
-            near = np.abs(time - evidence.instant) <= AROUND
-            own = np.abs(evidence.prediction.time - evidence.instant) <= AROUND
-            row[1].plot(evidence.prediction.time[own] * 1e3, predicted[own] * 1e3, color=MIDDLE, linewidth=2.2)
+    """Draw the velocity at every zone over time: the whole burst, and details around the focus."""
+    time, prediction, n_zones = evidence.times(evidence.course), evidence.prediction, len(evidence.zones)
+    courses = zip(evidence.zones, evidence.zone_velocity, prediction.course, strict=True)
+    near, own = (np.abs(each - evidence.instant) <= AROUND for each in (time, prediction.time))
+    reach = 1.12 * float(np.abs(evidence.zone_velocity).max()) * 1e3
+    with house_style(7.6, 0.95 * n_zones + 0.9, n_zones, 2, sharex="col", sharey=True) as (figure, panels):
+        for row, (name, measured, predicted) in zip(panels, courses, strict=True):
+            row[0].plot(time * 1e3, measured * 1e3, color=DARK, linewidth=0.3, rasterized=True)
+            row[1].plot(prediction.time[own] * 1e3, predicted[own] * 1e3, color=MIDDLE, linewidth=2.2)
             row[1].plot(time[near] * 1e3, measured[near] * 1e3, color=DARK, linewidth=0.7)
             row[0].set_ylabel(name, rotation=0, labelpad=10, va="center", fontsize=11)
             words = f"peak {evidence.zone_peak[name]['measured'] * 1e3:.0f} mm/s"
@@ -258,21 +253,13 @@ def draw_zones(evidence: Evidence) -> Figure:
                 axes.axvline(evidence.instant * 1e3, color=FAINT, linewidth=0.6, linestyle=":")
                 axes.set_ylim(-reach, reach)
                 quiet_grid(axes)
-        panels[0, 0].set_title("whole burst: envelope, measured", fontsize=9)
+        panels[0, 0].set_title("whole burst, measured", fontsize=9)
         panels[0, 1].set_title("around the focus: measured (thin), predicted (wide)", fontsize=9)
         for axes in panels[-1]:
             axes.set_xlabel("time [ms]")
         figure.supylabel("zone, velocity [mm/s]", fontsize=9)
-        figure.suptitle(LAW_TITLES[evidence.law], x=0.02, ha="left", fontsize=10)
+        figure.suptitle(LAW_TITLES[evidence.stimulus.law], x=0.02, ha="left", fontsize=10)
     return figure
-
-
-def _envelope(time: FloatArray, course: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the centres of intervals of 0.2 ms [s], and the lowest and highest velocity within each."""
-    n = max(1, round(0.2e-3 / (time[1] - time[0])))
-    n_parts = time.size // n
-    parts = course[:, : n_parts * n].reshape(len(course), n_parts, n)
-    return time[: n_parts * n].reshape(n_parts, n).mean(axis=1), parts.min(axis=2), parts.max(axis=2)
 
 
 def draw_all(evidences: Sequence[Evidence]) -> dict[str, tuple[Figure, str]]:
@@ -305,15 +292,15 @@ def draw_all(evidences: Sequence[Evidence]) -> dict[str, tuple[Figure, str]]:
             "modelled modes, with the selected ones in bold.",
         ),
     }
-    if evidences[0].observation.rows:
+    if evidences[0].further_rows:
         drawn["fig_7_map"] = (
             draw_over_width(evidences),
             "Fig. 7 over the width: measured velocity at the focusing instant, the highest speed within 1 ms of it, "
             "and torsion, which grows linearly across the beam.",
         )
     for evidence in evidences:
-        drawn[f"zones_{evidence.law}"] = (
+        drawn[f"zones_{evidence.stimulus.law}"] = (
             draw_zones(evidence),
-            f"Velocity at the centre of each zone over time, law “{evidence.law}”.",
+            f"Velocity at the centre of each zone over time, law “{evidence.stimulus.law}”.",
         )
     return drawn

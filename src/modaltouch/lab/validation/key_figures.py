@@ -30,20 +30,19 @@ def key_figures(evidence: Evidence, pairs: Sequence[tuple[str, str]]) -> dict[st
     pairs : sequence of (str, str)
         Pairs of zones touched by two fingers.
     """
-    observation = evidence.observation
-    stimulus = observation.stimulus
-    at_focus = float(np.interp(evidence.centre, evidence.position, evidence.measured_field))
-    time = evidence.times(observation.course)
+    stimulus = evidence.stimulus
+    at_focus = float(np.interp(evidence.stimulus.target_field.centre, evidence.position, evidence.measured_field))
+    time = evidence.times(evidence.course)
     near = np.abs(time - evidence.instant) < stimulus.timing.duration
     highest = int(np.abs(np.where(near, evidence.focus_course, 0.0)).argmax())
     error = evidence.achieved_coefficient - evidence.target
     worst = int(np.abs(error).argmax())
-    drive = np.abs(observation.course.drive).mean(axis=(0, 1)).max(axis=1)
+    drive = np.abs(evidence.course.drive).mean(axis=(0, 1)).max(axis=1)
     return {
-        "law": evidence.law,
-        "velocity_mm_s": observation.velocity * 1e3,
-        "n_points": int(observation.field.positions.size),
-        "n_records": int(observation.field.velocity.shape[1]),
+        "law": evidence.stimulus.law,
+        "velocity_mm_s": evidence.velocity * 1e3,
+        "n_points": int(evidence.field.positions.size),
+        "n_records": int(evidence.field.velocity.shape[1]),
         "selected_modes": [int(label) for label in stimulus.selected],
         "coefficients": coefficients(evidence),
         "worst_modal_error_mm_s": float(np.abs(error[worst])) * 1e3,
@@ -59,7 +58,7 @@ def key_figures(evidence: Evidence, pairs: Sequence[tuple[str, str]]) -> dict[st
             "measured_from_predicted": _distance(evidence.measured_field, evidence.predicted_field),
             "predicted_from_wished": _distance(evidence.predicted_field, evidence.target_field),
         },
-        "torsion_on_outer_rows_mm_s": _torsion(evidence) if observation.rows else None,
+        "torsion_on_outer_rows_mm_s": _torsion(evidence) if evidence.further_rows else None,
         "width_50_mm": _widths(evidence, 0.5),
         "width_80_mm": _widths(evidence, 0.8),
         "time_above_90_us": {name: finite(each * 1e6) for name, each in evidence.time_above_90.items()},
@@ -70,7 +69,7 @@ def key_figures(evidence: Evidence, pairs: Sequence[tuple[str, str]]) -> dict[st
         "peak_drive_V": {
             str(number): {"measured": float(measured), "predicted": float(predicted)}
             for number, (measured, predicted) in enumerate(
-                zip(drive, stimulus.peak_drive(observation.velocity), strict=True), 1
+                zip(drive, stimulus.peak_drive(evidence.velocity), strict=True), 1
             )
         },
     }
@@ -78,7 +77,7 @@ def key_figures(evidence: Evidence, pairs: Sequence[tuple[str, str]]) -> dict[st
 
 def coefficients(evidence: Evidence) -> list[dict[str, Any]]:
     """Return the target, selected, predicted and achieved coefficients of the modelled modes [mm/s]."""
-    labels = evidence.observation.stimulus.model.label
+    labels = evidence.stimulus.model.label
     columns = zip(
         labels,
         evidence.target,
@@ -117,7 +116,7 @@ def _widths(evidence: Evidence, fraction: float) -> dict[str, float | None]:
         "wished": evidence.target_field,
     }
     return {
-        name: finite(spot_width(evidence.position, field, evidence.centre, fraction) * 1e3)
+        name: finite(spot_width(evidence.position, field, evidence.stimulus.target_field.centre, fraction) * 1e3)
         for name, field in fields.items()
     }
 
@@ -283,38 +282,40 @@ def spectrogram(time: FloatArray, velocity: FloatArray, highest: float) -> tuple
 
 def around_focus(evidence: Evidence, step: float) -> tuple[FloatArray, FloatArray]:
     """Return times around the focusing instant, about one step apart [s], and velocities, (n_positions, n_times)."""
-    time = evidence.times(evidence.observation.field)
+    time = evidence.times(evidence.field)
     every = max(1, round(step / (time[1] - time[0])))
     near = np.flatnonzero(np.abs(time - evidence.instant) <= AROUND)[::every]
-    return time[near], mean_velocity(evidence.observation.field)[:, near]
+    return time[near], mean_velocity(evidence.field)[:, near]
 
 
 def spectrogram_of(evidence: Evidence) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the spectrogram at the focus, up to a quarter above the highest modelled mode."""
-    highest = 1.25 * float(evidence.observation.stimulus.model.natural_frequency.max())
-    return spectrogram(evidence.times(evidence.observation.course), evidence.focus_course, highest)
+    highest = 1.25 * float(evidence.stimulus.model.natural_frequency.max())
+    return spectrogram(evidence.times(evidence.course), evidence.focus_course, highest)
 
 
 def figure_tables(evidences: Sequence[Evidence]) -> dict[str, list[dict[str, Any]]]:
     """Return the data of the figures, by file name."""
     first = evidences[0]
     wished = [
-        {"mode": label, "wished_mm_s": _round(value), "selected": label in first.observation.stimulus.selected}
+        {"mode": label, "wished_mm_s": _round(value), "selected": label in first.stimulus.selected}
         for label, value in enumerate(first.target_coefficient.tolist(), 1)
     ]
     tables = {
         "fig_2.csv": wished,
-        "fig_6.csv": [{"law": each.law, **rounded(line, 3)} for each in evidences for line in coefficients(each)],
+        "fig_6.csv": [
+            {"law": each.stimulus.law, **rounded(line, 3)} for each in evidences for line in coefficients(each)
+        ],
         "fig_7.csv": [line for each in evidences for line in _field_lines(each)],
         "fig_8.csv": [line for each in evidences for line in _spectrum_lines(each)],
     }
-    if first.observation.rows:
+    if first.further_rows:
         tables["fig_7_map.csv"] = [line for each in evidences for line in _width_lines(each)]
-    return tables | {f"fig_5_{each.law}.csv": _map_lines(each) for each in evidences}
+    return tables | {f"fig_5_{each.stimulus.law}.csv": _map_lines(each) for each in evidences}
 
 
 def _field_lines(evidence: Evidence) -> list[dict[str, Any]]:
-    place = evidence.observation.field.positions
+    place = evidence.field.positions
     smooth = {
         name: np.interp(place, evidence.position, field)
         for name, field in {
@@ -325,7 +326,7 @@ def _field_lines(evidence: Evidence) -> list[dict[str, Any]]:
     }
     return [
         {
-            "law": evidence.law,
+            "law": evidence.stimulus.law,
             "position_mm": round(float(place[i]) * 1e3, 6),
             **{f"{name}_mm_s": _round(values[i]) for name, values in smooth.items()},
             "measured_mm_s": _round(evidence.measured_points[i]),
@@ -339,7 +340,7 @@ def _width_lines(evidence: Evidence) -> list[dict[str, Any]]:
     """Return field and highest speed over length and width."""
     return [
         {
-            "law": evidence.law,
+            "law": evidence.stimulus.law,
             "position_mm": round(float(place) * 1e3, 6),
             "across_mm": round(scan.across * 1e3, 6),
             "velocity_mm_s": _round(velocity),
@@ -354,7 +355,7 @@ def _width_lines(evidence: Evidence) -> list[dict[str, Any]]:
 
 def _map_lines(evidence: Evidence) -> list[dict[str, Any]]:
     time, velocity = around_focus(evidence, 10e-6)
-    names = [f"velocity_mm_s_at_{place * 1e3:g}_mm" for place in evidence.observation.field.positions]
+    names = [f"velocity_mm_s_at_{place * 1e3:g}_mm" for place in evidence.field.positions]
     return [
         {"time_ms": round(float(instant) * 1e3, 5), **dict(zip(names, np.round(row * 1e3, 1).tolist(), strict=True))}
         for instant, row in zip(time, velocity.T, strict=True)
@@ -363,11 +364,11 @@ def _map_lines(evidence: Evidence) -> list[dict[str, Any]]:
 
 def _spectrum_lines(evidence: Evidence) -> list[dict[str, Any]]:
     """Return the spectrogram at the natural frequencies of the modelled modes."""
-    (time, frequency, amplitude), model = spectrogram_of(evidence), evidence.observation.stimulus.model
+    (time, frequency, amplitude), model = spectrogram_of(evidence), evidence.stimulus.model
     rows = [int(np.abs(frequency - natural).argmin()) for natural in model.natural_frequency]
     names = [f"amplitude_mm_s_at_mode_{label}" for label in model.label]
     return [
-        {"law": evidence.law, "time_ms": round(float(instant) * 1e3, 4)}
+        {"law": evidence.stimulus.law, "time_ms": round(float(instant) * 1e3, 4)}
         | {name: _round(value) for name, value in zip(names, column, strict=True)}
         for instant, column in zip(time, amplitude[rows].T, strict=True)
     ]

@@ -15,23 +15,23 @@ from numpy.typing import NDArray
 
 from modaltouch.lab.common import FloatArray
 from modaltouch.lab.scan import Scan, refuse_unexpected_drive
-from modaltouch.lab.validation.evidence import Evidence, Observation, Prediction, mean_velocity
+from modaltouch.lab.validation.evidence import Evidence, mean_velocity
 from modaltouch.record import RecordInputError
 
 LAGS = np.arange(-5e-6, 25e-6, 0.25e-6)
 """Trial delays of the measurement [s]."""
 
 
-def measurement_delay(observations: Sequence[Observation], predictions: Sequence[Prediction]) -> float:
+def measurement_delay(evidences: Sequence[Evidence]) -> float:
     """Return the delay of the measurement with the least-squares fit to the predictions of all laws [s].
 
     Vibrometer, amplifier and trigger each add microseconds, a large part of the period of the highest selected mode,
     so the field at the focusing instant can only be determined once the delay is removed.
     """
-    missed = [_missed(each, its) for each, its in zip(observations, predictions, strict=True)]
-    for observation, prediction, as_given in zip(observations, predictions, missed, strict=True):
-        places, mirrored = observation.field.positions, replace(prediction, field=prediction.field[::-1])
-        if np.allclose(places, -places[::-1]) and _missed(observation, mirrored).min() < EXPLAINED * as_given.min():
+    missed = [_missed(each, mean_velocity(each.field)) for each in evidences]
+    for evidence, as_given in zip(evidences, missed, strict=True):
+        places, mirrored = evidence.field.positions, mean_velocity(evidence.field)[::-1]
+        if np.allclose(places, -places[::-1]) and _missed(evidence, mirrored).min() < EXPLAINED * as_given.min():
             raise RecordInputError(
                 "the field is the mirror image of the predicted one: count positions from mid-beam, positive to the "
                 "participant's right, check which output drives which patches, and measure again"
@@ -58,16 +58,15 @@ def _delay_of(missed: FloatArray) -> float:
     return float(LAGS[best] + (LAGS[1] - LAGS[0]) * (before - after) / (2 * (before - 2 * at + after)))
 
 
-def _missed(observation: Observation, prediction: Prediction) -> FloatArray:
-    """Return the squared difference between measured and predicted fields at each trial delay, (n_lags,) array."""
-    scan = observation.field
+def _missed(evidence: Evidence, velocity: FloatArray) -> FloatArray:
+    """Return the squared difference between velocity and predicted field at each trial delay, (n_lags,) array."""
+    time = evidence.field.time
     # A delay has the largest effect around the focusing instant.
-    near = np.abs(scan.time - observation.stimulus.timing.focusing_instant) < NEAR
+    near = np.abs(time - evidence.instant) < NEAR
     if near.sum() < FEWEST_INSTANTS:
         raise RecordInputError("the recordings do not cover the focusing instant: check trigger and unit of the time")
-    measured = mean_velocity(scan)[:, near]
-    predicted = prediction.around(scan.time[near][0] - 2 * LAGS[-1], scan.time[near][-1] - 2 * LAGS[0])
-    return np.array([np.square(measured - predicted(scan.time[near] - lag)).sum() for lag in LAGS])
+    predicted = evidence.prediction.around(time[near][0] - 2 * LAGS[-1], time[near][-1] - 2 * LAGS[0])
+    return np.array([np.square(velocity[:, near] - predicted(time[near] - lag)).sum() for lag in LAGS])
 
 
 PLAUSIBLE, ALIKE, OFFSET = 2.0, 1.25, 0.02
@@ -96,21 +95,6 @@ FEWEST_INSTANTS = 64
 """Minimum number of samples around the focusing instant."""
 
 
-def refuse_implausible_records(
-    observations: Sequence[Observation], predictions: Sequence[Prediction], delay: float
-) -> None:
-    """Refuse drives that were not recorded, and velocities unlike the predicted ones, at all points or at some."""
-    for observation, prediction in zip(observations, predictions, strict=True):
-        expected = observation.stimulus.peak_drive(observation.velocity).tolist()
-        for scan in (observation.field, *observation.rows):
-            for position, drive in zip(scan.positions, scan.drive, strict=True):
-                refuse_unexpected_drive(drive, expected, position)
-        fit = ModalFit(observation, prediction, delay)
-        fit.refuse_shifted_points()
-        for scan in (observation.field, *observation.rows, observation.course):
-            fit.refuse_odd_points(scan)
-
-
 def _fault_at(scan: Scan, odd: NDArray[np.bool_], fault: str) -> RecordInputError:
     """Return the error for a fault of some points of a scan, with their positions unless all points have it."""
     where = ", ".join(f"{place * 1e3:g}" for place in scan.positions[odd])
@@ -122,41 +106,34 @@ class ModalFit:
     """The field around the focusing instant, with a gain and a delay of its own for each mode.
 
     An identified beam may be wrong by these; a fault of a sensor or of its positions is not absorbed by them.
-
-    Attributes
-    ----------
-    observation, prediction, delay
-        Recordings of a law, their prediction, and the delay of the measurement [s].
     """
 
-    observation: Observation
-    prediction: Prediction
-    delay: float
+    evidence: Evidence
 
     @cached_property
     def _factor(self) -> FloatArray:
         """Factors of the modes' predicted velocities, of their derivatives, and of a constant, (2 n_modes + 1,)."""
-        field = self.observation.field
+        field = self.evidence.field
         measured, histories = self._measured(field)
         return _fit(measured, self._shapes(field.positions), histories)[0]
 
     def _measured(self, scan: Scan) -> tuple[FloatArray, FloatArray]:
         """Return the measured velocities of a scan around the focusing instant, and the histories of the modes."""
-        near = np.abs(scan.time - self.observation.stimulus.timing.focusing_instant) < AROUND
-        instants, model = scan.time[near] - self.delay, self.observation.stimulus.model
-        predicted = self.prediction.around(instants[0] - LAGS[-1], instants[-1] + LAGS[-1])(instants)
-        velocity = np.linalg.lstsq(model.shapes(self.observation.field.positions).T, predicted)[0]
+        near = np.abs(scan.time - self.evidence.instant) < AROUND
+        instants, model = self.evidence.times(scan)[near], self.evidence.stimulus.model
+        predicted = self.evidence.prediction.around(instants[0] - LAGS[-1], instants[-1] + LAGS[-1])(instants)
+        velocity = np.linalg.lstsq(model.shapes(self.evidence.field.positions).T, predicted)[0]
         turned = np.gradient(velocity, instants, axis=1) / (2 * np.pi * model.natural_frequency[:, None])
         return mean_velocity(scan)[:, near], np.concatenate([velocity, turned, np.ones((1, instants.size))])
 
     def _shapes(self, positions: FloatArray) -> FloatArray:
-        shapes = self.observation.stimulus.model.shapes(positions)
+        shapes = self.evidence.stimulus.model.shapes(positions)
         return np.concatenate([shapes, shapes, np.ones((1, positions.size))])
 
     def refuse_shifted_points(self) -> None:
         """Refuse points whose velocities are those of the beam at positions which all lie the same distance away."""
-        positions, length = self.observation.field.positions, self.observation.stimulus.model.length
-        measured, histories = self._measured(self.observation.field)
+        positions, length = self.evidence.field.positions, self.evidence.stimulus.model.length
+        measured, histories = self._measured(self.evidence.field)
         shifts = np.linspace(-FARTHEST, FARTHEST, N_SHIFTS) * length
         places = [np.clip(positions + shift, -length / 2, length / 2) for shift in shifts]
         left = np.array([_fit(measured, self._shapes(each), histories)[1] for each in places])
@@ -184,13 +161,13 @@ class ModalFit:
         left, power = np.square(rest).mean(axis=1), np.square(expected).mean(axis=1)
         # A point that moves unlike the modes there seems to have an offset, too.
         odd = (np.abs(factor - 1) < ALIKE - 1) & (offset**2 > 4 * left)
-        odd &= np.abs(offset) > OFFSET * self.observation.velocity
+        odd &= np.abs(offset) > OFFSET * self.evidence.velocity
         if odd.any():
             fault = f"the velocity has a constant offset of {np.median(offset[odd]) * 1e3:.2g} mm/s"
             raise _fault_at(scan, odd, f"{fault}: set the offsets of vibrometer and scope to zero, or use a high-pass")
         self._refuse_odd_factors(scan, factor * (expected * predicted).sum() / np.square(predicted).sum(), power)
         delay = late / factor
-        if scan is self.observation.field:
+        if scan is self.evidence.field:
             delay -= np.median(delay)
         by_delay = np.square(late[:, None] * slope).mean(axis=1)
         odd = (np.abs(delay) > LATE) & (by_delay > EXPLAINED * left)
@@ -213,7 +190,7 @@ class ModalFit:
         odd = known & ~((times / common > 1 / ALIKE) & (times / common < ALIKE))
         allowed = f"at the other points {common:.2f} times"
         # The findings state a common factor of the zones.
-        if scan is self.observation.field and not odd.any() and not 1 / PLAUSIBLE < common < PLAUSIBLE:
+        if scan is self.evidence.field and not odd.any() and not 1 / PLAUSIBLE < common < PLAUSIBLE:
             odd, allowed = np.ones_like(odd), f"allowed {1 / PLAUSIBLE:g} to {PLAUSIBLE:g}"
         if odd.any():
             ends = dict.fromkeys(f"{each:.2f}" for each in (times[odd].min(), times[odd].max()))
@@ -229,15 +206,23 @@ def _fit(measured: FloatArray, shapes: FloatArray, histories: FloatArray) -> tup
     return factor, float(np.square(measured).sum() - factor @ overlap)
 
 
-def evaluate(observations: Sequence[Observation]) -> list[Evidence]:
-    """Evaluate recordings made with the same instruments, after removal of their common measurement delay.
+def evaluate(evidences: Sequence[Evidence]) -> list[Evidence]:
+    """Remove the common measurement delay from recordings made with the same instruments, and return them.
 
     Raises
     ------
     RecordInputError
-        If the recordings do not match the predictions at any delay, or are a multiple of them.
+        If a drive was not recorded, or velocities are unlike the predicted ones at all points or at some.
     """
-    predictions = [Prediction.of(each) for each in observations]
-    lag = measurement_delay(observations, predictions)
-    refuse_implausible_records(observations, predictions, lag)
-    return [Evidence(each, its, lag) for each, its in zip(observations, predictions, strict=True)]
+    lag = measurement_delay(evidences)
+    evaluated = [replace(each, lag=lag) for each in evidences]
+    for evidence in evaluated:
+        expected = evidence.stimulus.peak_drive(evidence.velocity).tolist()
+        for scan in evidence.rows:
+            for position, drive in zip(scan.positions, scan.drive, strict=True):
+                refuse_unexpected_drive(drive, expected, position)
+        fit = ModalFit(evidence)
+        fit.refuse_shifted_points()
+        for scan in (evidence.field, *evidence.further_rows, evidence.course):
+            fit.refuse_odd_points(scan)
+    return evaluated
