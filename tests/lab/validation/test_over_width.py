@@ -78,7 +78,7 @@ def test_kept_rows_are_read_without_an_option(
             (row / "scan.json").write_text(json.dumps(facts), encoding="utf-8")
     assert complete(folder, ())
     for observed in read_laws(preflight.inputs, folder):
-        assert sorted(scan.across for scan in observed.rows) == [-2.5e-3, 2.5e-3]
+        assert sorted(scan.across for scan in observed.further_rows) == [-2.5e-3, 2.5e-3]
     (row / "position_040.npz").unlink()
     with pytest.raises(RecordInputError, match="interrupted after 40 of 41 positions"):
         read_laws(preflight.inputs, folder)
