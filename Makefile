@@ -95,7 +95,7 @@ results: install
 	cp build/validation/fig_[25678]*.png build/validation/fig_[25678]*.csv build/validation/validation.json results/reference/
 	$(PYTHON) -m modaltouch compare protocols/differentiated_stimulation.yaml --out build/comparison
 	cp build/comparison/comparison.csv results/reference/
-	for name in fields price robustness; do cp build/comparison/$$name.png results/reference/comparison_$$name.png; done
+	for name in fields robustness; do cp build/comparison/$$name.png results/reference/comparison_$$name.png; done
 	cp build/results/simulated/demo/derivatives/sub-demo_ses-1/screenshots/question_one_hand_AC.png results/reference/answer_window.png
 
 ## bench: run time against error, compared with other libraries; results in results/benchmarks

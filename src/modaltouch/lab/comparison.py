@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -55,12 +56,12 @@ class Criterion:
 
 def criteria(rows: Sequence[Row]) -> list[Criterion]:
     """Return the criteria of the comparison, with a contrast for each pair of the protocol."""
-    contrasts = []
-    for key in (key for key in rows[0] if key.startswith("contrast_")):
-        pair = zones_of(rows[0], key)
-        # A high contrast is best if either zone is the focus; other pairs are not ranked.
-        best = "high" if rows[0]["focus"] in pair else "none"
-        contrasts.append(Criterion(key, f"contrast of ({', '.join(pair)})", "", best, 2))
+    # A high contrast is best if either zone is the focus; other pairs are not ranked.
+    contrasts = [
+        Criterion(key, f"contrast of ({', '.join(pair)})", "", "high" if rows[0]["focus"] in pair else "none", 2)
+        for pair in itertools.permutations(rows[0]["zone_peak_mm_s"], 2)
+        if (key := "contrast_{}_{}".format(*pair)) in rows[0]
+    ]
     return [
         Criterion("at_focus_mm_s", "velocity at the focus, at the focusing instant", "mm/s", "level"),
         Criterion("rms_error_mm_s", "distance from the target field, rms", "mm/s", "low", 2),
@@ -82,12 +83,6 @@ def criteria(rows: Sequence[Row]) -> list[Criterion]:
         ),
         Criterion("changed_drift_mm_s", "other beams: change of the field, rms, median", "mm/s", "low", 2),
     ]
-
-
-def zones_of(row: Row, key: str) -> list[str]:
-    """Return the two zones of a contrast from its key, whose names may contain the joint itself."""
-    zones = row["zone_peak_mm_s"]
-    return next([a, b] for a in zones for b in zones if f"contrast_{a}_{b}" == key)
 
 
 def rows_of(contest: Contest) -> list[Row]:
@@ -131,7 +126,6 @@ def _changed(verdict: DriveAssessment, changed: Sequence[DriveAssessment]) -> Ro
 COMMAND = "compare"
 """The command that owns the folder."""
 
-MARKERS = ("o", "s", "^", "v", "D", "P")
 COLUMNS = 3
 
 
@@ -152,30 +146,6 @@ def draw_fields(contest: Contest) -> Figure:
         for axes in panels[:, 0]:
             axes.set_ylabel("velocity [mm/s]")
         figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=2, frameon=False)
-    return figure
-
-
-def draw_price(rows: Sequence[Row], limit: float) -> Figure:
-    """Draw the error of the field over peak voltage, and the contrast over energy, for every method."""
-    pairs = [key for key in rows[0] if key.startswith("contrast_")]
-    with house_style(7.6, 3.1, 1, 2) as (figure, [[left, right]]):
-        for row, marker in zip(rows, MARKERS * 2, strict=False):
-            look = {"marker": marker, "s": 46, "color": DARK if row["method"] == "exact" else MIDDLE, "edgecolor": INK}
-            left.scatter(row["peak_voltage_V"], row["rms_error_mm_s"], linewidth=0.7, label=row["name"], **look)
-            # An infinite contrast is kept as None, and has no place in the figure.
-            right.scatter(row["energy_V2_s"], np.array(row[pairs[0]], dtype=float), linewidth=0.7, **look)
-        left.axvline(limit, color=INK, linestyle="--", linewidth=0.8)
-        left.text(limit, 0.5, "limit ", ha="right", fontsize=7, transform=left.get_xaxis_transform())
-        left.set(yscale="log", xlabel="peak voltage [V]", ylabel="distance from the target\nfield, rms [mm/s]")
-        zones = zones_of(rows[0], pairs[0])
-        right.set(xlabel="energy [V² s]", ylabel=f"contrast of ({', '.join(zones)})")
-        for axes in (left, right):
-            axes.set_xscale("log")
-            axes.margins(0.12)
-            quiet_grid(axes)
-        right.set_ylim(bottom=0)
-        handles, names = left.get_legend_handles_labels()
-        figure.legend(handles, names, loc="outside upper center", ncols=3, frameon=False)
     return figure
 
 
@@ -247,7 +217,6 @@ def write_comparison(found: Contest, about: dict[str, Any], folder: Path) -> dic
     }
     figures = [
         ("fields", draw_fields(found), "The true velocity field at the focusing instant, and the target."),
-        ("price", draw_price(rows, limit), "What each method costs, and what it gains. Dark: the exact law."),
         (
             "robustness",
             draw_robustness(found),
