@@ -100,7 +100,6 @@ def rows_of(contest: Contest) -> list[Row]:
             "peak_voltage_V": designed.peak_voltage,
             "energy_V2_s": designed.energy,
             "reach_mm_s": verdict.row["at_focus_mm_s"] * limit / designed.peak_voltage,
-            "computing_time_s": designed.computing_time,
             "recordings": n_channels * (1 if designed.method.needs == "focus" else n_points),
             "further_recordings": n_channels if designed.method.needs == "focus" else 0,
             **_changed(verdict, changed),
@@ -181,9 +180,7 @@ def comparison_table(rows: Sequence[Row], level: float) -> list[dict[str, Any]]:
         best = each.winners(rows, level)
         cells = [{"text": format_number(row[each.key], decimals=each.digits), "best": row in best} for row in rows]
         lines.append({"key": each.key, "name": each.name, "unit": each.unit, "cells": cells})
-    cells = [{"text": f"{row['computing_time_s'] * 1e3:.0f}", "best": False} for row in rows]
-    name = "computing time, on this machine"
-    return [*lines, {"key": "computing_time_s", "name": name, "unit": "ms", "cells": cells}]
+    return lines
 
 
 def write_comparison(found: Contest, about: dict[str, Any], folder: Path) -> dict[str, Any]:
@@ -235,9 +232,8 @@ def write_comparison(found: Contest, about: dict[str, Any], folder: Path) -> dic
         table=comparison_table(rows, level),
         delay=found.known.delay * 1e6,
     )
-    # The computing time depends on the machine, so the file would not be reproducible.
     flat = [
-        {key: value for key, value in row.items() if key not in ("computing_time_s", "zone_peak_mm_s")}
+        {key: value for key, value in row.items() if key != "zone_peak_mm_s"}
         | {f"zone_peak_{zone}_mm_s": peak for zone, peak in row["zone_peak_mm_s"].items()}
         for row in rows
     ]

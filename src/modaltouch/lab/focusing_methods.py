@@ -26,7 +26,6 @@ using regularization", IEEE Trans. Speech Audio Process. 6(2), 1998.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache, partial
@@ -298,7 +297,6 @@ class MethodDrive:
     method: Method
     voltage: FloatArray  # (n_channels, n_samples): voltages at the beam, before rounding [V]
     burst: Burst  # the burst as the generator plays it
-    computing_time: float  # time to compute the voltages from the training data [s]
 
     @property
     def peak_voltage(self) -> float:
@@ -315,14 +313,9 @@ class MethodDrive:
 def design_all(known: TrainingData) -> list[MethodDrive]:
     """Design the drive of every method from the same data."""
     timing, level = known.timing, known.target_field.velocity
-    # Part of the recordings and shared by the methods, so not included in the computing time.
-    _ = known.towards
-    designed = []
+    to_beam, designed = known.amplifier.gain * known.load_factor, []
     for method in METHODS:
-        started = time.perf_counter()
         voltage = method.design(known)
-        took = time.perf_counter() - started
-        to_beam = known.amplifier.gain * known.load_factor
         burst = Burst.holding(voltage, to_beam, level, timing.converter, timing.duration, timing.repetition_rate)
-        designed.append(MethodDrive(method, voltage, burst, took))
+        designed.append(MethodDrive(method, voltage, burst))
     return designed
