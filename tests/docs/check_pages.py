@@ -34,7 +34,7 @@ SHORTER = {
     "power": "--experiments 50",
     "identify": "--averages 1",
     "validate": "--averages 2 --points 26",
-    "compare": "--averages 2 --points 26 --beams 0",
+    "compare": "--averages 2 --points 26 --beams 1",
 }
 """What is added to the long commands: no averages that no check needs, as few points as tell the modes apart."""
 

@@ -211,7 +211,7 @@ def compare(
     beams: Annotated[
         int,
         typer.Option(
-            min=0,
+            min=1,
             max=10_000,
             help="Other beams, drawn at random around the learned one, on which the drives are played.",
         ),

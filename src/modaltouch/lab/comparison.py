@@ -15,6 +15,7 @@ from modaltouch.lab.common import DARK, MIDDLE, rounded, title_of
 from modaltouch.lab.contest import Contest, DriveAssessment, contest, learn, training_data
 from modaltouch.lab.identification.shapes import check_points
 from modaltouch.lab.laboratory import SILENT_PROGRESS, MeasurementProgress
+from modaltouch.lab.validation.evidence import root_mean_square
 from modaltouch.preflight import examine
 from modaltouch.protocol import InputError
 from modaltouch.report import (
@@ -109,14 +110,10 @@ def rows_of(contest: Contest) -> list[Row]:
 
 
 def _changed(verdict: DriveAssessment, changed: Sequence[DriveAssessment]) -> Row:
-    if not changed:
-        keys = ("at_focus_spread_mm_s", "rms_error_mm_s", "drift_mm_s")
-        return {f"changed_{key}": None for key in keys}
     at_focus = [each.row["at_focus_mm_s"] for each in changed]
-    low, high = np.percentile(at_focus, [5, 95])
-    drift = [float(np.sqrt(np.mean((each.field - verdict.field) ** 2))) * 1e3 for each in changed]
+    drift = [root_mean_square(each.field - verdict.field) * 1e3 for each in changed]
     return {
-        "changed_at_focus_spread_mm_s": float(high - low),
+        "changed_at_focus_spread_mm_s": float(np.ptp(np.percentile(at_focus, [5, 95]))),
         "changed_rms_error_mm_s": float(np.median([each.row["rms_error_mm_s"] for each in changed])),
         "changed_drift_mm_s": float(np.median(drift)),
     }

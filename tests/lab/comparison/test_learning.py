@@ -91,7 +91,7 @@ def test_a_mode_that_was_not_found_ends_the_comparison(recorded, monkeypatch, tm
     """With the table's values in its place, which are the true beam's, the laws would know what no rival can."""
     monkeypatch.setattr(command, "learn", lambda *_, **__: recorded.between(120.0, 20e3))
     out = tmp_path / "out"
-    result = CliRunner().invoke(app, ["compare", "differentiated_stimulation", "--beams", "0", "--out", str(out)])
+    result = CliRunner().invoke(app, ["compare", "differentiated_stimulation", "--beams", "1", "--out", str(out)])
     assert result.exit_code == BAD_INPUT
     assert "mode 17 was not found" in result.stderr
     assert not out.exists()
