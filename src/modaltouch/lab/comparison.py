@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -45,14 +46,12 @@ class Criterion:
 
     def winners(self, rows: Sequence[Row], level: float) -> list[Row]:
         """Return the rows with the best printed value."""
-        known = [row for row in rows if row[self.key] is not None]
-        if self.best == "none" or not known:
+        if self.best == "none":
             return []
-        costs = [round(float(row[self.key]), self.digits) for row in known]
-        if self.best == "level":
-            costs = [round(abs(value - level), self.digits) for value in costs]
-        best = max(costs) if self.best == "high" else min(costs)
-        return [row for row, value in zip(known, costs, strict=True) if value == best]
+        goal, sign = level if self.best == "level" else 0.0, -1 if self.best == "high" else 1
+        values = [row[self.key] for row in rows]
+        costs = [inf if each is None else round(sign * abs(round(each, self.digits) - goal), 6) for each in values]
+        return [row for row, cost in zip(rows, costs, strict=True) if cost == min(costs) < inf]
 
 
 def criteria(rows: Sequence[Row]) -> list[Criterion]:
@@ -172,12 +171,18 @@ def draw_robustness(contest: Contest) -> Figure:
 
 def comparison_table(rows: Sequence[Row], level: float) -> list[dict[str, Any]]:
     """Return one line per criterion, with a cell for each method and whether it is the best at a level [mm/s]."""
-    lines = []
-    for each in criteria(rows):
-        best = each.winners(rows, level)
-        cells = [{"text": format_number(row[each.key], decimals=each.digits), "best": row in best} for row in rows]
-        lines.append({"key": each.key, "name": each.name, "unit": each.unit, "cells": cells})
-    return lines
+    return [
+        {
+            "key": each.key,
+            "name": each.name,
+            "unit": each.unit,
+            "cells": [
+                {"text": format_number(row[each.key], decimals=each.digits), "best": row in each.winners(rows, level)}
+                for row in rows
+            ],
+        }
+        for each in criteria(rows)
+    ]
 
 
 def write_comparison(found: Contest, about: dict[str, Any], folder: Path) -> dict[str, Any]:

@@ -228,13 +228,10 @@ def learn(
 def identified_model(found: Identification, apparatus: Apparatus) -> ModalModel:
     """Return the modes of the table with the identified values; all must have been found."""
     table = apparatus.modal_model()
-    frequency, ratio = np.empty(len(table.label)), np.empty(len(table.label))
-    gain = table.modal_gain.copy()
+    modes, gain = [found.by_label[label] for label in table.label], table.modal_gain.copy()
     channels = [apparatus.actuator_sets[name].channel - 1 for name in found.responses.sets]
-    for row, label in enumerate(table.label):
-        mode = found.by_label[label]
-        frequency[row], ratio[row] = mode.natural_frequency.value, mode.damping_ratio.value
-        gain[row, channels] = [estimate.value for estimate in mode.gain]
+    gain[:, channels] = [[estimate.value for estimate in mode.gain] for mode in modes]
+    frequency, ratio = np.array([(mode.natural_frequency.value, mode.damping_ratio.value) for mode in modes]).T
     return replace(table, natural_frequency=frequency, damping_ratio=ratio, modal_gain=gain)
 
 
@@ -264,11 +261,8 @@ def for_rivals(responses: FrequencyResponses, delay: float, apparatus: Apparatus
     window = band(responses.frequency, float(frequencies.min()) / 2, 1.1 * float(frequencies.max()))
     window = window * np.exp(2j * np.pi * responses.frequency * delay)
     window = window / low_pass(responses.frequency, responses.bandwidth)
-    shape = (table.n_channels, responses.n_points, responses.frequency.size)
-    response = np.zeros(shape, dtype=complex)
-    for index, name in enumerate(responses.sets):
-        channel = apparatus.actuator_sets[name].channel - 1
-        response[channel] = responses.response[index] * window
+    response = np.zeros((table.n_channels, responses.n_points, responses.frequency.size), dtype=complex)
+    response[[apparatus.actuator_sets[name].channel - 1 for name in responses.sets]] = responses.response * window
     return TransferFunctions(responses.frequency, response, np.array(responses.places)[:, 0])
 
 
