@@ -59,6 +59,7 @@ class RecordedFiles(Scope):
     slowest = 1800.0
 
     def __init__(self, folder: Path, apparatus: Apparatus, progress: MeasurementProgress) -> None:
+        self.identity = f"records in {folder}"
         self._folder, self._progress = folder, progress
         self._sensitivity = apparatus.acquisition.sensitivity_mm_s_per_V * 1e-3
         self._highest = apparatus.acquisition.range_mm_s * 1e-3
@@ -69,11 +70,6 @@ class RecordedFiles(Scope):
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise RigError(f"{folder}: cannot hold records ({error.strerror}); {REMEDY}") from None
-
-    @property
-    def identity(self) -> str:
-        """Origin of the records."""
-        return f"records in {self._folder}"
 
     def configure(self, acquisition: Acquisition) -> Acquisition:
         """Store the settings that the next records must match."""
@@ -116,9 +112,6 @@ class RecordedFiles(Scope):
         finally:
             # Not in `close`: another command, refused because the generator is in use, must not cancel the request.
             (self._folder / "wanted.json").unlink(missing_ok=True)
-
-    def close(self) -> None:
-        """Do nothing, since a request ends with its record."""
 
     def _ask(self, name: str, position: float, across: float, refused: str = "") -> None:
         """Announce the awaited record on the screen and in ``wanted.json``."""

@@ -11,7 +11,6 @@ import abc
 import contextlib
 import ctypes
 import importlib
-import math
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -30,9 +29,6 @@ FloatArray = NDArray[np.float64]
 INPUT_RANGES = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
 """Input ranges of a PicoScope 3404 [V, peak]."""
 
-OUTPUTS = (1, 2)
-"""Generator outputs whose drive can be measured."""
-
 
 @dataclass(frozen=True)
 class Acquisition:
@@ -47,7 +43,7 @@ class Acquisition:
     n_records : int
         Number of consecutive records, each started by the generator's trigger; their coherence needs every one.
     drives : tuple of int
-        Generator outputs whose voltage at the beam is measured together with the velocity.
+        Generator outputs, 1 or 2, whose voltage at the beam is measured together with the velocity.
     start : float
         Time of the first sample relative to the trigger at the start of a burst [s]; negative for pre-trigger samples.
     velocity_range, drive_range : float, optional
@@ -62,23 +58,6 @@ class Acquisition:
     start: float = 0.0
     velocity_range: float | None = None
     drive_range: float | None = None
-
-    def __post_init__(self) -> None:
-        """Reject settings impossible for any scope."""
-        for name, value, unit in (
-            ("sampling_rate", self.sampling_rate, "Hz"),
-            ("velocity_range", self.velocity_range, "m/s"),
-            ("drive_range", self.drive_range, "V"),
-        ):
-            if value is not None and not (math.isfinite(value) and value > 0):
-                raise ValueError(f"{name} is {value} {unit}: give a number above 0")
-        for name, number, least in (("n_samples", self.n_samples, 2), ("n_records", self.n_records, 1)):
-            if number < least:
-                raise ValueError(f"{name} is {number}: give at least {least}")
-        if not math.isfinite(self.start):
-            raise ValueError(f"start is {self.start} s: give a finite time from the trigger")
-        if len(set(self.drives)) < len(self.drives) or not set(self.drives) <= set(OUTPUTS):
-            raise ValueError(f"drives are {self.drives}: name each generator output of {OUTPUTS} at most once")
 
     def require_clock(self, rate: float) -> None:
         """Raise RigError if the sampling rate exceeds the clock rate of the scope [Hz]."""
@@ -138,12 +117,6 @@ class Inputs:
     highest_velocity: float
     attenuation: float
 
-    @classmethod
-    def of(cls, apparatus: Apparatus) -> Inputs:
-        """Return the inputs of an apparatus, as its section ``acquisition`` describes them."""
-        knobs = apparatus.acquisition
-        return cls(knobs.sensitivity_mm_s_per_V * 1e-3, knobs.range_mm_s * 1e-3, knobs.probe_attenuation)
-
     def ranges(self, acquisition: Acquisition) -> tuple[float, float]:
         """Return the input ranges for velocity and drive [V, peak at the input]; RigError if none is wide enough."""
         wanted = acquisition.velocity_range or self.highest_velocity
@@ -181,24 +154,23 @@ class Scope(contextlib.AbstractContextManager["Scope"]):
 
     Attributes
     ----------
+    identity : str
+        Model and serial number.
     slowest : float
         Time beyond the duration of a record after which recording and fetching it counts as stalled [s].
     """
 
+    identity = ""
     slowest = 120.0
 
     def __init__(self, apparatus: Apparatus) -> None:
-        self._inputs = Inputs.of(apparatus)
+        knobs = apparatus.acquisition
+        self._inputs = Inputs(knobs.sensitivity_mm_s_per_V * 1e-3, knobs.range_mm_s * 1e-3, knobs.probe_attenuation)
 
     @staticmethod
     def open(apparatus: Apparatus) -> Scope:
         """Return the scope of an apparatus, a PicoScope."""
         return PicoScope(apparatus)
-
-    @property
-    @abc.abstractmethod
-    def identity(self) -> str:
-        """Model and serial number."""
 
     @abc.abstractmethod
     def configure(self, acquisition: Acquisition) -> Acquisition:
@@ -220,9 +192,8 @@ class Scope(contextlib.AbstractContextManager["Scope"]):
         """Call `send`, which triggers one burst, and return the earliest and latest instant of its onset [s]."""
         raise RigError(f"{self.identity}: cannot tell when a burst began; use a PicoScope")
 
-    @abc.abstractmethod
     def close(self) -> None:
-        """Release the scope; never raises."""
+        """Release the scope, if there is anything to release; never raises."""
 
     def __exit__(self, *exc: object) -> None:
         self.close()
@@ -264,8 +235,6 @@ class PicoScope(Scope):
     driver : object, optional
         Object with the functions of the Pico library; by default the installed library.
     """
-
-    identity = ""
 
     def __init__(self, apparatus: Apparatus, *, trigger_wait: float = 2.0, driver: Any = None) -> None:
         super().__init__(apparatus)

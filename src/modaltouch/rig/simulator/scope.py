@@ -63,6 +63,7 @@ class SimulatedScope(Scope):
         timeline: Timeline,
     ) -> None:
         super().__init__(twin.apparatus)
+        self.identity = f"simulated scope, seed {twin.seed}"
         self._twin = twin
         self._playing = playing
         self._touched = touched
@@ -71,11 +72,6 @@ class SimulatedScope(Scope):
         self._rng = np.random.Generator(np.random.SFC64([twin.seed, 1]))
         self._noise = np.empty(AT_ONCE)
         self.configure(Acquisition())
-
-    @property
-    def identity(self) -> str:
-        """Model and serial number."""
-        return f"simulated scope, seed {self._twin.seed}"
 
     def configure(self, acquisition: Acquisition) -> Acquisition:
         """Apply the settings and return them."""
@@ -176,9 +172,6 @@ class SimulatedScope(Scope):
             raise RigError("no trigger came from the generator: it waits for none, or its trigger output is off")
         empty = began - self._rng.uniform(0, ASKED_EVERY)
         return empty, empty + ASKED_EVERY
-
-    def close(self) -> None:
-        """Do nothing, since there is nothing to release."""
 
     def _see_velocity(self, values: FloatArray) -> bool:
         """Convert a velocity in place to the recorded values [m/s]; return whether it exceeded a range."""
