@@ -38,6 +38,9 @@ POLL = 0.5
 MOST_OVERSAMPLED = 50.0
 """Largest sampling rate of a file, relative to the requested one [1]."""
 
+WANTED = "wanted.json"
+"""File that describes the requested record."""
+
 REMEDY = "move it away, or give another folder with --record"
 
 FORM = "save it as UTF-8, with commas between columns and points in decimals"
@@ -78,30 +81,33 @@ class RecordedFiles(Scope):
 
     def measure(self, position: float, across: float = 0.0) -> Recording:
         """Request a record, and return it as soon as a valid file arrives."""
-        taken = [int(each.stem) for each in self._folder.glob("*") if each.stem.isdecimal()]
-        name = f"{max(taken, default=0) + 1:04d}"
-        before, refused, why = None, None, ""
+        known = {*self._folder.glob("*"), self._folder / WANTED}
+        name = f"{max((int(each.stem) for each in known if each.stem.isdecimal()), default=0) + 1:04d}"
+        before, refused, why = dict[Path, tuple[int, int]](), dict[Path, tuple[int, int]](), ""
         deadline = time.monotonic() + self.slowest
         try:
             self._ask(name, position, across)
             while time.monotonic() < deadline:
                 self._progress.check()
-                # Some scopes write the file extension in capitals.
-                found = [
-                    path for path in self._folder.glob("*") if path.name.lower() in {name + end for end in READERS}
-                ]
-                seen = []
+                new = {}
                 # A file may disappear before it is examined; the next poll looks for it again.
                 with suppress(OSError):
-                    seen = [(path, path.stat().st_size, path.stat().st_mtime_ns) for path in sorted(found)]
-                if seen and seen == before != refused:
+                    stats = ((path, path.stat()) for path in sorted({*self._folder.glob("[!.]*")} - known))
+                    new = {path: (stat.st_size, stat.st_mtime_ns) for path, stat in stats}
+                # Some scopes write the file extension in capitals.
+                found = {path: new[path] for path in new if path.name.lower() in {name + end for end in READERS}}
+                if found and found.items() <= before.items() and found != refused:
                     try:
-                        return self._recording(*sorted(found), position=position)
+                        return self._recording(*found, position=position)
                     except (OSError, ValueError) as error:
-                        refused, why = seen, f" ({error})"
+                        refused, why = found, f" ({error})"
                         self._progress.say(f"{error}; write it again")
                         self._ask(name, position, across, str(error))
-                before = seen
+                for path in (path for path in new.keys() - found if before.get(path) == new[path]):
+                    why = f" ({path.name} came instead)"
+                    self._progress.say(f"{path} is not read: the record that is awaited is {name}.csv or {name}.npz")
+                    known.add(path)
+                before = new
                 time.sleep(POLL)
             raise RigError(
                 f"no usable record arrived as {self._folder / name}.csv or .npz within {self.slowest / 60:g} min{why}; "
@@ -109,7 +115,7 @@ class RecordedFiles(Scope):
             )
         finally:
             # Not in `close`: another command, refused because the generator is in use, must not cancel the request.
-            (self._folder / "wanted.json").unlink(missing_ok=True)
+            (self._folder / WANTED).unlink(missing_ok=True)
 
     def _ask(self, name: str, position: float, across: float, refused: str = "") -> None:
         """Announce the awaited record on the screen and in ``wanted.json``."""
@@ -129,7 +135,7 @@ class RecordedFiles(Scope):
             "drive_up_to_V": asked.drive_range,
             "refused": refused,
         }
-        replace_file(self._folder / "wanted.json", (json.dumps(wanted, indent=1) + "\n").encode(), REMEDY)
+        replace_file(self._folder / WANTED, (json.dumps(wanted, indent=1) + "\n").encode(), REMEDY)
         if not refused:
             also = "".join(f", drive {number}" for number in asked.drives)
             where = f"{position * 1e3:+.2f} mm" + (f", {across * 1e3:+.2f} mm across," if across else "")

@@ -308,6 +308,7 @@ def test_a_share_that_is_lost_is_waited_for(
         ([".npz", ".NPZ"], (2, 60), r"0001\.NPZ: 0001\.npz also exists; delete one of the two"),
         ([".npz"], (1, 2, 60), "cannot be read .an array has more than 2 dimensions"),
         ([".npz"], (60,), "its 2 records are identical"),
+        ([".txt"], (2, 60), r"0001\.txt is not read: the record that is awaited is 0001\.csv or 0001\.npz"),
     ],
 )
 def test_each_record_has_exactly_one_file(
@@ -318,7 +319,7 @@ def test_each_record_has_exactly_one_file(
     shape: tuple[int, ...],
     said: str,
 ) -> None:
-    """The extension may be in capitals, other names are ignored; two files, or one trace for two, are refused."""
+    """The extension may be in capitals; other names are named, two files, or one trace for two, are refused."""
     heard, time = list[str](), np.broadcast_to(1e-3 + np.arange(60) / 1e5, (2, 60))
 
     def hear(text: str) -> None:
@@ -333,7 +334,7 @@ def test_each_record_has_exactly_one_file(
         if not said:
             assert scope.measure(0.0).velocity.shape == (2, 49)
             return
-        with pytest.raises(RigError, match="no usable record arrived"):
+        with pytest.raises(RigError, match=rf"no usable record arrived .* \(.*0001\{endings[-1]}"):
             scope.measure(0.0)
     assert re.search(said, heard[1])
 
