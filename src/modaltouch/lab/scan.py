@@ -66,10 +66,13 @@ class Scan:
     """Velocity and drive at the positions of a scan, in SI units."""
 
     facts: Mapping[str, Any]  # contents of ``scan.json``: what was played, apparatus, instruments, acquisition, mode
-    # (n_positions,): recorded positions, origin at mid-beam [m]; fewer than planned if the scan was interrupted
-    positions: FloatArray
     # arrays kept for each position; ``time``, ``velocity`` and ``drive`` if whole records are kept
     arrays: tuple[Mapping[str, NDArray[Any]], ...]
+
+    @property
+    def positions(self) -> FloatArray:
+        """Recorded positions, origin at mid-beam [m]; fewer than planned if the scan was interrupted."""
+        return np.array(self.facts["settings"]["positions_mm"][: len(self.arrays)], dtype=float) * 1e-3
 
     @property
     def complete(self) -> bool:
@@ -80,11 +83,6 @@ class Scan:
     def across(self) -> float:
         """Distance of the row of positions from the beam's mid-line [m]."""
         return float(self.facts["settings"].get("across_mm", 0.0)) * 1e-3
-
-    @property
-    def mode(self) -> str:
-        """``simulated`` or ``real``."""
-        return str(self.facts["mode"])
 
     @property
     def time(self) -> FloatArray:
@@ -218,16 +216,7 @@ def read_scan(folder: Path) -> Scan:
         If the folder holds no scan, a damaged one, or one with a clipped record or other sampling instants.
     """
     facts = read_facts(folder)
-    return assemble(facts, _recorded(folder, facts))
-
-
-def assemble(facts: Mapping[str, Any], kept: list[dict[str, NDArray[Any]]]) -> Scan:
-    """Return a scan made of the arrays kept at its first positions."""
-    return Scan(
-        facts=facts,
-        positions=np.array(facts["settings"]["positions_mm"][: len(kept)], dtype=float) * 1e-3,
-        arrays=tuple(kept),
-    )
+    return Scan(facts, tuple(_recorded(folder, facts)))
 
 
 Reduction = Callable[[Recording], Mapping[str, NDArray[Any]]]
@@ -242,16 +231,6 @@ def keep_velocities(recording: Recording) -> dict[str, NDArray[Any]]:
         "time": recording.time,
         "velocity": recording.velocity.astype(np.float32),
         "drive": recording.drive.mean(axis=0, keepdims=True).astype(np.float32),
-    }
-
-
-def _arrays(recording: Recording, reduction: Reduction) -> dict[str, NDArray[Any]]:
-    """Return the arrays that are saved for a position."""
-    return {
-        "position": np.array(recording.position),
-        "sampling_rate": np.array(recording.sampling_rate),
-        "overloaded": np.array(recording.overloaded, dtype="U16"),
-        **reduction(recording),
     }
 
 
@@ -297,7 +276,12 @@ def take_scan(
         for index in range(len(kept), len(places)):
             laboratory.progress.check()
             recording = laboratory.record(float(places[index]), plan.velocity, plan.acquisition, plan.across)
-            kept.append(_arrays(recording, reduction))
+            saved = {
+                "position": np.array(recording.position),
+                "sampling_rate": np.array(recording.sampling_rate),
+                "overloaded": np.array(recording.overloaded, dtype="U16"),
+            }
+            kept.append({**saved, **reduction(recording)})
             _refuse_unusable(float(places[index]), kept[-1], kept[0])
             # At an output that is not driven, single records show the converter's steps.
             refuse_unexpected_drive(recording.drive.mean(axis=0, keepdims=True), plan.peak_drive, recording.position)
@@ -311,7 +295,7 @@ def take_scan(
             else f"{len(kept)} of {len(places)} points are kept in {folder}; run the same command again to continue"
         )
         raise
-    return assemble(facts, kept)
+    return Scan(facts, tuple(kept))
 
 
 def _describe(laboratory: Laboratory, plan: ScanPlan, source: Source | None, reduction: Reduction) -> dict[str, Any]:
@@ -382,23 +366,18 @@ def _recorded(folder: Path, facts: Mapping[str, Any]) -> list[dict[str, NDArray[
 
 def _refuse_other(folder: Path, found: dict[str, Any], asked: dict[str, Any]) -> None:
     """Refuse to continue a scan with other settings, naming the differences."""
-    before, now = _flat(found), _flat(asked)
-    different = [name for name in sorted({*before, *now}) if before.get(name) != now.get(name)]
-    if different:
-        shown = "; ".join(f"{name} was {before.get(name)}, now {now.get(name)}" for name in different[:3])
-        more = f" and {len(different) - 3} more" if len(different) > 3 else ""
-        raise RecordError(
-            f"{folder}: it contains a scan with other settings ({shown}{more}); continue with its original settings, "
-            "or give another folder"
-        )
+    if found == asked:
+        return
+    from pandas import json_normalize
 
-
-def _flat(values: Mapping[str, Any], before: str = "") -> dict[str, Any]:
-    flat: dict[str, Any] = {}
-    for key, value in values.items():
-        name = f"{before}{key}"
-        flat |= _flat(value, f"{name}.") if isinstance(value, dict) else {name: value}
-    return flat
+    before, now = (json_normalize(each).iloc[0].to_dict() for each in (found, asked))
+    different = [name for name in sorted(map(str, {*before, *now})) if before.get(name) != now.get(name)]
+    shown = "; ".join(f"{name} was {before.get(name)}, now {now.get(name)}" for name in different[:3])
+    more = f" and {len(different) - 3} more" if len(different) > 3 else ""
+    raise RecordError(
+        f"{folder}: it contains a scan with other settings ({shown}{more}); continue with its original settings, "
+        "or give another folder"
+    )
 
 
 def save_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:

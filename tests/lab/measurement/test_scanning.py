@@ -88,7 +88,7 @@ def test_a_scan_is_read_back_unchanged(laboratory: Laboratory, tmp_path: Path) -
     np.testing.assert_array_equal(found.velocity, taken.velocity)
     np.testing.assert_allclose(found.positions, PLACES)
     assert 1 / found.time[1] == pytest.approx(250e3, rel=1e-4)
-    assert found.mode == "simulated"
+    assert found.facts["mode"] == "simulated"
     assert found.facts["apparatus"]["sha256"] == source.sha256
     assert "SIMULATED" in found.facts["settings"]["generator"]
     with np.load(tmp_path / "scan" / "burst.npz", allow_pickle=False) as burst:

@@ -170,7 +170,7 @@ def _context(preflight: Preflight, protocol: Path, field: Scan) -> dict[str, Any
         "title": title_of(preflight),
         "protocol": str(protocol),
         "apparatus": experiment.apparatus.apparatus,
-        "mode": field.mode,
+        "mode": field.facts["mode"],
         "generator": field.facts["settings"]["generator"],
         "scope": field.facts["settings"]["scope"],
         "calibration": None if calibration is None else str(calibration.source.path),
