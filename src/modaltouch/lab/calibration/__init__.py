@@ -134,11 +134,10 @@ N_BETWEEN = 3
 def design_inputs_of(preflight: Preflight) -> dict[str, DesignInputs]:
     """Return the design inputs of each stimulus of a checked protocol, by name; a single stimulus has an empty name."""
     preflight.require()
-    faults = {name: list(_uncorrectable(part)) for name, part in preflight.parts.items()}
-    problems = [each for name, own in faults.items() for each in preflight.findings.at_stimulus(name, own)]
-    if problems:
+    at_stimulus, parts = preflight.findings.at_stimulus, preflight.parts.items()
+    if problems := [each for name, part in parts for each in at_stimulus(name, list(_uncorrectable(part)))]:
         raise InputError(problems)
-    return {name: part.sound[0] for name, part in preflight.parts.items()}
+    return {name: part.sound[0] for name, part in parts}
 
 
 def levels_between(protocol: Protocol) -> tuple[float, ...]:

@@ -126,14 +126,9 @@ def measuring_points(model: ModalModel) -> FloatArray:
     candidates = np.arange(0.04, 0.97, 0.04) * half
     power = model.shapes(candidates) ** 2
     rng = np.random.default_rng(0)
-    best, chosen = -1.0, candidates[:N_PAIRS]
     # The best of a few thousand random choices is practically as good as the best of all.
-    for _ in range(4000):
-        some = rng.choice(candidates.size, N_PAIRS, replace=False)
-        least = float(power[:, some].sum(axis=1).min())
-        if least > best:
-            best, chosen = least, candidates[some]
-    inner = np.sort(chosen)
+    some = np.array([rng.choice(candidates.size, N_PAIRS, replace=False) for _ in range(4000)])
+    inner = np.sort(candidates[some[power[:, some].sum(axis=2).min(axis=0).argmax()]])
     return np.concatenate([-inner[::-1], inner])
 
 

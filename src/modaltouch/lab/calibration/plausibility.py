@@ -116,8 +116,8 @@ def refuse_tones(decay: Decay, n_listed: int, length: float) -> None:
     for pole in decay.pole[n_listed:][-decay.pole.real[n_listed:] * length < 0.1]:
         raise RigError(
             f"the velocity holds a tone near {abs(pole.imag) / (2 * np.pi):.0f} Hz that does not decay after the "
-            "burst; the outputs are off; below 500 Hz it is mains hum or a swinging beam: connect vibrometer, scope and "
-            "amplifier to one earth, keep cables away from transformers, and let the beam come to rest; above, a "
+            "burst; the outputs are off; below 500 Hz it is mains hum or a swinging beam: connect vibrometer, scope "
+            "and amplifier to one earth, keep cables away from transformers, and let the beam come to rest; above, a "
             "disturbance, such as a fan or a switching power supply: find it and switch it off; calibrate again"
         )
 
