@@ -32,7 +32,6 @@ class Bench:
     done: list[str] = field(default_factory=list)
     firing: Firing | None = None
     slowest: float = 120.0
-    noise: float = 0.0
 
     def configure(self, acquisition: Acquisition) -> None:
         self.done.append("configure")
@@ -53,7 +52,7 @@ class Bench:
 
     def measure(self, position: float, across: float) -> Recording:
         self.done.append("measure")
-        return Recording(position, np.zeros(2), np.full((1, 2), self.noise), np.zeros((1, 1, 2)), 500e3, ())
+        return Recording(position, np.zeros(2), np.zeros((1, 2)), np.zeros((1, 1, 2)), 500e3, ())
 
     def stop(self) -> None:
         self.done.append("stop")
@@ -74,16 +73,6 @@ def test_a_record_spoilt_by_a_stall_is_repeated(n_stalls: int) -> None:
     bench = Bench([*[STALLED] * n_stalls, SOUND, SOUND])
     assert record(bench).position == 0.02
     assert bench.done == ["configure", "aim 0.02 0", *TAKEN * (n_stalls + 1)]
-
-
-def test_a_record_with_nan_is_refused() -> None:
-    """Before any fit."""
-    bench = Bench([SOUND], noise=float("nan"))
-    with pytest.raises(
-        RigError, match="the record at 20 mm is not valid: its velocity or drive has a value that is no"
-    ):
-        record(bench)
-    assert bench.done[-1] == "stop"
 
 
 def test_a_third_stall_is_an_error() -> None:
