@@ -60,11 +60,6 @@ class TransferFunctions:
     response: ComplexArray
     position: FloatArray  # (n_points,): control points, origin at mid-beam [m]
 
-    @property
-    def spacing(self) -> float:
-        """Bin spacing [Hz]."""
-        return float(self.frequency[1] - self.frequency[0])
-
     def in_time(self, spectrum: ComplexArray, first: float, step: float, n: int) -> FloatArray:
         r"""Return the real signal of a one-sided spectrum at evenly spaced instants.
 
@@ -76,10 +71,11 @@ class TransferFunctions:
         spectrum : (..., n_bins) complex array
             Spectrum at `frequency` [unit per Hz]; the n instants start at `first`, one `step` apart [s].
         """
-        turn = 2 * np.pi * self.spacing
+        spacing = float(self.frequency[1] - self.frequency[0])
+        turn = 2 * np.pi * spacing
         transform = _transform(self.frequency.size, n, turn * first, turn * step)
         carrier = np.exp(2j * np.pi * self.frequency[0] * (first + step * np.arange(n)))
-        return np.asarray(2 * self.spacing * (carrier * transform(spectrum)).real)
+        return np.asarray(2 * spacing * (carrier * transform(spectrum)).real)
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,8 +150,6 @@ class TrainingData:
         whole = steps if after is None else np.concatenate([steps, after], axis=1)
         reached = float(self.expected(steps)[self.focus])
         highest = float(np.abs(whole).max())
-        if reached == 0 or highest == 0:
-            raise ValueError("the drives do not move the focus: record a point that moves, or choose another focus")
         factor = self.target_field.velocity / reached
         factor = float(np.sign(factor)) * min(abs(factor), self.amplifier.limit / highest)
         voltage = np.zeros((whole.shape[0], self.timing.n_samples))
@@ -209,8 +203,6 @@ def inverse_filter(known: TrainingData) -> FloatArray:
             needed = float(np.abs(drive).max()) * factor
             beyond = needed > known.amplifier.limit
             candidates.append((beyond, needed if beyond else missed, drive))
-    if not candidates:
-        raise ValueError("no inverse filter can move the focus: record a point that moves, or choose another focus")
     best = min(candidates, key=lambda each: each[:2])[2]
     return known.to_level(best[:, :n_before], best[:, n_before:])
 
