@@ -267,8 +267,6 @@ class PicoScope(Scope):
         failing = f"{acquisition.n_samples} samples of {acquisition.n_channels} channels do not fit its memory"
         given = time_base, acquisition.n_samples, ctypes.byref(interval), 1, ctypes.byref(room), 0
         self._call("GetTimebase2", *given, failing=failing)
-        if not interval.value > 0:
-            raise RigError(f"the PicoScope states a sampling interval of {interval.value:g} ns: reconnect it")
         rate = 1e9 / interval.value
         delay = max(0, round(acquisition.start * rate))
         self._call("SetSimpleTrigger", 1, EXTERNAL, EXTERNAL_THRESHOLD, RISING, delay, 0)
