@@ -115,18 +115,6 @@ def test_wrongly_scaled_velocities_are_refused(points, factor, said, evidences):
         evaluate([changed(observation, "velocity", times)])
 
 
-def test_a_missing_drive_is_refused(evidences):
-    """A disconnected probe would show zero beside the predicted 30 V."""
-    observation = evidences[0]
-    for factors, said in (
-        ([1.0, 0.0], "2 measures 0 V .* 30 V"),
-        ([0.16, 6.0], "1 measures 29 V .* 184 V"),
-    ):
-        times = np.tile(factors, (observation.field.positions.size, 1))
-        with pytest.raises(RecordInputError, match=f"the drive of output {said} are predicted: check which probe"):
-            evaluate([changed(observation, "drive", times)])
-
-
 class Misread:
     """A scope whose drives are changed by a function."""
 

@@ -193,11 +193,6 @@ class Evidence:
         across = np.array([scan.across for scan in self.rows])
         return np.asarray(np.tensordot(across, self.field_over_width, 1) * (across[-1] / (across @ across)))
 
-    @property
-    def points_error(self) -> FloatArray:
-        """Standard error of `measured_points` from the scatter of the records, (n_positions,) array [m/s]."""
-        return standard_error(self.snapshots)
-
     @cached_property
     def fitted_labels(self) -> tuple[int, ...]:
         """Labels of the modes fitted to the measured field: the modelled ones and further ones if the points allow."""

@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from modaltouch.lab.common import DARK, LIGHT, MIDDLE, NORMAL_95, SIGNED, FloatArray, draw_map
-from modaltouch.lab.validation.evidence import Evidence, mean_velocity
-from modaltouch.lab.validation.key_figures import AROUND, around_focus, coefficients, key_figures, spectrogram_of
+from modaltouch.lab.validation.evidence import Evidence, mean_velocity, root_mean_square, standard_error
+from modaltouch.lab.validation.key_figures import AROUND, around_focus, coefficients, spectrogram_of
 from modaltouch.report import FAINT, INK, house_style, quiet_grid
 
 LAW_TITLES = {"exact": "law “exact”", "paper": "law “paper”, eq. (6) and (7)"}
@@ -119,7 +119,7 @@ def _draw_field(axes: Axes, evidence: Evidence) -> None:
     axes.errorbar(
         evidence.field.positions * 1e3,
         evidence.measured_points * 1e3,
-        yerr=np.nan_to_num(NORMAL_95 * evidence.points_error * 1e3),
+        yerr=np.nan_to_num(NORMAL_95 * standard_error(evidence.snapshots) * 1e3),
         fmt="o",
         color=DARK,
         markersize=2.8,
@@ -136,12 +136,11 @@ def _draw_difference(axes: Axes, evidence: Evidence) -> None:
     axes.axhline(0, color=INK, linewidth=0.7)
     axes.plot(place, from_target, color=INK, linestyle="--", linewidth=1)
     axes.plot(place, from_selected, color=DARK, linewidth=1.4)
-    errors = key_figures(evidence, ())["field_error"]
-    for height, line, name, key in (
-        (1.20, "- -", "the desired field", "measured_from_wished"),
-        (1.04, "\N{EM DASH}", "the selected modes", "measured_from_selected_modes"),
+    for height, line, name, off in (
+        (1.20, "- -", "the desired field", from_target),
+        (1.04, "\N{EM DASH}", "the selected modes", from_selected),
     ):
-        words = f"{line} from {name}: {errors[key]['rms_mm_s']:.1f} rms, {errors[key]['max_mm_s']:.1f} max"
+        words = f"{line} from {name}: {root_mean_square(off):.1f} rms, {np.abs(off).max():.1f} max"
         axes.text(0.0, height, words, fontsize=7.5, transform=axes.transAxes)
     axes.set(xlabel="position along the beam [mm]", xlim=(place[0], place[-1]))
 

@@ -256,21 +256,11 @@ def spectrogram(time: FloatArray, velocity: FloatArray, highest: float) -> tuple
         Frequencies from 0 [Hz].
     amplitude : (n_frequencies, n_times) array
         Amplitude of the sine at each frequency [m/s].
-
-    Raises
-    ------
-    ValueError
-        If the velocity is shorter than a window.
     """
     from scipy.signal import spectrogram as of_windows
 
     step = (time[-1] - time[0]) / (time.size - 1)
-    n_window, n_step = round(WINDOW / step), max(1, round(STEP / step))
-    if velocity.size < n_window:
-        raise ValueError(
-            f"the record lasts {velocity.size * step * 1e3:g} ms, but a window of the spectrogram needs "
-            f"{WINDOW * 1e3:g} ms: record for longer"
-        )
+    n_window, n_step = min(round(WINDOW / step), velocity.size), max(1, round(STEP / step))
     # Padding with zeros to four windows makes the figure smooth along frequency.
     frequency, middle, amplitude = of_windows(
         velocity, 1 / step, "hann", n_window, n_window - n_step, 4 * n_window, detrend=False, scaling="spectrum",
@@ -315,7 +305,7 @@ def figure_tables(evidences: Sequence[Evidence]) -> dict[str, list[dict[str, Any
 
 
 def _field_lines(evidence: Evidence) -> list[dict[str, Any]]:
-    place = evidence.field.positions
+    place, errors = evidence.field.positions, standard_error(evidence.snapshots)
     smooth = {
         name: np.interp(place, evidence.position, field)
         for name, field in {
@@ -330,7 +320,7 @@ def _field_lines(evidence: Evidence) -> list[dict[str, Any]]:
             "position_mm": round(float(place[i]) * 1e3, 6),
             **{f"{name}_mm_s": _round(values[i]) for name, values in smooth.items()},
             "measured_mm_s": _round(evidence.measured_points[i]),
-            "standard_error_mm_s": _round(evidence.points_error[i]),
+            "standard_error_mm_s": _round(errors[i]),
         }
         for i in range(place.size)
     ]
