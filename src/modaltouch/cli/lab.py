@@ -190,17 +190,6 @@ def _show_stimulus(name: str, own: Any) -> None:
     )
 
 
-COLUMNS = {
-    "at_focus_mm_s": "at focus mm/s",
-    "rms_error_mm_s": "field error mm/s",
-    "highest_mm_s": "highest mm/s",
-    "peak_voltage_V": "peak V",
-    "energy_V2_s": "energy V² s",
-    "changed_drift_mm_s": "other beams mm/s",
-}
-"""Rows shown on the terminal, with their headings; the page shows all rows."""
-
-
 def compare(
     protocol: PROTOCOL,
     out: Annotated[
@@ -238,20 +227,20 @@ def compare(
 
 def _show_comparison(values: dict[str, Any]) -> None:
     """Print the methods side by side, and the path of the page."""
-    methods = values["methods"]
-    lines = lab.comparison_table(methods, values["velocity_mm_s"])
-    shown = [line for line in lines if line["key"] in COLUMNS and methods[0].get(line["key"]) is not None]
-    rows = []
-    for number, method in enumerate(methods):
-        cells = [line["cells"][number] for line in shown]
-        rows.append((method["name"], *("*" * cell["best"] + cell["text"] for cell in cells)))
-    print_table(
-        f"Target: {values['velocity_mm_s']:g} mm/s at the focus; the best of each column with *",
-        ("method", *(COLUMNS[line["key"]] for line in shown)),
-        rows,
-    )
+    lines = lab.comparison_table(values["methods"], values["velocity_mm_s"])
+    for line in lines:
+        line["cells"] = ["*" * each["best"] + each["text"] for each in line["cells"]]
+    title = f"Target: {values['velocity_mm_s']:g} mm/s at the focus; the best of each row with *"
+    _show_quantities(title, [method["name"] for method in values["methods"]], lines)
     print("\n".join(f"Identification: {text}" for text in values["identification"]))
     print(values["files"]["comparison.html"])
+
+
+def _show_quantities(title: str, columns: list[str], lines: list[dict[str, Any]]) -> None:
+    """Print a table with a row for each quantity, as on the page."""
+    names = [f"{line['quantity']} [{line['unit']}]" if line["unit"] != "1" else line["quantity"] for line in lines]
+    rows = [(name, *line["cells"]) for name, line in zip(names, lines, strict=True)]
+    print_table(title, ("quantity [unit]", *columns), rows)
 
 
 def validate(
@@ -300,11 +289,9 @@ def validate(
 
 def _show_validation(values: dict[str, Any]) -> None:
     """Print the drive laws side by side, and the path of the page."""
-    lines = lab.validation_table(values["laws"])
-    headings = ("quantity [unit]", *(f"law {law['law']}" for law in values["laws"]))
-    names = [f"{line['quantity']} \\[{line['unit']}]" if line["unit"] != "1" else line["quantity"] for line in lines]
-    rows = [(name, *line["cells"]) for name, line in zip(names, lines, strict=True)]
-    print_table(f"Measured at {values['laws'][0]['velocity_mm_s']:g} mm/s", headings, rows)
+    title = f"Measured at {values['laws'][0]['velocity_mm_s']:g} mm/s"
+    columns = [f"law {law['law']}" for law in values["laws"]]
+    _show_quantities(title, columns, lab.validation_table(values["laws"]))
     print(values["files"]["validation.html"])
 
 

@@ -40,7 +40,7 @@ class Criterion:
 
     key: str  # key of the value in a method's row
     name: str  # printed name, without the unit
-    unit: str  # empty for a dimensionless number
+    unit: str
     best: str  # the best value: ``low``, ``high``, ``level`` (close to the level) or ``none``
     digits: int = 1  # number of decimals printed
 
@@ -58,7 +58,7 @@ def criteria(rows: Sequence[Row]) -> list[Criterion]:
     """Return the criteria of the comparison, with a contrast for each pair of the protocol."""
     # A high contrast is best if either zone is the focus; other pairs are not ranked.
     contrasts = [
-        Criterion(key, f"contrast of ({', '.join(pair)})", "", "high" if rows[0]["focus"] in pair else "none", 2)
+        Criterion(key, f"contrast of ({', '.join(pair)})", "1", "high" if rows[0]["focus"] in pair else "none", 2)
         for pair in itertools.permutations(rows[0]["zone_peak_mm_s"], 2)
         if (key := "contrast_{}_{}".format(*pair)) in rows[0]
     ]
@@ -75,8 +75,8 @@ def criteria(rows: Sequence[Row]) -> list[Criterion]:
         Criterion("peak_voltage_V", "peak voltage", "V", "low"),
         Criterion("energy_V2_s", "energy", "V² s", "low", 2),
         Criterion("reach_mm_s", "velocity at the focus at the voltage limit", "mm/s", "high", 0),
-        Criterion("recordings", "recordings before the first focus", "", "low", 0),
-        Criterion("further_recordings", "recordings for each further focus", "", "low", 0),
+        Criterion("recordings", "recordings before the first focus", "1", "low", 0),
+        Criterion("further_recordings", "recordings for each further focus", "1", "low", 0),
         Criterion("changed_at_focus_spread_mm_s", "other beams: spread of the velocity at the focus", "mm/s", "low", 2),
         Criterion(
             "changed_rms_error_mm_s", "other beams: distance from the target field, rms, median", "mm/s", "low", 2
@@ -173,8 +173,7 @@ def comparison_table(rows: Sequence[Row], level: float) -> list[dict[str, Any]]:
     """Return one line per criterion, with a cell for each method and whether it is the best at a level [mm/s]."""
     return [
         {
-            "key": each.key,
-            "name": each.name,
+            "quantity": each.name,
             "unit": each.unit,
             "cells": [
                 {"text": format_number(row[each.key], decimals=each.digits), "best": row in each.winners(rows, level)}
