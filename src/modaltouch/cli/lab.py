@@ -333,6 +333,7 @@ def probe(
         ),
     ] = 15.0,
     seed: SEED_OF_TWIN = None,
+    record: RECORD = None,
     json_output: JSON = False,
 ) -> None:
     """Probe the beam with hands off and on, and write what each finger adds to it.
@@ -354,6 +355,7 @@ def probe(
         laser=None if laser_mm is None else laser_mm * 1e-3,
         speed=speed_mm_s * 1e-3,
         seed=seed,
+        record=record,
         lay=ask_for,
     )
 

@@ -282,6 +282,7 @@ def probe_fingers(
     laser: float | None = None,
     speed: float = SPEED,
     seed: int | None = None,
+    record: Path | None = None,
     progress: MeasurementProgress = SILENT_PROGRESS,
     lay: Callable[[str], None] = quiet,
 ) -> dict[str, Any]:
@@ -302,6 +303,8 @@ def probe_fingers(
         highest speed there and under the fingers [m/s].
     seed : int, optional
         Seed of the simulated rig and its fingers, in place of the one in the apparatus file.
+    record : Path, optional
+        Folder into which another scope saves its records as files; a PicoScope is used if not given.
     progress : MeasurementProgress, optional
         Reports progress and lets the user interrupt.
     lay : callable
@@ -322,14 +325,19 @@ def probe_fingers(
     RigError
         If the rig fails, or a probe is refused.
     """
+    # A session that measures fingers reads no files.
+    from modaltouch.lab.recorded_files import RecordedFiles
+
     plan = _Plan(protocol, pair, hand, seed)
     prepare_file(out)
-    with progress.interruptible() as heard, open_laboratory(plan.apparatus, rig, heard, seed=seed) as bench:
-        prober = Prober(bench, plan.fingers, laser, speed)
-        try:
-            return plan.carried_out(prober, bench, lay, out)
-        except ValueError as error:
-            raise RigError(f"{error}; the outputs are off") from error
+    with progress.interruptible() as heard:
+        scope = RecordedFiles(record, plan.apparatus, heard) if record else None
+        with open_laboratory(plan.apparatus, rig, heard, seed=seed, scope=scope) as bench:
+            prober = Prober(bench, plan.fingers, laser, speed)
+            try:
+                return plan.carried_out(prober, bench, lay, out)
+            except ValueError as error:
+                raise RigError(f"{error}; the outputs are off") from error
 
 
 class _Plan:

@@ -145,15 +145,18 @@ class Excitation:
         return [self._response(recording, number, bandwidth) for number in range(N_RECORDS)]
 
     def _response(self, recording: Recording, number: int, bandwidth: float | None) -> Probe:
-        from scipy.fft import rfft
+        from scipy.signal import zoom_fft
 
-        n = recording.time.size
+        n, n_bins = recording.time.size, int(self.bins[-1]) + 2 * N_SILENT
         window = 1 - np.cos(2 * np.pi * (np.arange(n) + 0.5) / n)
-        velocity = rfft(recording.velocity[number] * window) / n
-        frequency = self.bins * recording.sampling_rate / n
+        # A file may hold other than whole samples of a period, and begin within a sample.
+        band, rate = [0.0, n_bins * SPACING], recording.sampling_rate
+        velocity = zoom_fft(recording.velocity[number] * window, band, n_bins, fs=rate) / n
+        velocity = velocity * np.exp(-2j * np.pi * SPACING * recording.time[0] * np.arange(n_bins))
+        frequency = np.asarray(self.bins * SPACING, dtype=float)
         per_volt = 1 / (low_pass(frequency, bandwidth) * self.line)
         near = self.bins[:, None] + np.arange(1 - GAP, GAP)
-        silent = np.setdiff1d(np.arange(GAP, int(self.bins[-1]) + 2 * N_SILENT), near)
+        silent = np.setdiff1d(np.arange(GAP, n_bins), near)
         deviation = noise_level(velocity, silent, self.bins) * np.abs(per_volt) / np.sqrt(2)
         drive = np.eye(len(self.burst.codes))[self.channel]
         return Probe(recording.position, frequency, drive, velocity[self.bins] * per_volt, deviation)

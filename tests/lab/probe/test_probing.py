@@ -10,6 +10,7 @@ from ruamel.yaml import YAML
 from modaltouch.lab import Prober, probe_fingers
 from modaltouch.lab.laboratory import open_laboratory
 from modaltouch.lab.probe_excitation import BurstRecord, Excitation
+from modaltouch.lab.recorded_files import RecordedFiles
 from modaltouch.preflight import design, examine
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.placements import FingersFile
@@ -173,15 +174,40 @@ def test_an_unknown_pair_is_refused(protocol, tmp_path):
         probe_fingers(protocol, tmp_path / "fingers.yaml", pair="A-E")
 
 
-def test_the_stated_noise_is_that_of_the_records(protocol):
-    """Two records of the untouched beam differ by the stated deviation."""
+def test_a_probe_waits_for_files(protocol, tmp_path, monkeypatch):
+    """With `record` and no files the wait ends with the missing file's name, and nothing is written."""
+    monkeypatch.setattr(RecordedFiles, "slowest", 0.01)
+    with pytest.raises(RigError, match=r"no usable record arrived as .*records.0001\.csv or \.npz within 0\.00"):
+        probe_fingers(protocol, tmp_path / "fingers.yaml", record=tmp_path / "records")
+    assert not (tmp_path / "fingers.yaml").exists()
+
+
+class FasterScope:
+    """Records as a file may hold them: 1.11 times as fast, a third of a sample late, a little less than a period."""
+
+    def __init__(self, scope):
+        self.scope, self.slowest = scope, 120.0
+
+    def configure(self, asked):
+        rate = asked.sampling_rate / 0.9
+        n_samples = int(asked.n_samples / 0.9) - 1
+        self.scope.configure(replace(asked, sampling_rate=rate, n_samples=n_samples, start=0.1e-6))
+
+    def measure(self, position, across=0.0):
+        return self.scope.measure(position, across)
+
+
+@pytest.mark.parametrize("other", [lambda scope: scope, FasterScope], ids=["alike", "a file"])
+def test_the_stated_noise_is_that_of_the_records(protocol, other):
+    """Two records of the untouched beam differ by the stated deviation, at whatever rate and from whatever instant."""
     apparatus = Apparatus.read(protocol.with_name("beam.yaml"))
     fingers = (Finger(-0.04, 8e-5, 0.5, 500.0), Finger(0.0, 8e-5, 0.5, 500.0))
     excitation = Excitation.of(apparatus, apparatus.modal_model(), [fingers], 0.049, SPEED)
     assert np.diff(excitation.bins).min() >= 4
     with open_laboratory(apparatus, repetition="continuous") as laboratory:
         laboratory.load(excitation.burst)
-        first, second = excitation.probe(laboratory, 0.049, SPEED, 250e3)
+        first, _ = excitation.probe(laboratory, 0.049, SPEED, 250e3)
+        _, second = excitation.probe(replace(laboratory, scope=other(laboratory.scope)), 0.049, SPEED, 250e3)
     ratio = np.abs(first.response - second.response) ** 2 / first.deviation**2 / 4
     assert ratio.mean() == pytest.approx(1.0, abs=0.25)
 
