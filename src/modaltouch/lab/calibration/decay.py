@@ -112,34 +112,22 @@ def _next_line(time: FloatArray, records: FloatArray, decay: Decay) -> complex |
     """Return the pole of a further mode in the residual, or None."""
     rest = _about_mean(records - (decay.residue.T @ np.exp(np.outer(decay.pole, time))).real)
     n_records, n_samples = rest.shape
+    step, found = float(time[1] - time[0]), list[tuple[float, complex]]()
     # The signal-to-noise ratio of a decaying line is highest with a window that decays at the same rate.
-    step = float(time[1] - time[0])
-    best: tuple[float, complex] | None = None
     for length in (n_samples, n_samples // 4, n_samples // 16):
-        if length < 64:
-            continue
         window = np.exp(-3.0 * np.arange(length) / length)
         power = (np.abs(np.fft.rfft(rest[:, :length] * window, axis=1)) ** 2).sum(axis=0)
-        frequency = np.fft.rfftfreq(length, step)
         # Noise power is chi-square distributed with two degrees of freedom per record; the median gives its scale.
-        scale = float(np.median(power)) / n_records
-        if scale == 0:
-            continue
+        scale = max(float(np.median(power)), 1e-300) / n_records
         highest = scale * (n_records + 2 * np.sqrt(n_records * np.log(power.size)) + 2 * np.log(power.size))
-        for place in np.argsort(-power)[:20]:
-            excess = float(power[place]) / highest
-            if excess < _STANDS_OUT or (best is not None and excess <= best[0]):
-                break
-            omega = 2 * np.pi * float(frequency[place])
-            if omega == 0:
-                continue
-            # A damping ratio of 0.015 to begin with.
-            line = complex(-0.015 * omega, omega)
-            apart = np.abs(decay.pole.imag - omega) / np.maximum(-decay.pole.real, -line.real)
-            if (apart > _LEAST_APART).all():
-                best = (excess, line)
-                break
-    return None if best is None else best[1]
+        # A damping ratio of 0.015 to begin with.
+        line = (1j - 0.015) * 2 * np.pi * np.fft.rfftfreq(length, step)
+        width = np.maximum(-decay.pole.real, -line.real[:, None])
+        apart = (np.abs(decay.pole.imag - line.imag[:, None]) > _LEAST_APART * width).all(axis=1) & (line.imag > 0)
+        best = int(np.where(apart, power, 0.0).argmax())
+        found.append((float(power[best]) / highest, complex(line[best])))
+    excess, pole = max(found, key=lambda each: each[0])
+    return pole if excess >= _STANDS_OUT else None
 
 
 def _about_mean(rows: FloatArray) -> FloatArray:
