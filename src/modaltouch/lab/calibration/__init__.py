@@ -178,9 +178,6 @@ MOST_ITERATIONS = 4
 LEAST_CHANGE = 2e-4
 """Correction, relative to the reference level, below which the loop ends [1]."""
 
-LEAST_TRIM = 5e-3
-"""Relative deviation of a level below which its amplitude is not corrected [1]."""
-
 
 def calibrate_each(
     bench: Laboratory,
@@ -377,7 +374,9 @@ class CalibrationLoop:
         self, number: int, stimulus: Stimulus, plant: Plant, level: float, highest: float | None = None
     ) -> Iteration:
         time, decay = self._recorder.decays(stimulus.burst, level, self._points, highest)
-        state = plant.state(fit_residues(plant.decay_time(time, self._timing), decay, plant.pole), self._shapes)
+        fitted = fit_residues(plant.decay_time(time, self._timing), decay, plant.pole)
+        refuse_changing_beam([replace(fitted, pole_error=np.zeros_like(plant.pole)), fitted], self._shapes)
+        state = plant.state(fitted, self._shapes)
         scale = level / self._reference
         return Iteration(
             number=number,
@@ -410,7 +409,7 @@ class CalibrationLoop:
         self._bench.load(stimulus.burst)
         self._recorder.begin("levels", 2 * len(self._asked))
         first = [self._level(plant, stimulus, reached, level, 1.0) for level in self._asked]
-        factors = [_trim(level) for level in first]
+        factors = [level.trim for level in first]
         if all(factor == 1.0 for factor in factors):
             return tuple(first)
         corrections = tuple((level.velocity, factor) for level, factor in zip(first, factors, strict=True))
@@ -438,12 +437,3 @@ class CalibrationLoop:
             sensitivity_doubt=plant.sensitivity_doubt,
             highest=highest,
         )
-
-
-def _trim(level: Level) -> float:
-    """Return the correction factor of a level's amplitude: 1 if noise may explain the deviation."""
-    if abs(level.at_focus - level.velocity) < max(LEAST_TRIM * level.velocity, 3 * level.spread):
-        return 1.0
-    factor = level.velocity / level.at_focus if level.at_focus > 0 else float("inf")
-    # Larger deviations are not corrected by amplitude; the level misses its limit.
-    return round(factor, 6) if 0.5 < factor < 2 else 1.0

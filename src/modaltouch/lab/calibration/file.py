@@ -18,6 +18,12 @@ from modaltouch.protocol import Apparatus, Calibration
 from modaltouch.stimulus import Correction
 from modaltouch.system import commit, versions
 
+CERTAIN = 3.0
+"""Deviation, in standard errors, below which it may be noise and is not corrected [1]."""
+
+LEAST_TRIM = 5e-3
+"""Relative deviation of a level below which its amplitude is not corrected [1]."""
+
 
 @dataclass(frozen=True)
 class Iteration:
@@ -59,6 +65,15 @@ class Level:
     sensitivity_doubt: float = 0.0  # relative half-width of the 95 % interval of the vibrometer's sensitivity [1]
 
     @property
+    def trim(self) -> float:
+        """Correction factor of the level's amplitude [1]; 1 if noise may explain the deviation."""
+        if abs(self.at_focus - self.velocity) < max(LEAST_TRIM * self.velocity, CERTAIN * self.spread):
+            return 1.0
+        factor = self.velocity / self.at_focus if self.at_focus > 0 else math.inf
+        # Larger deviations are not corrected by amplitude; the level misses its limit.
+        return round(factor, 6) if 0.5 < factor < 2 else 1.0
+
+    @property
     def true_half_width(self) -> float:
         """Half-width of the 95 % interval of the true velocity [m/s]."""
         noise = NORMAL_95 * self.spread
@@ -90,9 +105,6 @@ class CalibrationResult:
         """Common relative change of all speeds since the identification, on which iteration 1 is based [1]."""
         return float(self.turns[1].state.velocity @ self.target / (self.target @ self.target)) - 1
 
-
-CERTAIN = 3.0
-"""Deviation, in standard errors, below which it may be noise and is not corrected [1]."""
 
 DIGITS = 6
 """Decimals of a target in mm/s in the file; the rounding is a thousandth of the noise."""

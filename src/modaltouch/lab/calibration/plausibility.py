@@ -46,7 +46,7 @@ MOST_MOVED = 0.1e-6
 """Largest change of the trigger latency since the identification [s]; it changes w eta by up to 0.16 mm/s."""
 
 LARGEST_STRAIN = 0.2
-"""Largest change of a natural frequency between two probes, over the mode's decay rate [1]."""
+"""Largest change of a natural frequency between the probes, or since, over the mode's decay rate [1]."""
 
 LARGEST_EXCESS = 0.04
 """Largest relative deviation of the speed at the focus from that expected from the other points [1]."""
@@ -90,11 +90,11 @@ def refuse_implausible_drive(drive: DriveDelay) -> None:
 
 
 def refuse_changing_beam(decays: Sequence[Decay], shapes: FloatArray) -> None:
-    """Refuse a beam whose natural frequencies change between the probes."""
+    """Refuse a beam whose natural frequencies differ between two fits of decays with the same poles."""
     n, size = len(shapes), np.sqrt((shapes**2).sum(axis=1))
     for one, other in itertools.pairwise(decays):
         moved = np.abs(one.pole_error.imag - other.pole_error.imag)[:n] / -one.pole.real[:n]
-        # A change is significant only in modes that both probes excite well.
+        # A change is significant only in modes that both bursts excite well.
         least = np.minimum(
             *(np.abs(modal_swings(each, shapes)) * size / np.maximum(each.spread[:n], 1e-30) for each in (one, other))
         )
@@ -103,7 +103,7 @@ def refuse_changing_beam(decays: Sequence[Decay], shapes: FloatArray) -> None:
             mode = int(np.argmax(np.where(doubtful, moved, 0.0)))
             raise RigError(
                 f"the mode near {one.pole.imag[mode] / (2 * np.pi):.0f} Hz moved by {moved[mode]:.0%} of its half "
-                f"bandwidth between the probes of two outputs: allowed {LARGEST_STRAIN:.0%}; the outputs are off; the "
+                f"bandwidth between two measurements: allowed {LARGEST_STRAIN:.0%}; the outputs are off; the "
                 "beam drifts, its frequencies change with the amplitude, or the records of a point are late or "
                 "clipped: let beam, patches and amplifier reach a steady temperature, check the patches, the "
                 "suspension, the trigger and the vibrometer's range, and calibrate again"
@@ -342,6 +342,7 @@ def _causes(outcome: CalibrationResult, protocol: Protocol, missed: list[dict[st
     noise = NORMAL_95 * float(outcome.best.state.spread.max())
     highest, excess = max((level.velocity, level.excess) for level in outcome.levels)
     level_noise = NORMAL_95 * max(level.spread for level in outcome.levels)
+    elsewhere = [each["limit"] for each in missed if each["level_mm_s"] != outcome.inputs.reference]
     if any(each["limit"] == "drive_percent" for each in missed):
         output = int(outcome.drive_shortfall.argmax())
         yield (
@@ -375,13 +376,14 @@ def _causes(outcome: CalibrationResult, protocol: Protocol, missed: list[dict[st
             "points agree: the spot reflects badly there, or the records are late; aim the vibrometer again, check the "
             "trigger, and calibrate again"
         )
+    # A changed sensor leaves half the level proportional.
+    elif elsewhere and ("velocity_mm_s" in elsewhere or len(elsewhere) == len(missed)):
+        yield HYSTERESIS
     elif any(each["limit"] == "reading_percent" for each in missed):
         yield (
             f"all speeds are {1 + outcome.reading_change:.3f} times those expected from the probes: the sensor's "
-            "range, angle or focus changed, or the actuators have hysteresis; fasten it, and calibrate again"
+            "range, angle or focus changed; fasten it, and calibrate again"
         )
-    elif all(each["level_mm_s"] != outcome.inputs.reference for each in missed):
-        yield HYSTERESIS
     else:
         yield (
             "the records do not show the cause; identify the beam again with `modaltouch identify`, and calibrate "
