@@ -288,11 +288,11 @@ def validate(
 
 
 def _show_validation(values: dict[str, Any]) -> None:
-    """Print the drive laws side by side, and the path of the page."""
+    """Print the drive laws side by side, what they reached in words, and the path of the page."""
     title = f"Measured at {values['laws'][0]['velocity_mm_s']:g} mm/s"
     columns = [f"law {law['law']}" for law in values["laws"]]
     _show_quantities(title, columns, lab.validation_table(values["laws"]))
-    print(values["files"]["validation.html"])
+    print(*values["findings"], values["files"]["validation.html"], sep="\n")
 
 
 fingers = typer.Typer(

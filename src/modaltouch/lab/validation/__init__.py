@@ -56,7 +56,8 @@ def write_validation(
     figures, lag = [key_figures(each, pairs) for each in evidences], evidences[0].lag * 1e6
     shown = ("protocol", "apparatus", "mode", "generator", "scope", "calibration")
     # Anything below a millionth of a unit is not significant.
-    values = rounded({key: context[key] for key in shown} | {"measurement_lag_us": lag, "laws": figures}, 6)
+    found = {"measurement_lag_us": lag, "laws": figures, "findings": findings(figures)}
+    values = rounded({key: context[key] for key in shown} | found, 6)
     files = page_files(
         "modaltouch.lab",
         "validation",
@@ -68,7 +69,7 @@ def write_validation(
         figures=figures,
         lag=lag,
         paper_worst=PAPER_WORST,
-        findings=findings(figures),
+        findings=values["findings"],
         rows=validation_table(figures),
     )
     tables = {"validation.json": values, **figure_tables(evidences)}
