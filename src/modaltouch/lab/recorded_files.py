@@ -35,6 +35,9 @@ from modaltouch.rig import Acquisition, Recording, RigError, Scope
 POLL = 0.5
 """Polling interval; a file is complete once it has not changed from one poll to the next [s]."""
 
+PATIENCE = 20
+"""Number of polls after which an unchanged file is one under another name, and not a record being written."""
+
 MOST_OVERSAMPLED = 50.0
 """Largest sampling rate of a file, relative to the requested one [1]."""
 
@@ -83,31 +86,31 @@ class RecordedFiles(Scope):
         """Request a record, and return it as soon as a valid file arrives."""
         known = {*self._folder.glob("*"), self._folder / WANTED}
         name = f"{max((int(each.stem) for each in known if each.stem.isdecimal()), default=0) + 1:04d}"
-        before, refused, why = dict[Path, tuple[int, int]](), dict[Path, tuple[int, int]](), ""
+        since, refused, why = dict[tuple[Path, int, int], float](), set[tuple[Path, int, int]](), ""
         deadline = time.monotonic() + self.slowest
         try:
             self._ask(name, position, across)
-            while time.monotonic() < deadline:
+            while (now := time.monotonic()) < deadline:
                 self._progress.check()
-                new = {}
+                before, since = since, {}
                 # A file may disappear before it is examined; the next poll looks for it again.
                 with suppress(OSError):
                     stats = ((path, path.stat()) for path in sorted({*self._folder.glob("[!.]*")} - known))
-                    new = {path: (stat.st_size, stat.st_mtime_ns) for path, stat in stats}
+                    states = [(path, stat.st_size, stat.st_mtime_ns) for path, stat in stats]
+                    since = {each: before.get(each, now) for each in states}
                 # Some scopes write the file extension in capitals.
-                found = {path: new[path] for path in new if path.name.lower() in {name + end for end in READERS}}
-                if found and found.items() <= before.items() and found != refused:
+                found = {each for each in since if each[0].name.lower() in {name + end for end in READERS}}
+                if found and found <= before.keys() and found != refused:
                     try:
-                        return self._recording(*found, position=position)
+                        return self._recording(*(path for path, *_ in sorted(found)), position=position)
                     except (OSError, ValueError) as error:
                         refused, why = found, f" ({error})"
                         self._progress.say(f"{error}; write it again")
                         self._ask(name, position, across, str(error))
-                for path in (path for path in new.keys() - found if before.get(path) == new[path]):
+                for path, *_ in (each for each in since.keys() - found if now - since[each] > PATIENCE * POLL):
                     why = f" ({path.name} came instead)"
                     self._progress.say(f"{path} is not read: the record that is awaited is {name}.csv or {name}.npz")
                     known.add(path)
-                before = new
                 time.sleep(POLL)
             raise RigError(
                 f"no usable record arrived as {self._folder / name}.csv or .npz within {self.slowest / 60:g} min{why}; "
