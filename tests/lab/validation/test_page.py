@@ -81,8 +81,13 @@ def test_a_drive_unlike_the_prediction_is_reported(written):
         output: {**peak, "measured": peaks["2" if output == "1" else "1"]["measured"]} for output, peak in peaks.items()
     }
     told = findings(figures)[-2:]
-    assert re.search("output 1 with law “exact” was measured as .* V were predicted: check which probe", told[0])
+    said = (
+        "output 1 with law “exact” was measured as .* V were predicted: check that the amplifier does not saturate, wh"
+    )
+    assert re.search(said, told[0])
     assert "output 2 with law “exact”" in told[1]
+    figures[0]["peak_drive_V"] = peaks | {"1": peaks["1"] | {"measured": 0.85 * peaks["1"]["measured"]}}
+    assert len(findings(figures)) == len(findings(written[1])) + 1
 
 
 @pytest.mark.parametrize("factor", [0.5, 1.25])

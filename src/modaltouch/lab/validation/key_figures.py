@@ -132,6 +132,9 @@ def _contrast(evidence: Evidence, left: str, right: str) -> dict[str, Any]:
     }
 
 
+LEAST_DRIVE = 0.9
+"""Measured over predicted peak of a drive below which an amplifier may saturate [1]."""
+
 Figures = dict[str, Any]
 
 
@@ -200,11 +203,11 @@ def _reached(f: Figures) -> str:
 def _implausible_drives(f: Figures) -> Iterator[str]:
     for output, peak in f["peak_drive_V"].items():
         # The record of an output without drive contains only the noise of its probe.
-        if not GAINS[0] * peak["predicted"] <= peak["measured"] <= GAINS[1] * max(peak["predicted"], 1.0):
+        if not LEAST_DRIVE * peak["predicted"] <= peak["measured"] <= GAINS[1] * max(peak["predicted"], 1.0):
             yield (
                 f"The drive of output {output} with law “{f['law']}” was measured as {peak['measured']:.0f} V, and "
-                f"{peak['predicted']:.0f} V were predicted: check which probe is at which amplifier, and "
-                "`acquisition.probe_attenuation`."
+                f"{peak['predicted']:.0f} V were predicted: check that the amplifier does not saturate, which probe is "
+                "at which amplifier, and `acquisition.probe_attenuation`."
             )
 
 
@@ -213,8 +216,8 @@ def _implausible_speeds(f: Figures) -> Iterator[str]:
     if not COMMON_FACTORS[0] <= ratio <= COMMON_FACTORS[1]:
         yield (
             f"With law “{f['law']}” the zones moved {ratio:.2f} times as fast as predicted: check that the vibrometer "
-            "is set to the listed `acquisition.sensitivity_mm_s_per_V` and the amplifier to its `amplifier.gain`, or "
-            "identify the beam again."
+            "is set to the listed `acquisition.sensitivity_mm_s_per_V` and the amplifier to its `amplifier.gain`, and "
+            "that the actuators have no strong hysteresis, or identify the beam again."
         )
 
 

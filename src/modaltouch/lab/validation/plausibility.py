@@ -41,7 +41,8 @@ def measurement_delay(evidences: Sequence[Evidence]) -> float:
         named = ", ".join(f"{each * 1e6:.1f} us" for each in own)
         raise RecordInputError(
             f"the delay of the velocity differs between the laws ({named}): use the same trigger, filters and range "
-            "throughout, and measure again"
+            "throughout, check that the natural frequencies neither drift nor change with the amplitude, and measure "
+            "again"
         )
     return _delay_of(np.sum(missed, axis=0))
 
@@ -175,7 +176,8 @@ class ModalFit:
             fault = (
                 f"the velocity is up to {np.abs(delay[odd]).max() * 1e6:.1f} us late or early, relative to the other"
             )
-            raise _fault_at(scan, odd, f"{fault} points: use the same trigger, filters and range at all points")
+            remedy = "use the same trigger, filters and range at all points, let the beam reach a steady temperature"
+            raise _fault_at(scan, odd, f"{fault} points: {remedy}")
         odd = (left > UNLIKE * np.median(power)) & (left > STANDS_OUT * np.median(left))
         # Off the mid-line there is torsion, which is not predicted.
         if odd.any() and not scan.across:
