@@ -317,6 +317,17 @@ def test_a_burst_with_an_offset_is_one_spectrum(tmp_path: Path) -> None:
     assert read_responses([blow(tmp_path / "a.npz")]).spacing == pytest.approx(1.0)
 
 
+def test_a_drive_with_a_sharp_end_ends_the_band(tmp_path: Path) -> None:
+    """A burst of sines up to 600 Hz: no response is given above, where there is only noise."""
+    lines = np.exp(2j * np.pi * np.random.default_rng(1).random(2049)) * (np.arange(2049) <= 600)
+    burst = np.fft.irfft(lines) * (np.arange(4096) > 40)
+    motion = np.convolve(burst, np.exp(-0.01 * np.arange(4096)) * np.sin(np.arange(4096)))[:4096]
+    still = np.zeros(4096)
+    arrays = {name: np.append(each, still)[None, None] for name, each in (("drive", burst), ("motion", motion))}
+    read = read_responses([blow(tmp_path / "a.npz", time=np.arange(8192) / 4096, **arrays)])
+    assert read.frequency[-1] == pytest.approx(600, abs=2)
+
+
 @pytest.mark.parametrize("coherence", [np.nan, 100.0, -0.1])
 def test_an_invalid_coherence_is_refused(tmp_path: Path, frequency: np.ndarray, coherence: float) -> None:
     """In per cent, negative, or NaN."""

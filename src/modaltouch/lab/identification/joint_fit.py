@@ -107,11 +107,9 @@ def find_more(responses: FrequencyResponses, fit: Evaluation, most: int) -> Eval
         finer = make_problem(responses, tried)
         before = refine(finer, fit.poles, most=3)
         after = _keep_sound_poles(responses, refine(finer, tried), SURE / 2)
-        own = after.poles.natural_frequency
-        apart = np.diff(own) > 0.05 * (after.poles.damping_ratio * own)[:-1]
         grown = after.n_modes > fit.n_modes
         new = grown or after.poles.near(*peak) > fit.poles.near(*peak) or not low <= peak[0] <= high
-        if new and apart.all() and after.cost < before.cost - 0.5 * SIGNIFICANT * fit.rest.shape[1] ** 0.5:
+        if new and after.cost < before.cost - 0.5 * SIGNIFICANT * fit.rest.shape[1] ** 0.5:
             fit = after
         elif attempt > 1:
             passed.append(peak)
@@ -120,12 +118,13 @@ def find_more(responses: FrequencyResponses, fit: Evaluation, most: int) -> Eval
 
 
 def _sound(fit: Evaluation, frequency: FloatArray, sure: float) -> NDArray[np.bool_]:
-    """Return a mask of modes: poles whose damping differs significantly from zero, unlike that of chance peaks."""
+    """Return a mask of modes: poles whose damping differs significantly from zero, each once, unlike chance peaks."""
     (low, high), own, ratio = DAMPING_BOUNDS, fit.poles.natural_frequency, fit.poles.damping_ratio
     possible = (ratio > 2 * low) & (ratio < 0.9 * high)
     # A pole beyond either end of the band represents the modes there; only its flank is visible.
     beyond = (own < frequency[0]) | (own > frequency[-1])
-    return np.asarray(beyond | (possible & (fit.deviation[fit.n_modes : -1] < 1 / sure)))
+    apart = np.append(True, np.diff(own) > 0.05 * (ratio * own)[:-1])
+    return np.asarray(apart & (beyond | (possible & (fit.deviation[fit.n_modes : -1] < 1 / sure))))
 
 
 def _keep_sound_poles(responses: FrequencyResponses, fit: Evaluation, sure: float) -> Evaluation:

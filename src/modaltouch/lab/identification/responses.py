@@ -187,8 +187,11 @@ class FrequencyResponses:
         r"""Variance of the estimated responses, pooled over points and neighbouring bins, (n_sets, n_bins) array.
 
         For n averaged records it is :math:`|H|^2 (1 - \gamma^2) / (\gamma^2 (n - 1))`. Without a coherence it is
-        estimated from the second differences over the bins, and assumed to be constant over the band.
+        estimated from the second differences over the bins, and assumed to be similar within an octave.
         """
+        from scipy.ndimage import percentile_filter
+
+        steep: FloatArray | float = 1.0
         if self.coherence is not None and self.n_averages > 1:
             gamma, n_free = np.clip(self.coherence, 1e-9, 1.0), self.n_averages - 1
             variance = np.abs(self.response) ** 2 * (1 - gamma) / gamma / n_free
@@ -197,13 +200,19 @@ class FrequencyResponses:
             second[..., 1:-1] = self.response[..., 2:] - 2 * self.response[..., 1:-1] + self.response[..., :-2]
             second[..., 0], second[..., -1] = second[..., 1], second[..., -2]
             n_free, variance = 1, np.abs(second) ** 2 / 6
+            # White noise of an accelerometer, the steepest towards 0 Hz.
+            steep = self.frequency**2
         # The median of fewer than five points is hardly more robust than their mean.
         pooled = np.median(variance, axis=1) if self.n_points >= 5 else variance.mean(axis=1)
         # Like the excitation, the noise varies slowly with frequency.
-        smooth = np.array([_running_median(row, 33) for row in pooled])
+        smooth = np.array([_running_median(row * steep, 33) / steep for row in pooled])
         if self.coherence is None or self.n_averages < 2:
-            # At a resonance the response itself dominates the second difference, so use the rest of the band.
-            smooth[:] = np.percentile(smooth, 25, axis=1)[:, None]
+            # At a resonance the response itself dominates the second difference, so use what is around it.
+            grid = np.geomspace(*self.frequency[[0, -1]], 400)
+            octave = max(3, round(400 * np.log(2) / np.log(grid[-1] / grid[0])))
+            rows = (np.interp(grid, self.frequency, row) for row in smooth)
+            quiet = (percentile_filter(row, 25, octave, mode="nearest") for row in rows)
+            smooth = np.array([np.interp(self.frequency, grid, row) for row in quiet])
         # Ratio of mean to median of a gamma distribution of shape n_free: 1/ln 2 for one.
         scale = n_free / (n_free - 1 / 3 + 0.024 / n_free)
         floor = (1e-7 * np.abs(self.response).max(axis=(1, 2))) ** 2

@@ -332,7 +332,7 @@ def transfer(motion: FloatArray, drive: FloatArray, step: float) -> tuple[FloatA
     Returns
     -------
     frequency : (n_bins,) array
-        Frequencies below the point where the drive's amplitude spectrum, smoothed over 25 bins, falls below 5 % of its
+        Frequencies below the point where the drive's amplitude spectrum, smoothed over 25 bins, falls below 10 % of its
         maximum [Hz].
     response : (n_bins,) complex array
         Spectrum of the motion over that of the drive.
@@ -343,8 +343,9 @@ def transfer(motion: FloatArray, drive: FloatArray, step: float) -> tuple[FloatA
     spectrum = np.fft.rfft(drive)
     frequency = np.fft.rfftfreq(drive.size, step)
     level = np.convolve(np.abs(spectrum), np.ones(25) / 25, "same")
-    weak = np.flatnonzero(level < 0.05 * level.max())
-    end = int(weak[weak > level.argmax()][0]) if (weak > level.argmax()).any() else frequency.size
+    weak = np.flatnonzero(level < 0.1 * level.max())
+    # The smoothed level of a drive with a sharp end falls half its width later.
+    end = int(weak[weak > level.argmax()][0]) - 12 if (weak > level.argmax()).any() else frequency.size
     return np.asarray(frequency[:end], dtype=float), np.asarray(np.fft.rfft(motion)[:end] / spectrum[:end])
 
 
