@@ -22,7 +22,7 @@ import numpy as np
 from intervals import PROTOCOL, calibrated
 
 from modaltouch.lab.calibration.plausibility import mark_of
-from modaltouch.lab.identification.causes import check_gains
+from modaltouch.lab.identification.command import check_gains
 from modaltouch.lab.identification.files import read_responses
 from modaltouch.lab.identification.joint_fit import identify, identify_each
 from modaltouch.lab.identification.modal_parameters import Identification

@@ -17,7 +17,7 @@ from modaltouch.protocol import InputError
 from modaltouch.record import RecordError
 
 POSITIONS = np.array([-0.04, -0.01, 0.02, 0.04])
-REST = Rest(0.01, 0.0, "noise")
+REST = Rest(0.01, 0.0)
 
 
 @pytest.fixture

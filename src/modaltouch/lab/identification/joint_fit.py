@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from modaltouch.lab.common import ComplexArray, FloatArray, low_pass
 from modaltouch.lab.identification.kernel import Bins, Evaluation, LeastSquaresProblem, Poles, evaluate
 from modaltouch.lab.identification.modal_parameters import (
-    WELL_FITTED,
     Estimate,
     Identification,
     IdentifiedMode,
@@ -287,51 +286,43 @@ def identify_each(responses: FrequencyResponses) -> Identification:
     return Identification(tuple(modes), unknown, float(np.median(misfit)), responses, None, fitted)
 
 
+FROM_ZERO = "check where the axis begins, and export the responses from 0 Hz on"
+"""End of the words on a frequency axis that is off."""
+
 CLEARLY = 16.0
-"""Decrease of the residual's sum of squares, in units of the noise, for another frequency axis of all responses."""
+"""Decrease of the residual's sum of squares, in units of the noise, for another frequency axis."""
 
 MOSTLY, NEARLY_NOISE = 2.0, 0.1
 """Factor by which another axis must reduce the misfit beyond the noise, and misfit beyond it that may be noise [1]."""
 
 
 def axis_error(found: Identification) -> str:
-    """Describe frequencies that are a bin too high or too low, of all sets or of one; empty if there are none.
+    """Describe frequencies that are a bin too high or too low; empty if there are none.
 
     Moved resonances look equally plausible, but a response is symmetric about 0 Hz: its values below the first
     resonance, and the flanks of all, tell where 0 Hz is.
     """
-    responses, poles = replace(found.responses, repeats=()), found.poles
+    poles, (_, second, *_) = found.poles, found.responses.frequency
     if poles is None:
         return ""
+    responses = replace(found.responses, repeats=()).between(second, math.inf)
 
-    def cost(names: Sequence[str], n_bins: int) -> float:
-        every = len(names) == len(responses.sets)
-        by = [0 if every else -n_bins * (name in names) for name in responses.sets]
-        moved = np.array([np.roll(each, n, -1) for n, each in zip(by, responses.response, strict=True)])
-        lower = n_bins * responses.spacing * every
+    def cost(n_bins: int) -> float:
+        lower = n_bins * responses.spacing
         own = np.maximum(poles.natural_frequency - lower, responses.spacing)
         start = Poles(own, poles.damping_ratio * poles.natural_frequency / own, poles.delay)
-        # The outermost bins of a set that is moved come from the other end.
-        inner = replace(responses, response=moved).between(*responses.frequency[[1, -2]])
-        problem = make_problem(replace(inner, frequency=inner.frequency - lower), start)
+        problem = make_problem(replace(responses, frequency=responses.frequency - lower), start)
         return refine(problem, start, most=10).cost
 
-    given, where = cost((), 0), ""
-    for names in (responses.sets, *((name,) for name in responses.sets)):
-        least, n_bins = min((cost(names, n_bins), n_bins) for n_bins in (-1, 1))
-        if found.misfit <= WELL_FITTED and names == responses.sets:
-            is_clear = 2 * (given - least) > CLEARLY * found.misfit
-            # Another axis also absorbs a little of any other error, such as of a truncated decay.
-            is_wrong = is_clear and MOSTLY * (1 - least / given) * found.misfit > found.misfit - 1 - NEARLY_NOISE
-        else:
-            # The noise of a set that is moved is only roughly that of before.
-            is_wrong = found.misfit - 1 > MOSTLY * max(found.misfit * least / given - 1, NEARLY_NOISE)
-        if is_wrong and names == responses.sets:
-            where = f"too {'high' if n_bins > 0 else 'low'}, judging by the values off resonance"
-        elif is_wrong:
-            where = f"off for {names[0]}, judging by the other sets"
-    remedy = "check where the axis begins, and export the responses from 0 Hz on"
-    return where and f"the frequencies are at least one bin, {responses.spacing:.4g} Hz, {where}: {remedy}"
+    given, (least, n_bins) = cost(0), min((cost(n_bins), n_bins) for n_bins in (-1, 1))
+    # Another axis also absorbs a little of any other error, such as of a truncated decay.
+    is_wrong = MOSTLY * (1 - least / given) * found.misfit > found.misfit - 1 - NEARLY_NOISE
+    if 2 * (given - least) <= CLEARLY * found.misfit or not is_wrong:
+        return ""
+    return (
+        f"the frequencies are at least one bin, {responses.spacing:.4g} Hz, too {'high' if n_bins > 0 else 'low'}, "
+        f"judging by the values off resonance: {FROM_ZERO}"
+    )
 
 
 SAME_MODE = 0.005

@@ -53,27 +53,14 @@ REMEDIES = {
     "noise": "average more, or drive harder",
     "nonlinearity": "drive at half the voltage, and compare; if nothing changes, check the filters of sensor and "
     "analyser (one that is not listed, or none against aliasing), and the window and the trigger of the records",
-    "drift": "let the beam warm up, and scan again",
-    "drift between the sets": "let the beam warm up, and scan all sets again",
-    "the mass of a sensor that is moved": "measure without contact, or leave the sensor in place and move the "
-    "excitation",
-    "a trigger that is late at some points": "start all records at their excitation, with one delay of the trigger",
-    "a phase that differs between the points": "keep trigger, filters, range and coupling of the sensor the same at "
-    "all points",
-    "a filter that is not listed": "give the bandwidth of the vibrometer in the apparatus file, and set other filters "
-    "far above the band, or use less of it with --highest-kHz",
-    "a high-pass": "couple sensor and analyser for direct current, or use the band far above its corner with "
-    "--lowest-Hz",
-    "an exponential window": "it makes all damping ratios too large: record without it",
-    "interpolation of the responses": "export them at the frequencies of the analyser",
-    "aliasing": "resonances above half the sampling rate appear in the band; use a filter against aliasing or a higher "
-    "rate, and measure again",
-    "a missing mode": "measure with a filter against aliasing, finer bins or more points, or leave that band out",
+    "drift": "let the beam warm up, measure without contact or leave the sensor in place, and scan all sets again",
+    "a phase that differs between the points": "start all records at their excitation, and keep trigger, filters, "
+    "range and coupling of the sensor the same at all points",
+    "a filter or window that is not listed": "give the bandwidth of the vibrometer in the apparatus file, couple "
+    "sensor and analyser for direct current, record without a window, and set other filters far outside the band",
     "nonlinearity or a missing mode": "drive at half the voltage, and compare, or measure with finer bins",
-    "a strange point": "check that it is of the same beam, its trigger and the sign of its phase; measure it again, or "
-    "leave it out with --leave-out",
-    "a noisy point": "its neighbouring bins differ like noise; check focus and fastening of the sensor there, measure "
-    "it again, or leave it out with --leave-out",
+    "a strange point": "check that it is of the same beam, the fastening, focus and trigger of the sensor there, and "
+    "the sign of its phase; measure it again, or leave it out with --leave-out",
 }
 """Remedies, by cause."""
 
@@ -83,8 +70,7 @@ class Rest:
     """The residual of a fit within one half-power bandwidth of a mode on either side."""
 
     share: float  # amplitude in excess of the noise, relative to that of the responses [1]
-    smooth: float  # the same for the part that is smooth over frequency, unlike noise [1]
-    cause: str  # the most probable cause, a key of `REMEDIES`
+    smooth: float  # the same for the part that is smooth over frequency, unlike noise [1]; 0 if that is small
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,7 +217,7 @@ class ModalParameters:
             half_power=peak,
             half_power_gain=picked,
             coherence=self._coherence(residue, frequency),
-            rest=rest_about(fit, k, self.responses.response.shape[0]),
+            rest=rest_about(fit, k),
             residue=argand.ravel() if self.responses.n_points == 1 else argand[driver],
             torsion=torsion,
         )
@@ -347,9 +333,6 @@ STRANGE = 0.3
 SMOOTH = 0.5
 """Correlation of the residual between neighbouring bins above which it is not noise [1]."""
 
-ALIKE = 0.6
-"""Squared cosine between two vectors over the responses above which one explains the other [1]."""
-
 FEWEST = 8
 """Minimum number of groups of bins near a mode for a meaningful correlation."""
 
@@ -359,12 +342,8 @@ def neighbouring(left: ComplexArray) -> FloatArray:
     return np.asarray((np.conj(left[:-1]) * left[1:]).real.sum(axis=0))
 
 
-def rest_about(fit: Evaluation, k: int, n_sets: int) -> Rest:
-    """Return the residual of a fit near mode `k`, with its most probable cause.
-
-    Over the responses, the residual of a nonlinear beam has the shape of the mode, that of a beam which drifts while
-    scanned from end to end has this shape times the position, and that of a missing mode has another shape.
-    """
+def rest_about(fit: Evaluation, k: int) -> Rest:
+    """Return the residual of a fit near mode `k`."""
     problem = fit.problem
     own = float(fit.poles.natural_frequency[k])
     spacing = float(problem.bins.frequency[1] - problem.bins.frequency[0])
@@ -373,19 +352,8 @@ def rest_about(fit: Evaluation, k: int, n_sets: int) -> Rest:
     power = max(float((np.abs(problem.response[near]) ** 2).sum()), 1e-300)
     share = float(np.sqrt(max(float((np.abs(left) ** 2).sum()) - 2 * left.size, 0.0) / power))
     if left.shape[0] < FEWEST:
-        return Rest(share, 0.0, "nonlinearity or a missing mode")
-    shape = np.linalg.eigh((left.conj().T @ left).real)[1][:, -1]
-    course = left @ shape
+        return Rest(share, 0.0)
+    course = left @ np.linalg.eigh((left.conj().T @ left).real)[1][:, -1]
     neighbours = float(neighbouring(course))
-    if neighbours < SMOOTH * float((np.abs(course) ** 2).sum()):
-        return Rest(share, 0.0, "noise")
-    smooth = float(np.sqrt(neighbours / power))
-    if shape.size == n_sets:
-        return Rest(share, smooth, "nonlinearity or a missing mode")
-    residue = fit.residue[k].reshape(n_sets, -1)
-    along = (residue * np.linspace(-1, 1, residue.shape[1])).ravel()
-    residue = residue.ravel()
-    along = along - residue * (along @ residue) / (residue @ residue)
-    likeness = [float((shape @ each) ** 2 / (each @ each)) for each in (residue, along)]
-    causes = ("nonlinearity", "drift")
-    return Rest(share, smooth, causes[int(np.argmax(likeness))] if max(likeness) > ALIKE else "a missing mode")
+    is_smooth = neighbours >= SMOOTH * float((np.abs(course) ** 2).sum())
+    return Rest(share, float(np.sqrt(neighbours / power)) if is_smooth else 0.0)

@@ -44,7 +44,7 @@ def mode_values(mode: IdentifiedMode, sets: Sequence[str]) -> dict[str, Any]:
         "phase_collinearity": _number(phase_collinearity(mode.residue)),
         "phase_deviation_deg": _number(math.degrees(phase_deviation(mode.residue))),
         "coherence": _number(mode.coherence),
-        "left": {"share": _number(mode.rest.share), "smooth": _number(mode.rest.smooth), "cause": mode.rest.cause},
+        "left": {"share": _number(mode.rest.share), "smooth": _number(mode.rest.smooth)},
         "half_power": {
             "peak_frequency_Hz": _number(mode.half_power.peak_frequency),
             "damping_ratio": _number(mode.half_power.damping_ratio),

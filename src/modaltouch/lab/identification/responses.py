@@ -208,7 +208,7 @@ class FrequencyResponses:
         smooth = np.array([_running_median(row * steep, 33) / steep for row in pooled])
         if self.coherence is None or self.n_averages < 2:
             # At a resonance the response itself dominates the second difference, so use what is around it.
-            grid = np.geomspace(*self.frequency[[0, -1]], 400)
+            grid = np.geomspace(self.frequency[0], self.frequency[-1], 400)
             octave = max(3, round(400 * np.log(2) / np.log(grid[-1] / grid[0])))
             rows = (np.interp(grid, self.frequency, row) for row in smooth)
             quiet = (percentile_filter(row, 25, octave, mode="nearest") for row in rows)

@@ -2,21 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
-from itertools import pairwise
 
 import numpy as np
 
-from modaltouch.lab.identification.causes import aliased, causes_by_mode, probable_cause
-from modaltouch.lab.identification.joint_fit import axis_error
-from modaltouch.lab.identification.modal_parameters import (
-    REMEDIES,
-    SMOOTH,
-    WELL_FITTED,
-    Identification,
-    IdentifiedMode,
-    neighbouring,
-)
+from modaltouch.lab.common import FloatArray
+from modaltouch.lab.identification.joint_fit import FROM_ZERO, make_problem, refine
+from modaltouch.lab.identification.kernel import Evaluation, Poles
+from modaltouch.lab.identification.modal_parameters import REMEDIES, WELL_FITTED, Identification, IdentifiedMode
 from modaltouch.lab.identification.peaks import FEWEST_BINS
 from modaltouch.lab.identification.shapes import BELONGS, bending_likeness, in_two_units, mac, misplaced, unevenness
 from modaltouch.lab.identification.time_records import DECAY, STILL_MOVES
@@ -27,16 +21,13 @@ LEAST_COHERENCE = 0.5
 MOST_LEFT = 0.1
 """Amplitude of the residual near a mode, relative to that of the responses, above which the mode is refused [1]."""
 
-AS_HIGH = 0.1
-"""Height of a peak, relative to the median peak, above which it is more than weak torsion or noise [1]."""
+MARKED = 0.004
+"""Amplitude of the residual's smooth part, relative to the responses, above which a warning is given [1]."""
 
-MARKED = {"nonlinearity": 0.004, "drift": 0.004}
-"""Amplitude of the residual's smooth part, relative to the responses, above which a warning is given, by cause [1]."""
-
-REMEDY = "; drive harder, average more, look higher with --highest-kHz, or name with --modes those to be found"
-
-MARKED_ELSE = 0.02
-"""The same as `MARKED` for any other cause [1]."""
+REMEDY = (
+    "; drive harder, average more, look higher with --highest-kHz, check positions and signs of the points, or name "
+    "with --modes those to be found"
+)
 
 
 def check_modes(identification: Identification, labels: Sequence[int]) -> None:
@@ -55,36 +46,23 @@ def check_modes(identification: Identification, labels: Sequence[int]) -> None:
         If a mode is missing, incoherent or badly fitted; the message lists all of them and the remedy.
     """
     found = identification.by_label
-    badly = any(mode.rest.share > MARKED_ELSE for mode in identification.modes)
-    spoilt = badly or identification.misfit > WELL_FITTED
     missing = [label for label in labels if label not in found]
-    faulty = [label for label, mode in found.items() if label in labels and _faults(f"mode {label}", mode)]
-    # A missing mode is split if the beam drifts, and has a single resonance of another shape if points are exchanged.
-    split = _split(identification, missing, faulty)
-    strange = aliased(identification) or split
-    if missing:
-        strange = _in_two_units(identification) or strange or _misplaced(identification)
+    faults = {label: _faults(f"mode {label}", found[label]) for label in labels if label in found}
+    faulty = [label for label, lines in faults.items() if lines]
+    if not (missing or faulty):
+        return
     # Low noise alone may raise the misfit, but does not spoil shapes.
-    if not (strange or badly):
-        strange = _implausible_modes(identification.modes, missing)
-    if missing and not (strange or spoilt):
+    spoilt = identification.misfit > WELL_FITTED or any(found[label].rest.share > MOST_LEFT for label in faulty)
+    cause = (_in_two_units(identification) if missing else "") or _split(identification, missing, faulty)
+    cause = cause or (_misplaced(identification) if missing else "")
+    if not cause and spoilt:
+        cause = _cause(identification)
+    elif not cause and missing:
         # A mode that moved far has several poles, which fit well but have no mode's shape.
-        strange = probable_cause(identification, least=WELL_FITTED)
-    remedy = "" if spoilt or strange else REMEDY
-    lines = []
-    for label in labels:
-        if label not in found:
-            lines.append(f"mode {label} was not found: no resonance has its mode shape{remedy}")
-        else:
-            lines += _faults(f"mode {label}", found[label])
-    if lines and strange:
-        lines.append(strange)
-    elif lines and spoilt:
-        cut = [mark for mark in identification.responses.marks if mark.endswith(STILL_MOVES)]
-        known = axis_error(identification) or _digit(identification) or _hum(identification)
-        lines += cut or ([known] if known else _causes(identification, [found[label] for label in faulty]))
-    if lines:
-        raise ValueError("\n".join(lines))
+        cause = probable_cause(identification, least=WELL_FITTED)
+    remedy = "" if cause else REMEDY
+    absent = (f"mode {label} was not found: no resonance has its mode shape{remedy}" for label in missing)
+    raise ValueError("\n".join([*absent, *itertools.chain(*faults.values()), *([cause] if cause else [])]))
 
 
 def _split(identification: Identification, missing: Sequence[int] | None = None, faulty: Sequence[int] = ()) -> str:
@@ -95,11 +73,8 @@ def _split(identification: Identification, missing: Sequence[int] | None = None,
     only resonances of these modes are considered.
     """
     # A mode that moved far has a pole for each of its places, which fit well: the causes of what is left are others.
-    unclear = (
-        "the most probable cause is drift, also between sets or by the mass of a sensor that is moved, or "
-        f"nonlinearity: {REMEDIES['drift']}, or {REMEDIES['nonlinearity']}"
-    )
-    for one, other in pairwise(identification.modes):
+    unclear = f"the most probable cause is drift or nonlinearity: {REMEDIES['drift']}, or {REMEDIES['nonlinearity']}"
+    for one, other in itertools.pairwise(identification.modes):
         apart = other.natural_frequency.value - one.natural_frequency.value
         width = 2 * one.natural_frequency.value * one.damping_ratio.value
         named = all(each.label or each.torsion for each in (one, other))
@@ -159,40 +134,13 @@ def _misplaced(identification: Identification) -> str:
     return misplaced(np.array(shapes), labels, identification.responses.places, identification.length)
 
 
-def _implausible_modes(modes: Sequence[IdentifiedMode], missing: Sequence[int]) -> str:
-    """Describe strong, well-fitted resonances without a mode's shape where a mode is missing; empty if none."""
-    least = AS_HIGH * float(np.median([mode.half_power.height for mode in modes]))
-    strange = []
-    for one in modes:
-        own, width = one.natural_frequency.value, 2 * one.damping_ratio.value
-        alone = all(abs(each.natural_frequency.value / own - 1) > width for each in modes if each is not one)
-        fitted = one.half_power.height > least and one.rest.share <= MARKED_ELSE
-        if alone and fitted and not (one.label or one.torsion):
-            strange += [one.name] * _lacks(modes, missing, one)
-    if not strange:
-        return ""
-    return (
-        f"the shape at {', '.join(strange)} is not that of a mode: check the positions and the signs of the points "
-        "(two may be exchanged) and the length of the beam"
-    )
-
-
-def _lacks(modes: Sequence[IdentifiedMode], missing: Sequence[int], one: IdentifiedMode) -> bool:
-    """Return whether a missing mode belongs between the labelled modes below and above a resonance."""
-    labelled = [(mode.label, mode.natural_frequency.value) for mode in modes if mode.label is not None]
-    own = one.natural_frequency.value
-    below = max((label for label, frequency in labelled if frequency < own), default=0)
-    above = min((label for label, frequency in labelled if frequency > own), default=np.inf)
-    return any(below < label < above for label in missing)
-
-
 def check_all(identification: Identification) -> None:
     """Refuse an identification without shapes if most of its modes are incoherent or badly fitted."""
     modes = identification.modes
     faults = [_faults(f"the mode at {mode.natural_frequency.value:.6g} Hz", mode) for mode in modes]
     if 2 * sum(bool(each) for each in faults) > len(modes):
-        cause = _causes(identification, modes) if any(mode.rest.share > MOST_LEFT for mode in modes) else []
-        raise ValueError("\n".join([*(line for each in faults for line in each), *cause]))
+        cause = [_cause(identification)] if any(mode.rest.share > MOST_LEFT for mode in modes) else []
+        raise ValueError("\n".join([*itertools.chain(*faults), *cause]))
 
 
 def _faults(name: str, mode: IdentifiedMode) -> list[str]:
@@ -260,26 +208,106 @@ def _digit(identification: Identification) -> str:
     by_point = left.sum(axis=(0, 2))
     if where and by_point.size >= FEWEST_PLACES and by_point.max() > OF_ALL * by_point.sum() > STRAY:
         point = int(by_point.argmax())
-        rest = np.moveaxis(responses.response[:, point] - identification.fitted[:, point], -1, 0)
-        cause = "a strange point" if neighbouring(rest).sum() > SMOOTH * (np.abs(rest) ** 2).sum() else "a noisy point"
-        described = f"most of the residual is at {responses.places[point]}: {REMEDIES[cause]}"
+        described = f"most of the residual is at {responses.places[point]}: {REMEDIES['a strange point']}"
         # A beam that drifts has the largest residual where it moves most.
         return described if probable_cause(identification, described) == described else ""
     return ""
 
 
-def _causes(identification: Identification, modes: Sequence[IdentifiedMode]) -> list[str]:
-    """Return the causes of the residual around badly fitted modes, or the worst of all, with their remedies."""
-    spoilt = [mode for mode in modes if mode.rest.share > MOST_LEFT]
-    worst = max(identification.modes, key=lambda each: each.rest.share)
-    grouped = causes_by_mode(identification, spoilt or [worst])
-    if len(grouped) == 1:
-        return [*grouped]
-    return [f"around {_names(each)} {cause}" for cause, each in grouped.items()]
+def _cause(identification: Identification, split: str = "") -> str:
+    """Describe the most probable cause of the residual with its remedy; a mode that is split may be described."""
+    known = [mark for mark in identification.responses.marks if mark.endswith((STILL_MOVES, FROM_ZERO))]
+    if cause := "; ".join(known) or _digit(identification) or _hum(identification) or split:
+        return cause
+    worst = max((mode.rest for mode in identification.modes), key=lambda each: each.share)
+    name = "nonlinearity or a missing mode" if worst.smooth else "noise"
+    return probable_cause(identification) or f"the most probable cause is {name}: {REMEDIES[name]}"
 
 
-def _names(modes: Sequence[IdentifiedMode]) -> str:
-    return ", ".join(each.name for each in sorted(modes, key=lambda each: each.natural_frequency.value))
+EXPLAINS = 0.4
+"""Minimum share of the residual that a pattern explains if it is the cause [1]."""
+
+FILTERED = 0.05
+"""Minimum share of the residual explained by one phase for each mode if a filter is the cause [1]."""
+
+
+def probable_cause(found: Identification, odd_point: str = "", least: float = 0.0) -> str:
+    """Describe the most probable cause of the residual with its remedy; empty if unclear.
+
+    A pattern over points and modes that explains most of the residual is the cause. The responses are fitted again with
+    one pole for each pair of close poles, which drift splits. The residual is then projected on the changes that a
+    fault makes to first order: of the natural frequencies, by point or by set; of the phase, by point, in proportion to
+    the frequency or not; of the phase, by mode.
+
+    A point that holds most of the residual, if described, is the cause unless a pattern explains it. None is named if
+    the misfit of the poles with one in place of close ones is below `least`.
+    """
+    if found.poles is None or not found.responses.places:
+        return odd_point
+    poles = _merged(found, found.poles)
+    # The mean of repeats hides how they differ.
+    responses = found.responses.repeats[0].aligned() if found.responses.repeats else found.responses
+    fit = refine(make_problem(responses, poles), poles)
+    if fit.variance < least:
+        return odd_point
+    shares = _shares(fit, *responses.response.shape[:2])
+    cause = max(shares, key=lambda each: shares[each])
+    if found.responses.repeats and fit.variance <= WELL_FITTED:
+        cause = "drift"
+    elif shares[cause] < EXPLAINS:
+        cause = "" if odd_point else _common_cause(fit)
+    return f"the most probable cause is {cause}: {REMEDIES[cause]}" if cause else odd_point
+
+
+def _merged(found: Identification, poles: Poles) -> Poles:
+    """Return the poles with one in place of two within a half-power bandwidth that are not both known modes."""
+    own, ratio = poles.natural_frequency, poles.damping_ratio
+    known = [mode.natural_frequency.value for mode in found.modes if mode.label or mode.torsion]
+    named = np.isin(own.round(6), np.round(known, 6))
+    apart = [
+        other - one > 2 * wide * one or (named[k] and named[k + 1])
+        for k, ((one, other), wide) in enumerate(zip(itertools.pairwise(own), ratio, strict=False))
+    ]
+    start = np.flatnonzero(np.append(True, apart))
+    number = np.diff(np.append(start, own.size))
+    return Poles(np.add.reduceat(own, start) / number, np.add.reduceat(ratio, start) / number, poles.delay)
+
+
+def _shares(fit: Evaluation, n_sets: int, n_points: int) -> dict[str, float]:
+    """Return the share of the residual that each pattern over points or sets explains."""
+    n, rest, residue = fit.n_modes, fit.rest, fit.residue
+    omega = 2 * np.pi * fit.poles.natural_frequency / fit.problem.highest
+    total = max(float((rest**2).sum()) - rest.size, 1e-300)
+
+    def explained(pattern: FloatArray, axis: int) -> float:
+        """Return the share that a pattern explains with a factor for each point or set."""
+        overlap, size = (
+            product.sum(axis=0).reshape(n_sets, n_points).sum(axis=axis) for product in (pattern * rest, pattern**2)
+        )
+        return float((overlap**2 / np.maximum(size, 1e-300)).sum()) / total
+
+    moved = (fit.slope[:, :n] / fit.poles.damping_ratio) @ residue[:n]
+    return {
+        "drift": max(explained(moved, axis) for axis in ((0, 1) if n_sets > 1 else (0,))),
+        "a phase that differs between the points": max(
+            explained(fit.turned @ residue, 0), explained((fit.turned[:, :n] / omega) @ residue[:n], 0)
+        ),
+    }
+
+
+def _common_cause(fit: Evaluation) -> str:
+    """Return the cause of a residual that has the shapes of the modes themselves; empty if it has not."""
+    n, rest, left = fit.n_modes, fit.rest, fit.left
+    power = float((rest**2).sum()) - rest.size
+    nearest = np.abs(np.log(fit.problem.bins.centre[:, None] / fit.poles.natural_frequency)).argmin(axis=1)
+    shape = fit.residue[nearest] / np.linalg.norm(fit.residue[nearest], axis=1, keepdims=True)
+    if (np.abs((left * shape).sum(axis=1)) ** 2).sum() - 2 * len(left) <= EXPLAINS * power:
+        return ""
+    by_phase = fit.turned[:, :n]
+    overlap = ((by_phase.T @ rest) * fit.residue[:n]).sum(axis=1)
+    curvature = (by_phase.T @ by_phase) * (fit.residue[:n] @ fit.residue[:n].T)
+    filtered = float(overlap @ np.linalg.lstsq(curvature, overlap, rcond=1e-12)[0])
+    return "a filter or window that is not listed" if filtered > FILTERED * power else "nonlinearity"
 
 
 def warnings(identification: Identification) -> list[str]:
@@ -293,31 +321,21 @@ def warnings(identification: Identification) -> list[str]:
         )
     if responses.coherence is not None and (median := float(np.median(responses.coherence))) < LEAST_COHERENCE:
         sentences.append(f"the median coherence over the band is {median:.2f}, below {LEAST_COHERENCE:g}: average more")
-    noisy = identification.misfit <= WELL_FITTED
-    known = "" if noisy else _digit(identification) or _hum(identification)
-    marked = [mode for mode in identification.modes if mode.rest.smooth > MARKED.get(mode.rest.cause, MARKED_ELSE)]
-    badly = [mode for mode in identification.modes if mode.rest.share > MOST_LEFT and mode not in marked]
-    spoilt = [*marked, *badly]
-    by_cause = {known: spoilt} if known and spoilt else causes_by_mode(identification, spoilt)
-    for cause, chosen in by_cause.items():
-        left = max(max(each.rest.smooth, each.rest.share) for each in chosen)
-        sentences.append(
-            f"the residual is up to {left:.1%} of the response around {_names(chosen)}, and the intervals may not "
-            f"cover it: {cause}"
+    spoilt = [mode for mode in identification.modes if mode.rest.smooth > MARKED or mode.rest.share > MOST_LEFT]
+    badly, split = identification.misfit > WELL_FITTED, _split(identification) if identification.length else ""
+    cause = _cause(identification, split) if spoilt or badly else split
+    if spoilt:
+        left = max(max(each.rest.smooth, each.rest.share) for each in spoilt)
+        names = ", ".join(each.name for each in spoilt)
+        cause = (
+            f"the residual is up to {left:.1%} of the response around {names}, and the intervals may not cover it: "
+            f"{cause}"
         )
-    if folded := aliased(identification):
-        sentences.append(folded)
-    if of_points := _misplaced(identification) or _uneven(identification):
-        sentences.append(of_points)
-    split = _split(identification) if identification.length and not folded else ""
-    if split or not (noisy or (known and (marked or badly))):
-        sentences.append(
-            known
-            or split
-            or f"{misfit_verdict(identification)}: the intervals are widened accordingly, but may not cover it"
-            + (f"; {cause}" if (cause := probable_cause(identification)) else "")
-        )
-    return sentences
+    elif badly:
+        verdict = misfit_verdict(identification)
+        cause = f"{verdict}: the intervals are widened accordingly, but may not cover it; {cause}"
+    of_points = _misplaced(identification) or _uneven(identification)
+    return [*sentences, *(each for each in (cause, of_points) if each)]
 
 
 def misfit_verdict(identification: Identification) -> str:
