@@ -14,7 +14,8 @@ from typer.testing import CliRunner
 
 from modaltouch.cli import app
 from modaltouch.lab.identification.modal_parameters import Estimate, Identification
-from modaltouch.lab.identification.report import identified_apparatus, write_identification
+from modaltouch.lab.identification.report import export, identified_apparatus, write_identification
+from modaltouch.lab.identification.responses import FrequencyResponses
 from modaltouch.lab.identification.verdict import check_modes
 from modaltouch.protocol import InputError
 from modaltouch.protocol.apparatus import Apparatus
@@ -160,6 +161,32 @@ def test_a_missing_actuator_set_is_reported(exact: Callable[..., np.ndarray], tm
     assert done.exit_code == 0, done.output
     after = Apparatus.read(Path(json.loads(done.stdout)["apparatus_file"]))
     assert after.unknown_gains() == ((1, "side"), (3, "side"))
+
+
+@pytest.mark.parametrize("n_files", [1, 2])
+def test_responses_to_a_hammer_give_a_table_but_no_apparatus(
+    exact: Callable[..., np.ndarray], beam: TrueBeam, tmp_path: Path, n_files: int
+) -> None:
+    """Universal files of a roving hammer, wherever their origin: a force belongs to no actuator set."""
+    frequency, positions = np.arange(1000.0, 15e3, 8.0), np.linspace(-0.049, 0.049, 13)
+    response, rng = exact(frequency, positions)[1:], np.random.default_rng(2)
+    files = [tmp_path / f"{number}.uff" for number in range(n_files)]
+    for file in files:
+        noise = rng.standard_normal(response.shape) + 1j * rng.standard_normal(response.shape)
+        noisy = response + 1e-4 * np.abs(response).max() * noise
+        hammered = FrequencyResponses(frequency, noisy, positions + 0.3, ("reference_16",), per="N")
+        export(Identification((), Estimate(0, 0, 0), 1.0, hammered, None, noisy), file)
+    command = ["identify", *map(str, files), "--modes", "3,5,7", "--out", str(tmp_path / "out"), "--json"]
+    done = CliRunner().invoke(app, [*command, "--apparatus", str(APPARATUS)])
+    assert done.exit_code == 0, done.output
+    result = json.loads(done.stdout)
+    assert result["apparatus_file"] is None
+    assert [each[:23] for each in result["warnings"]] == ["the excitation is a for"]
+    for label in (3, 5, 7):
+        mode = next(each for each in result["modes"] if each["label"] == label)
+        own = beam.table.natural_frequency[beam.table.label.index(label)]
+        assert mode["natural_frequency_Hz"]["value"] == pytest.approx(own, rel=1e-4)
+        assert mode["gain_mm_s2_per_V"] == {}
 
 
 def test_an_estimate_contains_its_interval() -> None:

@@ -5,8 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -146,8 +145,9 @@ def identify(options: IdentifyOptions, progress: MeasurementProgress = SILENT_PR
     if options.files and not folders:
         responses = read_responses(options.files, options.form).between(*options.form.band)
         if responses.positions is None or responses.n_points < FEWEST_SHAPE_POINTS:
-            with _fitting(progress):
-                found = over_repeats(identify_each(responses))
+            progress.show("fitting", 0, 1)
+            found = over_repeats(identify_each(responses))
+            progress.show("fitting", 1, 1)
             check_all(found)
             sources = [path.name for path in options.files]
             return write_identification(found, options.out, "file", sources, export_to=options.export)
@@ -174,13 +174,6 @@ def identify(options: IdentifyOptions, progress: MeasurementProgress = SILENT_PR
         [FrequencyResponses.of_rows([responses_of(scans, beam.bandwidth) for scans in rows]) for rows in measured]
     )
     return beam.fit(responses.between(1.5 * LOWEST, float(responses.frequency[-1])), facts, progress)
-
-
-@contextmanager
-def _fitting(progress: MeasurementProgress) -> Iterator[None]:
-    progress.show("fitting", 0, 1)
-    yield
-    progress.show("fitting", 1, 1)
 
 
 class _Beam:
@@ -247,23 +240,24 @@ class _Beam:
         return [{name: read_scan(folder / f"scan_{name}{row}") for name in self.sets} for row in rows]
 
     def chosen(self, responses: FrequencyResponses) -> FrequencyResponses:
-        """Select a file's responses to the requested actuator sets."""
-        missing = [name for name in self.sets if name not in responses.sets]
+        """Select a file's responses to the requested actuator sets; those to a force have none."""
+        sets = responses.sets if responses.per == "N" else self.sets
+        missing = [name for name in sets if name not in responses.sets]
         if missing:
             raise ValueError(
                 f"the files contain responses to {', '.join(responses.sets)}, but none to the actuator set "
                 f"{missing[0]}: give the sets in the files the names of the apparatus file, or name the sets that "
                 "were measured with --set"
             )
-        rows = [responses.sets.index(name) for name in self.sets]
+        rows = [responses.sets.index(name) for name in sets]
         return replace(
             responses,
             response=responses.response[rows],
             coherence=None if responses.coherence is None else responses.coherence[rows],
-            sets=self.sets,
+            sets=sets,
             bandwidth=self.bandwidth,
             per=responses.per or "V",
-            repeats=tuple(self.chosen(each) for each in responses.repeats),
+            repeats=tuple(self.chosen(replace(each, per=responses.per)) for each in responses.repeats),
         )
 
     def fit(
@@ -280,8 +274,9 @@ class _Beam:
                     "unit and the order of the coordinates along and across it"
                 )
             check_points(along(responses.places)[0], self.labels, self.length)
-        with _fitting(progress):
-            found = over_repeats(fit_jointly(responses, self.length, clock_tolerance=CLOCK_TOLERANCE))
+        progress.show("fitting", 0, 1)
+        found = over_repeats(fit_jointly(responses, self.length, clock_tolerance=CLOCK_TOLERANCE))
+        progress.show("fitting", 1, 1)
         axis, by_force = axis_error(found), responses.per == "N"
         marks = (*responses.marks, *([axis] if axis else []))
         found = replace(found, responses=replace(found.responses, marks=marks))

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from modaltouch.lab.common import DARK, LIGHT, MIDDLE, ComplexArray, FloatArray, draw_map
 from modaltouch.lab.identification.modal_parameters import Identification
-from modaltouch.lab.identification.responses import FrequencyResponses
-from modaltouch.lab.identification.shapes import phase_collinearity, phase_deviation, straightened
+from modaltouch.lab.identification.responses import FEWEST_BINS, FrequencyResponses
+from modaltouch.lab.identification.shapes import phase_collinearity, straightened
 from modaltouch.report import CONDITION_COLOURS, FAINT, INK, house_style, quiet_grid
 from modaltouch.stimulus import mode_shapes
 
@@ -56,12 +56,11 @@ def draw_all(identification: Identification) -> dict[str, Figure]:
 
 def from_lowest_mode(identification: Identification) -> Identification:
     """Leave out the responses far below the lowest mode, which would fill half of a logarithmic axis."""
-    responses = identification.responses
+    frequency = identification.responses.frequency
     lowest = FROM * min(mode.natural_frequency.value for mode in identification.modes)
-    kept = responses.frequency >= lowest
-    return replace(
-        identification, responses=responses.between(lowest, math.inf), fitted=identification.fitted[..., kept]
-    )
+    kept = frequency >= min(lowest, frequency[-FEWEST_BINS])
+    responses = identification.responses.between(frequency[kept][0], math.inf)
+    return replace(identification, responses=responses, fitted=identification.fitted[..., kept])
 
 
 def draw_responses(identification: Identification) -> Figure:

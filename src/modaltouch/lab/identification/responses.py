@@ -294,11 +294,11 @@ class FrequencyResponses:
     def between(self, lowest: float, highest: float) -> FrequencyResponses:
         """Return the responses within a band [Hz]."""
         kept = (self.frequency >= lowest) & (self.frequency <= highest)
-        if kept.sum() < 16:
+        if kept.sum() < FEWEST_BINS:
             low, high = self.frequency[[0, -1]]
             raise ValueError(
-                f"{int(kept.sum())} bins lie between {lowest:g} and {min(highest, high):g} Hz; at least 16 are needed: "
-                f"choose a wider band within {low:g} to {high:g} Hz"
+                f"{int(kept.sum())} bins lie between {lowest:g} and {min(highest, high):g} Hz; at least {FEWEST_BINS} "
+                f"are needed: choose a wider band within {low:g} to {high:g} Hz"
             )
         return replace(
             self,
@@ -306,6 +306,9 @@ class FrequencyResponses:
             response=self.response[..., kept],
             coherence=None if self.coherence is None else self.coherence[..., kept],
             repeats=tuple(each.between(lowest, highest) for each in self.repeats),
+FEWEST_BINS = 16
+"""Minimum number of bins of responses."""
+
         )
 
 

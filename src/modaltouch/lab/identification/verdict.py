@@ -215,13 +215,17 @@ def _digit(identification: Identification) -> str:
 
 
 def _cause(identification: Identification, split: str = "") -> str:
-    """Describe the most probable cause of the residual with its remedy; a mode that is split may be described."""
+    """Describe the most probable cause of the residual with its remedy; empty if unclear and small.
+
+    A mode that is split may be described.
+    """
     known = [mark for mark in identification.responses.marks if mark.endswith((STILL_MOVES, FROM_ZERO))]
     if cause := "; ".join(known) or _digit(identification) or _hum(identification) or split:
         return cause
     worst = max((mode.rest for mode in identification.modes), key=lambda each: each.share)
     name = "nonlinearity or a missing mode" if worst.smooth else "noise"
-    return probable_cause(identification) or f"the most probable cause is {name}: {REMEDIES[name]}"
+    unclear = f"the most probable cause is {name}: {REMEDIES[name]}" if max(worst.share, worst.smooth) > MARKED else ""
+    return probable_cause(identification) or unclear
 
 
 EXPLAINS = 0.4
@@ -333,7 +337,7 @@ def warnings(identification: Identification) -> list[str]:
         )
     elif badly:
         verdict = misfit_verdict(identification)
-        cause = f"{verdict}: the intervals are widened accordingly, but may not cover it; {cause}"
+        cause = f"{verdict}: the intervals are widened accordingly, but may not cover it{cause and '; '}{cause}"
     of_points = _misplaced(identification) or _uneven(identification)
     return [*sentences, *(each for each in (cause, of_points) if each)]
 
