@@ -180,8 +180,7 @@ def draw_complexity(identification: Identification) -> Figure:
             axes.plot(spokes.real, spokes.imag, color=DARK, lw=0.7)
             axes.plot(straight.real, straight.imag, "o", ms=2.2, color=DARK)
             name = f"mode {mode.name}" if mode.label or mode.torsion else mode.name
-            collinearity, deviation = phase_collinearity(mode.residue), math.degrees(phase_deviation(mode.residue))
-            axes.set_title(f"{name}\n{_rounded_down(collinearity)}, {deviation:.2g}°", fontsize=7.5)
+            axes.set_title(f"{name}\n{_rounded_down(phase_collinearity(mode.residue))}", fontsize=7.5)
             axes.set(xlim=(-1.1, 1.1), ylim=(-0.6, 0.6))
         figure.suptitle("Residues in the complex plane; phase collinearity, mean phase deviation", fontsize=10)
     return figure

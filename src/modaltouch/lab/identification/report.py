@@ -42,7 +42,6 @@ def mode_values(mode: IdentifiedMode, sets: Sequence[str]) -> dict[str, Any]:
         "gain_mm_s2_per_V": gains,
         "mac": _number(mode.mac),
         "phase_collinearity": _number(phase_collinearity(mode.residue)),
-        "phase_deviation_deg": _number(math.degrees(phase_deviation(mode.residue))),
         "coherence": _number(mode.coherence),
         "left": {"share": _number(mode.rest.share), "smooth": _number(mode.rest.smooth)},
         "half_power": {
@@ -93,7 +92,7 @@ def table_rows(identification: Identification) -> list[dict[str, Any]]:
         half = values["half_power"]
         row |= {
             "repeatability": f"over {mode.n_repeats} measurements" if mode.n_repeats > 1 else "unknown",
-            **{name: values[name] for name in ("mac", "phase_collinearity", "phase_deviation_deg", "coherence")},
+            **{name: values[name] for name in ("mac", "phase_collinearity", "coherence")},
             "half_power_frequency_Hz": half["peak_frequency_Hz"],
             "half_power_damping_ratio": half["damping_ratio"],
             "half_power_gain_mm_s2_per_V": half["gain_mm_s2_per_V"],

@@ -45,15 +45,6 @@ def straightened(residue: ComplexArray) -> ComplexArray:
     return np.asarray(residue * np.exp(-0.5j * np.angle((residue**2).sum())))
 
 
-def phase_deviation(residue: ComplexArray) -> float:
-    """Return the amplitude-weighted mean phase deviation of a shape (Reynders 2012) [rad]; NaN for a single point."""
-    if residue.size < 2:
-        return float("nan")
-    straight = straightened(residue)
-    size = np.abs(straight)
-    return float((size * np.arctan2(np.abs(straight.imag), np.abs(straight.real))).sum() / size.sum())
-
-
 def check_points(positions: FloatArray, labels: Sequence[int], length: float) -> None:
     """Refuse points on which two modes have similar shapes, or too few points to draw the highest mode.
 
