@@ -15,7 +15,7 @@ from modaltouch.cli.lab import MEASURED_RIG, carry_out
 FILES = Annotated[
     list[Path] | None,
     typer.Argument(
-        help="Measured responses or time records (.uff, .unv, .csv, .npz, .lvm, .txt), or folders of earlier scans, "
+        help="Measured responses or time records (.uff, .unv, .csv, .npz, .lvm), or folders of earlier scans, "
         "instead of a rig; anything measured again counts as a repeat.",
         show_default=False,
     ),
@@ -54,9 +54,6 @@ CONJUGATED = Annotated[bool, typer.Option("--conjugated", help="The files follow
 LOWEST = Annotated[
     float | None, typer.Option("--lowest-Hz", help="Lowest frequency used from a file.", show_default="the whole band")
 ]
-SPACING = Annotated[
-    float | None, typer.Option("--spacing-Hz", help="Frequency step of a file that contains only numbers.")
-]
 LEAVE_OUT = Annotated[
     list[float] | None,
     typer.Option("--leave-out", help="Position whose responses are not used [mm], repeatable.", show_default="none"),
@@ -89,7 +86,6 @@ def identify(
     quantity: QUANTITY = None,
     conjugated: CONJUGATED = False,
     lowest_Hz: LOWEST = None,
-    spacing_Hz: SPACING = None,
     seed: SEED_OF_TWIN = None,
     export: EXPORT = None,
     leave_out: LEAVE_OUT = None,
@@ -103,7 +99,7 @@ def identify(
     """
     highest = None if highest_kHz is None else highest_kHz * 1e3
     band = (lowest_Hz or 0.0, math.inf if highest is None else highest)
-    form = lab.ResponseFormat(quantity, conjugated, spacing_Hz, averages, use_clipped, band)
+    form = lab.ResponseFormat(quantity, conjugated, averages, use_clipped, band)
     options = lab.IdentifyOptions(
         apparatus, tuple(files or ()), rig, out, points=points, averages=averages, rows=rows, voltage=drive_V,
         excitation=excitation, highest=highest, margin=margin_mm * 1e-3, sets=tuple(sets or ()), modes=modes,

@@ -160,16 +160,6 @@ def test_a_hammer_record_gives_its_modes(tmp_path: Path) -> None:
     assert [mode.damping_ratio.value for mode in found.modes] == pytest.approx([ratio for _, ratio in POLES], rel=0.05)
 
 
-def test_plain_numbers_need_their_spacing(tmp_path: Path, frequency: np.ndarray) -> None:
-    """One complex number per line; the frequencies are unknown without the spacing."""
-    path = tmp_path / "point.txt"
-    path.write_text("\n".join(str(value) for value in noisy(accelerance(frequency, RESIDUES[0]))))
-    with pytest.raises(ValueError, match=r"point.txt: it contains only numbers.*--spacing-Hz"):
-        read_responses([path], ResponseFormat("acceleration"))
-    found = identify_each(read_responses([path], ResponseFormat("acceleration", spacing=0.5)))
-    assert found.modes[0].natural_frequency.value == pytest.approx(120, rel=1e-3)
-
-
 def test_a_conjugated_file_needs_its_option(tmp_path: Path, frequency: np.ndarray) -> None:
     """Responses by exp(-i w t) are refused without --conjugated and read correctly with it."""
     path = write_csv(tmp_path / "modes.csv", frequency, conjugated=True)
@@ -212,11 +202,10 @@ def test_a_wrong_quantity_is_refused(tmp_path: Path, frequency: np.ndarray) -> N
     ("name", "content", "words"),
     [
         ("a.xyz", "", "files that end in '.xyz' cannot be read; allowed: .uff"),
-        ("a.yaml", "", "allowed: .uff, .unv, .csv, .npz, .lvm, .txt; give an apparatus with --apparatus"),
+        ("a.yaml", "", "allowed: .uff, .unv, .csv, .npz, .lvm; give an apparatus with --apparatus"),
         ("a.csv", "frequency,re\n1,2", "a.csv:1: the column frequency_Hz is missing"),
         ("a.csv", "frequency_Hz,set,position_mm,real,imag\n1,s,0,x,2", "a.csv:2: '1,s,0,x,2' does not give a number"),
         ("a.csv", "frequency_Hz,set,position_mm,real,imag\n", "no line below the header"),
-        ("a.txt", "(1+2j)\nhello", "a.txt:2: 'hello' is not a complex number"),
         ("a.lvm", "nothing", r"there is no \*\*\*End_of_Header\*\*\*"),
         ("a.npz", "nothing", "cannot be read .* it needs frequency"),
         ("a.uff", "nothing", "universal file|no frequency response"),
@@ -227,7 +216,7 @@ def test_damaged_files_are_reported(tmp_path: Path, name: str, content: str, wor
     path = tmp_path / name
     path.write_text(content)
     with pytest.raises(ValueError, match=words):
-        read_responses([path], ResponseFormat("velocity", spacing=1.0))
+        read_responses([path], ResponseFormat("velocity"))
 
 
 @pytest.mark.parametrize("line", ["", "Delta_X\tfast\tfast\t", "Delta_X\t", "Delta_X\t0,0\t0,0\t"])

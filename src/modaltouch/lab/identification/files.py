@@ -1,10 +1,9 @@
-"""Readers of frequency responses and time records from other programs: UFF, CSV, NPZ, LVM, plain numbers."""
+"""Readers of frequency responses and time records from other programs: UFF, CSV, NPZ, LVM."""
 
 from __future__ import annotations
 
 import csv
 import math
-import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -173,8 +172,7 @@ def read_responses(paths: Sequence[Path], how: ResponseFormat | None = None) -> 
     Parameters
     ----------
     paths : sequence of Path
-        The extension determines the format: ``.uff`` or ``.unv``, ``.csv``, ``.npz``, ``.lvm``, or ``.txt`` with one
-        complex number per line.
+        The extension determines the format: ``.uff`` or ``.unv``, ``.csv``, ``.npz``, or ``.lvm``.
     how : ResponseFormat, optional
         What the files do not state.
 
@@ -323,7 +321,6 @@ def _read(path: Path, how: ResponseFormat) -> Part:
         ".csv": _read_csv,
         ".npz": _read_npz,
         ".lvm": read_lvm,
-        ".txt": _read_text,
     }
     reader = readers.get(path.suffix.lower())
     if reader is None:
@@ -432,19 +429,3 @@ def _read_npz(path: Path, how: ResponseFormat) -> Part:
         return part_of(path, [TimeRecord(key, n.real, n.imag, step) for key, n, _ in found], quantity, how)
     known = "coherence" in arrays
     return Part(axis, [MeasuredResponse(key, n, certain if known else None) for key, n, certain in found], quantity)
-
-
-def _read_text(path: Path, how: ResponseFormat) -> Part:
-    """Read one complex number per line, as Python prints it, starting at 0 Hz."""
-    if how.spacing is None:
-        raise ValueError(f"{path}: it contains only numbers; give the spacing of its bins with --spacing-Hz")
-    values = []
-    for line, text in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
-        if not text.strip():
-            continue
-        try:
-            values.append(complex(re.sub(r"\s", "", text).replace("i", "j")))
-        except ValueError:
-            raise ValueError(f"{path}:{line}: {text[:40]!r} is not a complex number such as (1.5-0.2j)") from None
-    frequency = np.arange(len(values), dtype=float) * how.spacing
-    return Part(frequency, [MeasuredResponse((path.stem, None), np.array(values))], None)

@@ -59,8 +59,6 @@ class ResponseFormat:
         ``velocity``, ``displacement`` or ``acceleration``; None to use what the file states.
     conjugated : bool
         Whether the responses follow the time convention exp(-i w t).
-    spacing : float or None
-        Bin spacing of a file of bare numbers [Hz].
     n_averages : int
         Number of records per response with a coherence; number of segments of a record without impacts.
     use_clipped : bool
@@ -71,7 +69,6 @@ class ResponseFormat:
 
     quantity: Quantity | None = None
     conjugated: bool = False
-    spacing: float | None = None
     n_averages: int = 1
     use_clipped: bool = False
     band: tuple[float, float] = (0.0, math.inf)
