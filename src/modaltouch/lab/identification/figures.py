@@ -1,4 +1,4 @@
-"""Figures of an identification: responses and fit, stability diagram, mode complexity, coherence, shapes (Fig. 4)."""
+"""Figures of an identification: responses and fit, stability diagram, mode complexity, shapes (Fig. 4)."""
 
 from __future__ import annotations
 
@@ -45,8 +45,6 @@ def draw_all(identification: Identification) -> dict[str, Figure]:
     }
     if any(mode.residue.size > 1 for mode in identification.modes):
         drawn["complexity"] = draw_complexity(identification)
-    if identification.responses.coherence is not None:
-        drawn["coherence"] = draw_coherence(identification)
     if identification.shaped:
         drawn["fig_4"] = draw_shapes(identification)
     if identification.shaped and np.any(identification.responses.across):
@@ -182,25 +180,7 @@ def draw_complexity(identification: Identification) -> Figure:
             name = f"mode {mode.name}" if mode.label or mode.torsion else mode.name
             axes.set_title(f"{name}\n{_rounded_down(phase_collinearity(mode.residue))}", fontsize=7.5)
             axes.set(xlim=(-1.1, 1.1), ylim=(-0.6, 0.6))
-        figure.suptitle("Residues in the complex plane; phase collinearity, mean phase deviation", fontsize=10)
-    return figure
-
-
-def draw_coherence(identification: Identification) -> Figure:
-    """Draw the coherence: its median over the points, and the band from the 10th to the 90th percentile."""
-    responses = identification.responses
-    coherence = np.ones(responses.response.shape) if responses.coherence is None else responses.coherence
-    with house_style(7.6, 1.2 + 1.7 * len(responses.sets), len(responses.sets), sharex=True) as (figure, panels):
-        for row, axes in enumerate(panels[:, 0]):
-            low, median, high = np.percentile(coherence[row], [10, 50, 90], axis=0)
-            kept = _thinned(responses.frequency, -median)
-            frequency = responses.frequency[kept] / 1e3
-            axes.fill_between(frequency, low[kept], high[kept], color=LIGHT, lw=0)
-            axes.plot(frequency, median[kept], color=_colour(row), lw=0.9)
-            _mark_modes(axes, identification, labelled=row == 0)
-            axes.set(ylabel=f"{responses.sets[row]}: coherence", ylim=(0, 1.02))
-        _frequency_axis(panels[-1, 0], responses.frequency)
-        figure.suptitle("Coherence: median over the points, and its 10th to 90th percentile (shaded)", fontsize=10)
+        figure.suptitle("Residues in the complex plane; phase collinearity", fontsize=10)
     return figure
 
 
