@@ -346,15 +346,10 @@ def test_an_axis_one_bin_too_high_is_refused(tmp_path: Path, frequency: np.ndarr
     ("made", "said"),
     [
         (lambda h: np.abs(h) + 1j * np.degrees(np.angle(h)), "magnitudes were exported in its place"),
-        (lambda h: np.abs(h) * np.exp(1j * np.degrees(np.angle(h))), "degrees were taken for radians"),
         (lambda h: h.real + 0j, "the imaginary part is zero throughout"),
         (lambda h: 1j * h.imag, "the real part is zero throughout"),
-        (
-            lambda h: (20 * np.log10(np.maximum(np.abs(h), 1e-6)) - 100) * np.exp(1j * np.angle(h)),
-            "they are decibels",
-        ),
     ],
-    ids=["amplitude and phase", "degrees", "real part", "imaginary part", "decibels"],
+    ids=["amplitude and phase", "real part", "imaginary part"],
 )
 def test_other_forms_of_a_response_are_refused(
     tmp_path: Path, frequency: np.ndarray, made: Callable, said: str
@@ -370,7 +365,7 @@ def test_other_forms_of_a_response_are_refused(
 
 
 def test_a_damaged_universal_file_is_reported(tmp_path: Path, frequency: np.ndarray) -> None:
-    """Truncated in its second response; and with a letter for a digit, with its line."""
+    """Truncated in its second response; and with a letter for a digit."""
     whole = write_uff(tmp_path / "a.uff", frequency).read_text()
     (tmp_path / "b.uff").write_text(whole[: len(whole) * 7 // 10])
     with pytest.raises(ValueError, match="b.uff: it ends within a data set: it was cut off"):
@@ -378,20 +373,18 @@ def test_a_damaged_universal_file_is_reported(tmp_path: Path, frequency: np.ndar
     lines = whole.splitlines()
     lines[99] = lines[99].replace(".", "x", 1)
     (tmp_path / "c.uff").write_text("\n".join(lines))
-    with pytest.raises(ValueError, match="c.uff:100: cannot be read as a universal file"):
+    with pytest.raises(ValueError, match="c.uff: cannot be read as a universal file"):
         read_responses([tmp_path / "c.uff"])
 
 
-def test_a_coarse_converter_and_an_exponential_window_are_marked(tmp_path: Path) -> None:
-    """Noise that decays with the motion, and a motion of 8 bits."""
+def test_an_exponential_window_is_marked(tmp_path: Path) -> None:
+    """Noise that decays with the motion."""
     rng, time = np.random.default_rng(0), np.arange(4096) / 4096
     drive = np.where(abs(time - 0.1) < 2e-3, np.cos(2 * np.pi * 125 * (time - 0.1)), 0.0)
     motion = np.where(time > 0.1, np.exp(-20 * (time - 0.1)) * np.sin(2 * np.pi * 120 * time), 0.0)
     motion = (motion + 1e-3 * rng.standard_normal(4096)) * np.exp(-5 * np.maximum(time - 0.1, 0))
     path = blow(tmp_path / "a.npz", drive=drive[None, None], motion=motion[None, None])
     assert any("exponential window" in mark for mark in read_responses([path]).marks)
-    path = blow(tmp_path / "b.npz", drive=drive[None, None], motion=np.round(127 * motion)[None, None])
-    assert any("different values, so that its converter's steps" in mark for mark in read_responses([path]).marks)
 
 
 def test_unknown_units_and_saturated_records_are_refused(tmp_path: Path) -> None:

@@ -24,15 +24,12 @@ from modaltouch.lab.identification.responses import (
     as_velocity,
     refuse_copies,
     refuse_faulty_values,
-    turns,
 )
 from modaltouch.lab.identification.time_records import TimeRecord, part_of, read_lvm, step_of
 
 _FUNCTION, _TIME, _RESPONSE, _FORCE = 58, 1, 4, 13
 _NODES = (15, 2411)
 _UNITS = 164
-_NUMERIC, _GARBLED = b"0123456789+-.eEdD \t", 3
-"""Characters of a line of numbers; a line with no more than this number of others is a garbled one."""
 _QUANTITIES: dict[int, Quantity] = {8: "displacement", 11: "velocity", 12: "acceleration"}
 """Quantity of each specific data type of an ordinate's numerator."""
 
@@ -120,9 +117,7 @@ def _read_sets(path: Path) -> list[dict[str, Any]]:
         read = pyuff.UFF(str(path)).read_sets()
     # The library raises bare exceptions and any error of its parser.
     except Exception as error:
-        strange = (len(text.translate(None, _NUMERIC)) * (text.count(b".") > 1) for text in lines)
-        where = next((f":{line}" for line, n in enumerate(strange, start=1) if 0 < n <= _GARBLED), "")
-        raise ValueError(f"{path}{where}: cannot be read as a universal file ({error}); export it again") from error
+        raise ValueError(f"{path}: cannot be read as a universal file ({error}); export it again") from error
     return read if isinstance(read, list) else [read]
 
 
@@ -155,12 +150,6 @@ each other in one file or come in several files."""
 
 FEWEST_SIGNED = 6
 """Number of places from which at least one response of a beam must have a negative real part."""
-
-LEAST_DECIBELS, ALIKE = 10.0, 3.0
-"""Minimum median magnitude of numbers that may be decibels, and their maximum over it; responses exceed that [1]."""
-
-MOST = 2.5 * np.pi
-"""Largest phase change of a response across its highest peak [rad]; that of a resonance is less than pi."""
 
 TIME_COLUMNS = ("time_s", "set", "position_mm", "drive", "motion")
 """Columns of time records in a CSV file, drive and motion in SI units."""
@@ -238,14 +227,11 @@ def _quantity(path: Path, part: Part, how: ResponseFormat) -> Quantity:
 def _refuse_amplitudes(path: Path, part: Part) -> None:
     """Refuse numbers that cannot be complex responses of a beam."""
     values = np.array([each.values for each in part.responses])
-    size, places = np.abs(values), {key[1] for key, *_ in part.responses if key[1] is not None}
-    typical = float(np.median(size))
+    places = {key[1] for key, *_ in part.responses if key[1] is not None}
     faults = {
         "the imaginary part is zero throughout": not values.imag.any(),
         "the real part is zero throughout": not values.real.any(),
         "no response has a negative real part: magnitudes were exported in its place": bool((values.real >= 0).all()),
-        "the values are large and alike: they are decibels": typical > LEAST_DECIBELS and size.max() < ALIKE * typical,
-        "the phase turns several times within each peak: degrees were taken for radians": turns(values, size) > MOST,
     }
     fault = next((fault for fault, found in faults.items() if found), None)
     if fault and len(places) >= FEWEST_SIGNED:

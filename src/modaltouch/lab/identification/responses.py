@@ -439,15 +439,3 @@ def as_velocity(frequency: FloatArray, response: ComplexArray, quantity: Quantit
         if quantity == "displacement":
             return np.asarray(response * turn)
         return np.asarray(response / turn) if quantity == "acceleration" else response
-
-
-def turns(values: ComplexArray, size: FloatArray) -> float:
-    """Return the median phase change of responses, a row each, across their peaks, excluding a delay [rad]."""
-    turned = []
-    for row, amplitude in zip(values, size, strict=True):
-        turn = np.angle(row[1:] * row[:-1].conj())
-        turn = np.angle(np.exp(1j * (turn - np.median(turn))))
-        top, low = int(amplitude.argmax()), np.flatnonzero(amplitude < amplitude.max() / 2**0.5)
-        first, last = low[low < top].max(initial=0), low[low > top].min(initial=turn.size)
-        turned.append(np.abs(turn[first:last]).sum())
-    return float(np.median(turned))

@@ -54,13 +54,11 @@ STEEP = 0.8
 
 DECAY = "free decay"
 STILL_MOVES = "has not died out at the end of a record: record for longer"
-COARSE = "different values, so that its converter's steps are coarse: choose the smallest range that covers it"
 WINDOWED = "an exponential window, which makes damping ratios too large, was applied: record without it"
-"""Words of the marks on free decays, truncated ones, coarse converters and windows."""
+"""Words of the marks on free decays, truncated ones, and windows."""
 
-FEWEST_VALUES, FADED = 300, 0.2
-"""Minimum number of distinct values of a motion that is not coarse, and noise at the end of a decay, relative to that
-before the impact, below which a window was applied [1]."""
+FADED = 0.2
+"""Noise at the end of a decay, relative to that before the impact, below which a window was applied [1]."""
 
 FEWEST_SAMPLES = 64
 """Minimum number of samples of a record."""
@@ -209,10 +207,8 @@ def _on_one_axis(
 
 
 def _spoilt(name: str, drive: FloatArray, motion: FloatArray) -> list[str]:
-    """Return marks on a motion of few values, and on one with less noise at its end than before the impact."""
-    size, n_values = np.abs(drive - np.median(drive)), np.unique(motion).size
-    if n_values < min(FEWEST_VALUES, motion.size // 8):
-        return [f"the motion of {name} has only {n_values} {COARSE}"]
+    """Return a mark on a motion with less noise at its end than before the impact."""
+    size = np.abs(drive - np.median(drive))
     high = np.flatnonzero(size > HIT * size.max())
     n_before, n_quiet = int(high[0]) * 3 // 4, (size.size - int(high[-1])) // 4
     # The noise of the drive after the impact tells of a window if there is no record before it.
