@@ -133,14 +133,6 @@ def _show(result: dict[str, Any]) -> None:
         say(f"Also found, but not in the table: {', '.join(others)} Hz", dim=True)
     say(*(text[:1].upper() + text[1:] for text in (result["misfit_verdict"], result["repeatability"])), dim=True)
     say(*(warning[:1].upper() + warning[1:] for warning in result["warnings"]), fg="yellow")
-    beam = result["free_free"]
-    if beam is not None:
-        verdict = "are" if beam["recognised"] else "are not"
-        modes = ", ".join(str(mode) if mode else "-" for mode in beam["bending_modes"])
-        say(
-            f"The natural frequencies {verdict} those of a free-free beam: bending modes {modes}, within "
-            f"{beam['deviation']:.2%}"
-        )
     if result["apparatus_file"]:
         say(f"Written: {result['apparatus_file']}, with a table and figures next to it")
     else:

@@ -12,8 +12,6 @@ import pytest
 from modaltouch.lab.identification.files import ResponseFormat, read_responses
 from modaltouch.lab.identification.joint_fit import identify_each
 from modaltouch.lab.identification.peaks import half_power
-from modaltouch.lab.identification.shapes import recognise
-from modaltouch.stimulus import characteristic_root
 
 POLES = ((120.0, 0.012), (330.0, 0.008), (640.0, 0.006))
 RESIDUES = np.array([[1.0, 0.6, -0.4], [0.7, -1.0, 0.9]])
@@ -431,20 +429,6 @@ def test_half_power_needs_five_bins_across_the_peak() -> None:
     response = np.abs(1j * omega / (own**2 - omega**2 + 2j * 0.005 * own * omega))
     peak = half_power(frequency, response, 1001, 10)
     assert "bins across the peak, but at least 5 are needed" in peak.verdict
-
-
-def test_free_free_ratios_are_recognised() -> None:
-    """Those of Euler and Bernoulli with a torsion mode among them; a cantilever is not recognised."""
-    bending = np.array([characteristic_root(k) for k in range(1, 7)]) ** 2
-    assert characteristic_root(1) == pytest.approx(4.730040744862704, rel=1e-12)
-    found = recognise([*bending[:3], 1.3 * bending[2], *bending[3:]])
-    assert found is not None
-    assert found.recognised
-    assert found.bending_modes == (1, 2, 3, None, 4, 5, 6)
-    cantilever = recognise(np.array([1.8751, 4.6941, 7.8548, 10.9955]) ** 2)
-    assert cantilever is not None
-    assert cantilever.bending_modes[0] is None or not cantilever.recognised
-    assert recognise([1.0, 2.0]) is None
 
 
 def test_noise_at_the_drive_lowers_h1(tmp_path: Path) -> None:

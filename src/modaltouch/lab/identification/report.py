@@ -9,7 +9,6 @@ import io
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 from warnings import catch_warnings, simplefilter
@@ -19,7 +18,7 @@ import numpy as np
 from modaltouch.lab.identification.files import CSV_COLUMNS
 from modaltouch.lab.identification.modal_parameters import Estimate, Identification, IdentifiedMode
 from modaltouch.lab.identification.responses import along
-from modaltouch.lab.identification.shapes import over_width, phase_collinearity, phase_deviation, recognise
+from modaltouch.lab.identification.shapes import over_width, phase_collinearity
 from modaltouch.lab.identification.verdict import misfit_verdict, repeatability, warnings
 from modaltouch.protocol import Apparatus, InputError, Problem, Source
 from modaltouch.record import RecordError
@@ -59,9 +58,6 @@ def as_dict(identification: Identification) -> dict[str, Any]:
     """Return the identification as plain values, as ``modaltouch identify --json`` prints it."""
     responses = identification.responses
     known = not math.isnan(identification.delay.value)
-    # Without shapes to label the modes, their natural frequencies may identify a free-free beam.
-    labelled = any(mode.label for mode in identification.modes)
-    beam = None if labelled else recognise([mode.natural_frequency.value for mode in identification.modes])
     return {
         "sets": list(responses.sets),
         "n_points": responses.n_points,
@@ -74,7 +70,6 @@ def as_dict(identification: Identification) -> dict[str, Any]:
         "misfit_verdict": misfit_verdict(identification),
         "warnings": warnings(identification),
         "modes": [mode_values(mode, responses.sets) for mode in identification.modes],
-        "free_free": None if beam is None else asdict(beam),
     }
 
 

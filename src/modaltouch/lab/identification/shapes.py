@@ -1,15 +1,14 @@
-"""Measured shapes and those of a free-free beam: labels, faulty points, and a beam recognised by its frequencies."""
+"""Measured shapes and those of a free-free beam: labels, and faulty points."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from modaltouch.lab.common import ComplexArray, FloatArray
 from modaltouch.lab.identification.responses import ROWS_APART, Place, along
-from modaltouch.stimulus import MeasuredShapes, characteristic_root, mode_shapes
+from modaltouch.stimulus import MeasuredShapes, mode_shapes
 
 ALIKE = 0.5
 """MAC of two shapes above which the points cannot distinguish them [1]."""
@@ -362,73 +361,3 @@ def in_two_units(shapes: FloatArray, places: Sequence[Place], length: float) -> 
         f"the responses at {named} are about {factor:.3g} times as large as those at the other points: check whether "
         "all points have the same units, range, gain and sign of the phase"
     )
-
-
-WITHIN = 0.005
-"""Largest relative deviation of a natural frequency from that of a free-free beam [1]."""
-
-FEWEST = 3
-"""Number of natural frequencies needed to recognise a beam; one more if shear and rotary inertia are fitted."""
-
-
-@dataclass(frozen=True)
-class FreeFree:
-    """The free-free beam with the best fit to given natural frequencies."""
-
-    recognised: bool  # whether the natural frequencies are those of a free-free beam
-    bending_modes: tuple[int | None, ...]  # bending mode of each natural frequency, from 1; None for other motions
-    # parameter of shear and rotary inertia, which lower natural frequencies, ~(h/L)^2; 0 for Euler-Bernoulli [1]
-    shear: float
-    deviation: float  # largest relative deviation of the natural frequencies of bending modes [1]
-
-
-def recognise(natural_frequency: Sequence[float]) -> FreeFree | None:
-    r"""Return the free-free beam with the best fit to given natural frequencies; None for fewer than three.
-
-    For an Euler-Bernoulli beam :math:`f_n \propto \lambda_n^2`. Shear and rotary inertia lower it by a factor that is
-    :math:`1/\sqrt{1 + s \lambda_n^2}` to first order in s, which is (h/L)^2 times a constant of the cross-section. Each
-    of the three lowest frequencies is tried as each of the first three bending modes; other frequencies may belong to
-    torsion or to lateral bending.
-
-    Parameters
-    ----------
-    natural_frequency : sequence of float
-        Natural frequencies, increasing [Hz].
-    """
-    measured = np.asarray(natural_frequency, dtype=float)
-    if measured.size < FEWEST:
-        return None
-    square = np.array([characteristic_root(bending) for bending in range(1, measured.size + 9)]) ** 2
-    tried = [
-        _fit(measured, first, mode, float(shear), square)
-        for first in range(min(3, measured.size))
-        for mode in range(3)
-        for shear in np.concatenate([[0.0], np.geomspace(1e-5, 1e-2, 121)])
-    ]
-    return max(tried, key=_worth)
-
-
-def _fit(measured: FloatArray, first: int, mode: int, shear: float, square: FloatArray) -> FreeFree:
-    """Fit a free-free beam with one of the measured frequencies assigned to a given bending mode."""
-    course = square / np.sqrt(1 + shear * square)
-    ratio = measured[:, None] / measured[first] * course[mode] / course
-    nearest = np.abs(np.log(ratio)).argmin(axis=1)
-    # Rescale by all frequencies that fit rather than a single one.
-    fits = np.abs(ratio[np.arange(measured.size), nearest] - 1) <= WITHIN
-    scale = float(np.median(measured[fits] / course[nearest[fits]]))
-    off = np.abs(measured / (scale * course[nearest]) - 1)
-    fits = off <= WITHIN
-    labels = [int(k) + 1 if fit else None for k, fit in zip(nearest, fits, strict=True)]
-    found = [label for label in labels if label is not None]
-    enough = FEWEST if shear == 0 else FEWEST + 1
-    # Allow successive modes only (one may be missing), each once: a selection from many high modes fits any data.
-    successive = len(set(found)) == len(found) and bool(found) and max(found) - min(found) + 1 <= len(found) + 1
-    deviation = float(off[fits].max()) if fits.any() else 1.0
-    recognised = successive and len(found) >= enough and 2 * len(found) > measured.size
-    return FreeFree(recognised, tuple(labels), shear, deviation)
-
-
-def _worth(tried: FreeFree) -> tuple[bool, int, float]:
-    """Rank a fit by recognition, number of modes, and deviation; shear and inertia are included only if needed."""
-    n_found = sum(mode is not None for mode in tried.bending_modes)
-    return tried.recognised, n_found, -tried.deviation - (WITHIN / 2 if tried.shear > 0 else 0.0)
