@@ -303,11 +303,11 @@ class FrequencyResponses:
             response=self.response[..., kept],
             coherence=None if self.coherence is None else self.coherence[..., kept],
             repeats=tuple(each.between(lowest, highest) for each in self.repeats),
-FEWEST_BINS = 16
-"""Minimum number of bins of responses."""
-
         )
 
+
+FEWEST_BINS = 16
+"""Minimum number of bins of responses."""
 
 LONGEST_RUN = 16
 """Maximum number of equal values in a row in a measured response."""
