@@ -54,8 +54,8 @@ REMEDIES = {
     "nonlinearity": "drive at half the voltage, and compare; if nothing changes, check the filters of sensor and "
     "analyser (one that is not listed, or none against aliasing), and the window and the trigger of the records",
     "drift": "let the beam warm up, measure without contact or leave the sensor in place, and scan all sets again",
-    "a phase that differs between the points": "start all records at their excitation, and keep trigger, filters, "
-    "range and coupling of the sensor the same at all points",
+    "a phase that differs between points or sets": "start all records at their excitation, and keep trigger, "
+    "filters, range and coupling of the sensor the same in all of them",
     "a filter or window that is not listed": "give the bandwidth of the vibrometer in the apparatus file, couple "
     "sensor and analyser for direct current, record without a window, and set other filters far outside the band",
     "nonlinearity or a missing mode": "drive at half the voltage, and compare, or measure with finer bins",

@@ -226,17 +226,20 @@ class FrequencyResponses:
         squares = self.response**2 / np.maximum(power + self.noise[:, None], 1e-300)
         if self.positions is not None:
             self._refuse_several_delays(squares)
-        offset = self._offset(squares.sum(axis=(0, 1)), 16, CLEAR_LINE)
+        offset = self._offset(squares.sum(axis=(0, 1)), 16, CLEAR_LINE, self._resolution)
         if not offset:
             return self
         turned = self.response * np.exp(2j * np.pi * self.frequency * offset)
         return replace(self, response=turned, offset=self.offset + offset)
 
-    def _offset(self, squares: ComplexArray, finer: int, least: float) -> float | None:
-        """Return the time offset of squared responses to a fraction of the resolution; None without a clear line."""
+    def _offset(self, squares: ComplexArray, finer: int, least: float, reach: float) -> float | None:
+        """Return the time offset of squared responses to a fraction of the resolution; None without a clear line.
+
+        It is 0 unless the line is clearly higher than any within `reach` of 0 [s].
+        """
         n_fft = 1 << int(np.ceil(np.log2(finer * squares.size)))
         time = np.fft.fftfreq(n_fft, self.spacing) / 2
-        near = np.abs(time) <= self._resolution
+        near = np.abs(time) <= reach
         line = np.abs(np.fft.ifft(squares, n_fft)) * n_fft / max(float(np.abs(squares).sum()), 1e-300)
         # No offset beyond 20 ms is looked for.
         line[np.abs(time) > min(20e-3, 1 / (8 * self.spacing))] = 0.0
@@ -259,7 +262,7 @@ class FrequencyResponses:
             "points": zip(self.places, by_point * (total - by_point).conj(), strict=True),
         }
         for what, each in relative.items():
-            late = {str(name): self._offset(values, 4, CERTAIN_LINE) or 0.0 for name, values in each}
+            late = {str(name): self._offset(values, 4, CERTAIN_LINE, 0.0) or 0.0 for name, values in each}
             named = [f"{name} {delay * 1e3:.4g} ms" for name, delay in late.items() if delay or what == "sets"]
             if any(late.values()):
                 raise ValueError(

@@ -290,13 +290,15 @@ def _shares(fit: Evaluation, n_sets: int, n_points: int) -> dict[str, float]:
         )
         return float((overlap**2 / np.maximum(size, 1e-300)).sum()) / total
 
-    moved = (fit.slope[:, :n] / fit.poles.damping_ratio) @ residue[:n]
-    return {
-        "drift": max(explained(moved, axis) for axis in ((0, 1) if n_sets > 1 else (0,))),
-        "a phase that differs between the points": max(
-            explained(fit.turned @ residue, 0), explained((fit.turned[:, :n] / omega) @ residue[:n], 0)
-        ),
+    patterns = {
+        "drift": [(fit.slope[:, :n] / fit.poles.damping_ratio) @ residue[:n]],
+        "a phase that differs between points or sets": [
+            fit.turned @ residue,
+            (fit.turned[:, :n] / omega) @ residue[:n],
+        ],
     }
+    axes = (0, 1) if n_sets > 1 else (0,)
+    return {cause: max(explained(each, axis) for each in of for axis in axes) for cause, of in patterns.items()}
 
 
 def _common_cause(fit: Evaluation) -> str:
