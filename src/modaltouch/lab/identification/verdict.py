@@ -224,7 +224,8 @@ def _cause(identification: Identification, split: str = "") -> str:
         return cause
     worst = max((mode.rest for mode in identification.modes), key=lambda each: each.share)
     name = "nonlinearity or a missing mode" if worst.smooth else "noise"
-    unclear = f"the most probable cause is {name}: {REMEDIES[name]}" if max(worst.share, worst.smooth) > MARKED else ""
+    is_large = worst.share > MOST_LEFT or worst.smooth > MARKED
+    unclear = f"the most probable cause is {name}: {REMEDIES[name]}" if is_large else ""
     return probable_cause(identification) or unclear
 
 
