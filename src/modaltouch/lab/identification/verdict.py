@@ -60,9 +60,9 @@ def check_modes(identification: Identification, labels: Sequence[int]) -> None:
     elif not cause and missing:
         # A mode that moved far has several poles, which fit well but have no mode's shape.
         cause = probable_cause(identification, least=WELL_FITTED)
-    remedy = "" if cause else REMEDY
-    absent = (f"mode {label} was not found: no resonance has its mode shape{remedy}" for label in missing)
-    raise ValueError("\n".join([*absent, *itertools.chain(*faults.values()), *([cause] if cause else [])]))
+    absent = "mode {} was not found: no resonance has its mode shape" + ("" if cause else REMEDY)
+    lines = itertools.chain(*(faults.get(label, [absent.format(label)]) for label in labels))
+    raise ValueError("\n".join([*lines, *([cause] if cause else [])]))
 
 
 def _split(identification: Identification, missing: Sequence[int] | None = None, faulty: Sequence[int] = ()) -> str:
