@@ -82,7 +82,7 @@ def doctor(
     ] = None,
     results: Annotated[Path, typer.Option(help="Folder where sessions would be recorded.")] = Path("results"),
     timing: Annotated[
-        bool, typer.Option("--timing", help="Measure frames, keys, generator and clock instead; takes some seconds.")
+        bool, typer.Option("--timing", help="Measure frames, keys and generator instead; takes some seconds.")
     ] = False,
     packages: Annotated[
         bool, typer.Option("--packages", help="Print only the Debian packages that are missing, for `apt install`.")
@@ -143,14 +143,13 @@ def _examine_record(session: Path, several: bool, into: Path | None) -> _Result:
 
 
 def _measure(address: str, apparatus: Path, *, json_output: bool) -> None:
-    """Print the timing of window, keyboard, generator and clock; one that cannot be reached is a fault."""
+    """Print the timing of window, keyboard and generator; one that cannot be reached is a fault."""
     figures: dict[str, Any] = {}
     verdicts: dict[str, str] = {}
     faults: dict[str, str] = {}
     for subject, measure in (
         ("window", window.WindowOptions().measure_timing),
         ("generator", lambda: _measure_generator(address, apparatus)),
-        ("clock", system.measure_clock),
     ):
         try:
             figures[subject], verdicts[subject] = measure()

@@ -39,7 +39,6 @@ if TYPE_CHECKING:
     from modaltouch.system.clock import SYSTEM_CLOCK, Clock, VirtualClock
     from modaltouch.system.operating_system import Interrupted, Interruption, lock, sync_file
     from modaltouch.system.provenance import commit, version, versions
-    from modaltouch.system.timing import measure_clock
 else:
     __getattr__ = lazily(
         __name__,
@@ -47,7 +46,6 @@ else:
             "clock": "Clock SYSTEM_CLOCK VirtualClock",
             "operating_system": "Interrupted Interruption lock sync_file",
             "provenance": "commit version versions",
-            "timing": "measure_clock",
         },
     )
 
@@ -60,7 +58,6 @@ __all__ = [
     "VirtualClock",
     "commit",
     "lock",
-    "measure_clock",
     "sync_file",
     "version",
     "versions",
