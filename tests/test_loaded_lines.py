@@ -58,7 +58,6 @@ def test_a_simulated_session_loads_neither_lab_nor_analysis_nor_screen(tmp_path)
         "protocol.latin_squares",
         "protocol.levels",
         "protocol.wording",
-        "record.agreement",
         "record.audit",
         "rig.scope",
         "rig.simulator.faults",

@@ -14,7 +14,7 @@ from modaltouch.protocol.questions import QuestionSection
 from modaltouch.protocol.trial import Condition
 from modaltouch.record import Session
 from modaltouch.record.expectation import (
-    TrialExpectation,
+    Expectation,
     check_answers,
     check_bursts,
     check_form,
@@ -105,21 +105,20 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Session:
 
 
 @pytest.fixture(scope="module")
-def given(session: Session) -> TrialExpectation:
+def given(session: Session) -> Expectation:
     """What its start record leads to."""
-    restored = restore(Sources.from_dict(session.start["sources"]), session.occasion)
-    return TrialExpectation(restored, restored.protocol, 2)
+    return restore(Sources.from_dict(session.start["sources"]), session.occasion)
 
 
-def test_the_start_record_names_the_stimulus_and_its_level(session: Session, given: TrialExpectation) -> None:
+def test_the_start_record_names_the_stimulus_and_its_level(session: Session, given: Expectation) -> None:
     """By the hash of its codes, with its amplitudes at the highest level of the protocol."""
-    burst, said = given.restored.preflight.stimulus.burst, session.start["stimulus"]
+    burst, said = given.preflight.stimulus.burst, session.start["stimulus"]
     assert said["velocity_mm_s"] == pytest.approx(200.0, rel=1e-12)
     assert (said["content_hash"], said["amplitude_Vpp"]) == (burst.content_hash, list(burst.amplitude))
     assert [row["velocity_mm_s"] for row in said["stimuli"]] == [80.0, 200.0]
 
 
-def faults_of(event: dict[str, Any], given: TrialExpectation, **bursts: int | None) -> list[str]:
+def faults_of(event: dict[str, Any], given: Expectation, **bursts: int | None) -> list[str]:
     """Return the faults of a finished trial whose counts of bursts are changed."""
     told = copy.deepcopy(event)
     told["bursts"].update(bursts)
@@ -131,7 +130,7 @@ def faults_of(event: dict[str, Any], given: TrialExpectation, **bursts: int | No
     [(-0.19, 0.19, True), (-0.21, 0.0, False), (0.0, 0.21, False), (5.0, -5.0, True)],
 )
 def test_bursts_are_as_many_as_were_due(
-    session: Session, given: TrialExpectation, written: float, answered: float, is_sound: bool
+    session: Session, given: Expectation, written: float, answered: float, is_sound: bool
 ) -> None:
     """Seven a second: the last is not due after its line was written, the one after it not before the answer.
 
@@ -157,14 +156,14 @@ def test_bursts_are_as_many_as_were_due(
     ],
 )
 def test_a_confirmed_stimulus_has_whole_bursts_and_all_of_them(
-    session: Session, given: TrialExpectation, bursts: dict[str, Any], fault: str
+    session: Session, given: Expectation, bursts: dict[str, Any], fault: str
 ) -> None:
     """None cut, and what was due was played or dropped."""
     assert any(fault in found for found in faults_of(session.trials[0], given, **bursts))
 
 
 def test_an_unconfirmed_stimulus_may_lack_counts_and_none_may_exceed_another(
-    session: Session, given: TrialExpectation
+    session: Session, given: Expectation
 ) -> None:
     """Whole bursts are some of those played, which are some of those due; so are those dropped."""
     event = copy.deepcopy(session.trials[0])
@@ -181,7 +180,7 @@ def further(after: float | None, word: str = "low") -> dict[str, Any]:
     return {"answer": word, "reaction_time": 0.5, "question_after": after}
 
 
-def test_further_questions_follow_each_other(given: TrialExpectation) -> None:
+def test_further_questions_follow_each_other(given: Expectation) -> None:
     """Each after the answer before it, 1 s and then 0.5 s more; without a screen, whenever."""
     question = QuestionSection.model_validate({"keys": {"low": ["f1"], "high": ["f2"]}})
     asked = given.protocol.answers.model_copy(update={"then": {"sure": question, "near": question}})
@@ -206,7 +205,7 @@ def test_further_questions_follow_each_other(given: TrialExpectation) -> None:
 
 
 @pytest.mark.parametrize("seconds", [0.0, 1e9])
-def test_a_reaction_takes_a_finite_time(given: TrialExpectation, seconds: float) -> None:
+def test_a_reaction_takes_a_finite_time(given: Expectation, seconds: float) -> None:
     """From nothing on; infinity and what is no number are none."""
     event = line(reaction_time=seconds)
     assert [*check_answers(event, given.protocol.answers)] == []

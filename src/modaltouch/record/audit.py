@@ -1,22 +1,23 @@
-"""Audit of a session against its start record: stimuli, order, levels and timing."""
+"""Audit of a session against its start record (stimuli, order, levels and timing), and of its BIDS view."""
 
 from __future__ import annotations
 
 import hashlib
+import json
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
-from modaltouch.protocol import InputError, Protocol, Schedule, Sources
-from modaltouch.record.agreement import check_view
+from modaltouch.protocol import InputError, Schedule, Sources
 from modaltouch.record.chain import RecordError, read_chain
-from modaltouch.record.expectation import MALFORMED, SPEED, RestoredExperiment, TrialExpectation, restore
+from modaltouch.record.expectation import MALFORMED, SPEED, Expectation, restore
 from modaltouch.record.folders import SessionFolder
 from modaltouch.record.sequence import EventSequence
 from modaltouch.record.session import Session
 from modaltouch.record.shape import check_shape
+from modaltouch.record.view import form_text, table_text
 
 
 @dataclass(frozen=True)
@@ -81,16 +82,16 @@ def audit_session(session: Session) -> Audit:
     try:
         restored = restore(Sources.recorded(start), session.occasion)
         own = start.get("sensation_levels")
-        protocol = restored.protocol.with_levels(tuple(own["levels_mm_s"])) if own else restored.protocol
-        schedule = Schedule.draw_again(protocol, start, session.drawn_as)
-        for holds, sentence in check_beginning(session, restored, protocol, schedule):
+        given = Expectation(restored.preflight.with_levels(tuple(own["levels_mm_s"]))) if own else restored
+        schedule = Schedule.draw_again(given.protocol, start, session.drawn_as)
+        for holds, sentence in check_beginning(session, restored, given, schedule):
             if sentence:
                 (lines if holds else problems).append(sentence)
-        sequence = EventSequence(session, TrialExpectation(restored, protocol, start.get("schema", 1)), schedule)
+        sequence = EventSequence(session, given, schedule)
         sequence.walk()
         problems += sequence.problems
         lines += sequence.lines
-        seen = check_view(session)
+        agrees, differs, is_mendable = check_view(session)
     except InputError as error:
         return Audit(path, (), (*problems, f"{place} its files are not valid: {error}"))
     except RecordError as error:
@@ -98,11 +99,10 @@ def audit_session(session: Session) -> Audit:
     except MALFORMED as error:
         sentence = f"does not say what its order and drive are based on ({type(error).__name__}: {error})"
         return Audit(path, (), (*problems, f"{place} {sentence}"))
-    cut = () if chain.damage else chain.problems
-    mendable = (seen.problem,) if seen.is_mendable else ()
-    lines += [seen.line] if seen.line else []
-    problems += [seen.problem] if seen.problem else []
-    audit = Audit(path, tuple(lines), tuple(problems), (*cut, *mendable))
+    lines += [agrees] if agrees else []
+    problems += [differs] if differs else []
+    to_mend = (*(() if chain.damage else chain.problems), *([differs] if is_mendable else []))
+    audit = Audit(path, tuple(lines), tuple(problems), to_mend)
     return replace(audit, lines=(*lines, _completeness(session, audit))) if lines else audit
 
 
@@ -119,35 +119,35 @@ def _completeness(session: Session, audit: Audit) -> str:
 
 
 def check_beginning(
-    session: Session, restored: RestoredExperiment, protocol: Protocol, schedule: Schedule
+    session: Session, restored: Expectation, given: Expectation, schedule: Schedule
 ) -> Iterator[tuple[bool, str]]:
-    """Yield whether each check of the start record passed, and a sentence; empty if there is nothing to report."""
+    """Yield whether each check of the start record passed, and a sentence; empty if there is nothing to report.
+
+    `given` is the `restored` experiment at the participant's own levels.
+    """
     place = f"{session.path}:1:"
-    yield _check_texts(session.start, protocol, place)
-    yield _check_mode(session.start, restored, place)
+    yield _check_texts(session.start, given, place)
+    yield _check_mode(session.start, given, place)
     seed = session.start["seed"]
     if schedule.as_dict() == session.start["schedule"]:
         yield True, f"order of {len(schedule.trials)} trials drawn again from seed {seed}: identical"
     else:
         yield False, f"{place} seed {seed} draws a different order from the recorded one"
-    yield _check_drive(session.start, restored, place)
-    yield _check_shown(session.start, restored, place)
+    yield _check_drive(session.start, given, place)
+    yield _check_shown(session.start, given, place)
     if session.start.get("sensation_levels"):
         yield _check_own_levels(session, restored, place)
     if schedule.session_kind:
-        yield _check_gap(session, protocol, place)
+        yield _check_gap(session, given, place)
 
 
-def _check_texts(start: dict[str, Any], protocol: Protocol, place: str) -> tuple[bool, str]:
+def _check_texts(start: dict[str, Any], given: Expectation, place: str) -> tuple[bool, str]:
     for name, source in start["sources"].items():
         if "sha256" in source and hashlib.sha256(source["text"].encode()).hexdigest() != source["sha256"]:
             return False, f"{place} the text of its {name} file does not match its hash"
-    if start["protocol"] != protocol.protocol:
-        return (
-            False,
-            f"{place} is a session of {start['protocol']!r}, but its protocol file is of {protocol.protocol!r}",
-        )
-    if differing := _first_difference(start["design"], protocol.model_dump(mode="json"), start.get("schema", 1)):
+    if start["protocol"] != (name := given.protocol.protocol):
+        return False, f"{place} is a session of {start['protocol']!r}, but its protocol file is of {name!r}"
+    if differing := _first_difference(start["design"], given.protocol.model_dump(mode="json"), start.get("schema", 1)):
         return False, f"{place} its design differs from its protocol file in {differing}"
     return True, ""
 
@@ -165,17 +165,17 @@ def _first_difference(recorded: dict[str, Any], given: dict[str, Any], schema: i
     return ""
 
 
-def _check_mode(start: dict[str, Any], restored: RestoredExperiment, place: str) -> tuple[bool, str]:
+def _check_mode(start: dict[str, Any], given: Expectation, place: str) -> tuple[bool, str]:
     real = start["rig_choice"] != "simulated" and start["answers_choice"] == "window"
-    if start["mode"] == "simulated" or (real and not restored.instrument.is_simulated(str(start["rig"]["identity"]))):
+    if start["mode"] == "simulated" or (real and not given.instrument.is_simulated(str(start["rig"]["identity"]))):
         return True, ""
     return False, f"{place} is called a {start['mode']} session, but its rig or its answers were simulated"
 
 
-def _check_drive(start: dict[str, Any], restored: RestoredExperiment, place: str) -> tuple[bool, str]:
-    burst, recorded = restored.preflight.stimulus.burst, start["stimulus"]
+def _check_drive(start: dict[str, Any], given: Expectation, place: str) -> tuple[bool, str]:
+    burst, recorded = given.preflight.stimulus.burst, start["stimulus"]
     found, stated, hashes = burst.content_hash, recorded["content_hash"], recorded.get("content_hashes")
-    if found != stated or (hashes is not None and hashes != restored.preflight.content_hashes):
+    if found != stated or (hashes is not None and hashes != given.preflight.content_hashes):
         return False, f"{place} the recomputed drive has the hash {found[:12]}, but the record says {stated[:12]}"
     if recorded.get("amplitude_Vpp", list(burst.amplitude)) != list(burst.amplitude):
         return (
@@ -188,16 +188,15 @@ def _check_drive(start: dict[str, Any], restored: RestoredExperiment, place: str
     )
 
 
-def _check_shown(start: dict[str, Any], restored: RestoredExperiment, place: str) -> tuple[bool, str]:
+def _check_shown(start: dict[str, Any], given: Expectation, place: str) -> tuple[bool, str]:
     """Check that the recorded fields and speeds at the zones, shown in reports, agree with recomputed ones."""
     for row in start["stimulus"].get("stimuli", ()):
         design = " ".join(filter(None, (row.get("stimulus", ""), row.get("placement", ""))))
-        peaks = restored.preflight.zone_peaks(design, row["velocity_mm_s"])
+        peaks = given.preflight.zone_peaks(design, row["velocity_mm_s"])
         if not _agree(row["zone_peak_mm_s"], {zone: peak * 1e3 for zone, peak in peaks.items()}):
             return (False, f"{place} its speeds at the zones at {row['velocity_mm_s']:g} mm/s are not those recomputed")
     recorded = start["stimulus"].get("fields")  # not recorded by earlier versions
-    own = start.get("sensation_levels")
-    if recorded is not None and not _agree(recorded, restored.fields(tuple(own["levels_mm_s"]) if own else ())):
+    if recorded is not None and not _agree(recorded, given.fields):
         return False, f"{place} its field is not the one recomputed"
     return True, ""
 
@@ -217,9 +216,9 @@ def _agree(recorded: Any, found: Any) -> bool:
     return bool(recorded == found)
 
 
-def _check_gap(session: Session, protocol: Protocol, place: str) -> tuple[bool, str]:
+def _check_gap(session: Session, given: Expectation, place: str) -> tuple[bool, str]:
     """Check the minimum time since the previous session, if its kind requires one and that session is present."""
-    kind, begun = protocol.schedule.kind_of(session.drawn_as), session.start["time"]
+    kind, begun = given.protocol.schedule.kind_of(session.drawn_as), session.start["time"]
     logs = SessionFolder.logs_of(session.path.absolute().parents[2])
     before = [log for log in logs if SessionFolder.number_of(log) < int(session.start["session"])]
     events = tuple(each for each in Session.find(before[-1]).events if each["time"] <= begun) if before else ()
@@ -237,7 +236,7 @@ def _check_gap(session: Session, protocol: Protocol, place: str) -> tuple[bool, 
     )
 
 
-def _check_own_levels(session: Session, restored: RestoredExperiment, place: str) -> tuple[bool, str]:
+def _check_own_levels(session: Session, restored: Expectation, place: str) -> tuple[bool, str]:
     """Check that the levels follow from the participant's threshold, and the threshold from its session."""
     own, section = session.start["sensation_levels"], restored.protocol.conditions.sensation_levels
     threshold = f"threshold of {own['threshold_mm_s']:g} mm/s"
@@ -252,3 +251,54 @@ def _check_own_levels(session: Session, restored: RestoredExperiment, place: str
     if read_chain(log).last_check != own["last_check"]:
         return False, f"{log}: has changed since the {threshold} was taken from it"
     return True, f"levels follow from the {threshold}, found in {own['session']}"
+
+
+def check_view(session: Session) -> tuple[str, str, bool]:
+    """Return a sentence if the BIDS view agrees with the log, else its problem, and whether `resume` repairs that.
+
+    It does if a table or sidecar file is missing, or if the view includes the line that is incomplete in the log.
+    """
+    checks = session.chain.checks
+    found = {path.name: path for path in session.path.parent.glob("*_beh.tsv")}
+    forms = {name: found[name] for name in found if name.replace("form_beh.tsv", "_beh.tsv") in found.keys() - {name}}
+    tables = [found[name] for name in found.keys() - forms.keys()]
+    if len(tables) != 1:
+        problem = f"{session.path.parent}: holds {len(tables)} BIDS tables (*_beh.tsv), but exactly one is needed"
+        return "", problem, not tables
+    table, side = tables[0], tables[0].with_suffix(".json")
+    # The table is written before its sidecar: a session killed between the two the first time has no sidecar.
+    is_described = side.exists()
+    head: dict[str, Any] = {"lines": 0, "check": ""}
+    try:
+        if is_described:
+            head = json.loads(side.read_text(encoding="utf-8"))["SessionLog"]
+        text, n_lines, check = table.read_text(encoding="utf-8"), int(head["lines"]), head["check"]
+        form = "".join(path.read_text(encoding="utf-8") for path in forms.values())
+    except (OSError, ValueError, LookupError, TypeError, RecursionError) as error:
+        return "", f"{table}: the BIDS view cannot be read ({error}); move it away, and {_REMAKE}", False
+    if n_lines > len(checks):
+        if session.chain.damage:  # lines after the damage were not read, so missing lines cannot be detected
+            return "", "", False
+        problem = f"the BIDS view was made from {n_lines} lines, but the log has {len(checks)}"
+        is_mendable = bool(session.chain.torn) and n_lines == len(checks) + 1
+        return "", f"{session.path}: {problem}: lines were removed from its end", is_mendable
+    if n_lines > 0 and checks[n_lines - 1] != check:
+        return "", f"{side}: was made from another log", False
+    # After a kill between the two, the table includes more lines than its sidecar states.
+    made_from = (Session(session.path, session.events[:n]) for n in range(max(n_lines, 0), len(checks) + 1))
+    # The form's table is written first.
+    shown = next((each for each in made_from if text == table_text(each)), None)
+    if shown is not None and form not in {form_text(shown), form_text(session)}:
+        named = next(iter(forms.values()), session.path.parent)
+        return "", f"{named}: the table of the form differs from the log; move it away, and {_REMAKE}", False
+    if shown is None:
+        return "", f"{table}: differs from the log, which is the original: move the table away, and {_REMAKE}", False
+    if not is_described:
+        return "", f"{side}: is missing; `modaltouch resume` writes it", True
+    if session.trials != shown.trials:
+        behind = len(checks) - len(shown.events)
+        return f"BIDS view agrees, {behind} lines behind the log: `modaltouch resume` brings it up to date", "", False
+    return f"BIDS view agrees: {len(session.trials)} answers, practice included", "", False
+
+
+_REMAKE = "`modaltouch resume` writes it again"

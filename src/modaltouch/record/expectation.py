@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import copy
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Any, Self
+from typing import Any
 
 from modaltouch import preflight, protocol
 from modaltouch.protocol import TIME_OUT, AnswersSection, Findings, Protocol, Sources, Trial
@@ -26,92 +24,44 @@ MALFORMED = (LookupError, TypeError, ValueError, ArithmeticError, AttributeError
 """Errors raised by evaluating a line with missing or wrong members."""
 
 
-class RestoredExperiment:
-    """Part of an experiment that depends only on the texts of its files, shared by all sessions of a study.
+class Expectation:
+    """An experiment, as its start record describes it, from which the values of each line follow.
 
-    Raises
-    ------
-    InputError
-        With all faults in the texts.
+    Parameters
+    ----------
+    checked : Preflight
+        Preflight without problems, at the participant's own levels if any.
     """
 
-    def __init__(self, sources: Sources, occasion: tuple[str, str]) -> None:
-        self.preflight = preflight.examine_findings(Findings.restored(sources, occasion)).require()
-        self.protocol = self.preflight.experiment.protocol
-        apparatus = self.preflight.experiment.apparatus
-        self.instrument = instrument_of(apparatus)
-        self._limits = self.instrument.limits(apparatus)
-        self._fields: dict[tuple[float, ...], list[dict[str, Any]]] = {}
-        self._forget()
-
-    def _forget(self) -> None:
+    def __init__(self, checked: preflight.Preflight) -> None:
+        self.preflight = checked
+        self.protocol, self.apparatus = checked.experiment.protocol, checked.experiment.apparatus
+        self.instrument = instrument_of(self.apparatus)
+        self.limits = self.instrument.limits(self.apparatus)
         self.agreed: set[tuple[str, float, tuple[float, ...], tuple[float, ...]]] = set()
         """Combinations of stimulus, level, commanded and read-back amplitudes that are known to agree."""
-        self._amplitudes: dict[tuple[str, float], tuple[float, ...]] = {}
-
-    def measured(self, trial: Trial, found: dict[str, Any], levels_mm_s: tuple[float, ...]) -> Self:
-        """Return a copy with the stimuli of a trial's placement designed for the measured fingers."""
-        other = copy.copy(self)
-        other.preflight = preflight.with_measured(self.preflight.with_levels(levels_mm_s), trial, found)
-        other._forget()
-        return other
 
     @cached_property
     def levels(self) -> protocol.Levels:
         """Levels of adaptive runs."""
         return protocol.Levels(self.protocol)
 
-    def fields(self, own_levels_mm_s: tuple[float, ...]) -> list[dict[str, Any]]:
-        """Return the predicted field of each stimulus at the highest level of the protocol, or of own levels [mm/s]."""
-        if own_levels_mm_s not in self._fields:
-            own = self.preflight.with_levels(own_levels_mm_s) if own_levels_mm_s else self.preflight
-            self._fields[own_levels_mm_s] = own.fields
-        return self._fields[own_levels_mm_s]
-
-    def amplitudes(self, trial: Trial, level_mm_s: float) -> tuple[float, ...]:
-        """Return the amplitude of each channel for a trial's design at a level [V peak to peak].
-
-        Parameters
-        ----------
-        trial : Trial
-            The trial; a catch trial, which has no stimulus, uses the first one.
-        level_mm_s : float
-            Peak velocity at the focus [mm/s].
-
-        Raises
-        ------
-        RigError
-            If the level exceeds a limit.
-        """
-        name = self.preflight.design_of(trial.condition)
-        key = name, level_mm_s
-        if key not in self._amplitudes:
-            burst = self.preflight.designs[name].stimulus.burst
-            self._amplitudes[key] = self._limits.amplitudes(burst, level_mm_s * 1e-3)
-        return self._amplitudes[key]
+    @cached_property
+    def fields(self) -> list[dict[str, Any]]:
+        """The predicted field of each stimulus at its highest level."""
+        return self.preflight.fields
 
 
-@dataclass(frozen=True)
-class TrialExpectation:
-    """Expected values of a trial.
+@lru_cache(maxsize=4)
+def restore(sources: Sources, occasion: tuple[str, str]) -> Expectation:
+    """Return the experiment of a start record; the latest few are cached, since a study shares one.
 
-    Attributes
-    ----------
-    restored : RestoredExperiment
-        The experiment restored from the start record.
-    protocol : Protocol
-        The protocol, with the participant's individual levels if any.
-    schema : int
-        Version of the log format.
+    Raises
+    ------
+    InputError
+        With all faults in the texts.
     """
-
-    restored: RestoredExperiment
-    protocol: Protocol
-    schema: int
-
-
-restore = lru_cache(maxsize=4)(RestoredExperiment)
-"""Restores an experiment from its texts; the latest few are cached."""
+    return Expectation(preflight.examine_findings(Findings.restored(sources, occasion)).require())
 
 
 def check_answers(event: Event, asked: AnswersSection) -> Iterator[str]:
@@ -155,31 +105,31 @@ def _check_response(response: Event, asked: AnswersSection) -> Iterator[str]:
         yield f"has a reaction time of {response['reaction_time']} s"
 
 
-def check_amplitudes(event: Event, trial: Trial, given: TrialExpectation) -> Iterator[str]:
+def check_amplitudes(event: Event, trial: Trial, given: Expectation) -> Iterator[str]:
     """Yield faults in the commanded and read-back amplitudes, given the trial's level."""
     silent, confirmed = trial.condition.is_catch, event["confirmed"]
     # A catch trial takes the same steps as a trial at the lowest level.
     level = min(given.protocol.conditions.peak_velocities_mm_s) if silent else trial.condition.velocity_mm_s
-    level = given.restored.preflight.played(trial.condition, level)
+    level = given.preflight.played(trial.condition, level)
     sent, back = tuple(confirmed["commanded_amplitude"]), tuple(confirmed["confirmed_amplitude"])
     stated = (sent, tuple(event["commanded"]["amplitude_Vpp"])) if "commanded" in event else (sent,)
-    found = given.restored.preflight.design_of(trial.condition), level, sent, back
-    if found in given.restored.agreed and stated[-1] == sent:
+    found = given.preflight.design_of(trial.condition), level, sent, back
+    if found in given.agreed and stated[-1] == sent:
         return
-    needed = given.restored.amplitudes(trial, level)
+    needed = given.limits.amplitudes(given.preflight.designs[found[0]].stimulus.burst, level * 1e-3)
     for amplitude in stated:
         if amplitude != needed:
             yield f"{level:g} mm/s needs {listed(needed)} Vpp, but {listed(amplitude)} Vpp were commanded"
             return
-    instrument, pairs = given.restored.instrument, zip(needed, back, strict=False)
+    instrument, pairs = given.instrument, zip(needed, back, strict=False)
     agree = len(back) == len(needed) and all(instrument.level(1, a).confirmed_by(str(b)) for a, b in pairs)
     if (confirmed["confirmed"] or event["event"] == "fired") and not agree:
         yield f"{level:g} mm/s needs {listed(needed)} Vpp, but {listed(back)} Vpp were read back"
     if agree:
-        given.restored.agreed.add(found)
+        given.agreed.add(found)
 
 
-def check_answered(event: Event, trial: Trial, given: TrialExpectation) -> Iterator[str]:
+def check_answered(event: Event, trial: Trial, given: Expectation) -> Iterator[str]:
     """Yield inconsistencies between an answer and its trial: level, predicted speeds, fingers, answers."""
     condition, response = trial.condition, event["response"]
     yield from _check_planned(event["planned"], trial, given)
@@ -195,33 +145,30 @@ def check_answered(event: Event, trial: Trial, given: TrialExpectation) -> Itera
         yield f"was answered {response['answer']!r}, which is {found}; the record says {stated}"
 
 
-def _check_planned(planned: dict[str, Any], trial: Trial, given: TrialExpectation) -> Iterator[str]:
+def _check_planned(planned: dict[str, Any], trial: Trial, given: Expectation) -> Iterator[str]:
     """Yield faults in the level and predicted speeds of a stimulus, given its condition."""
     condition = trial.condition
     level, recorded = condition.velocity_mm_s, tuple(planned[f"speed_{side}_mm_s"] for side in condition.sides)
     if planned["velocity_mm_s"] != level:
         yield f"was planned at {planned['velocity_mm_s']:g} mm/s and presented at {level:g} mm/s"
-    found = tuple(speed * 1e3 for speed in given.restored.preflight.speeds(trial))
+    found = tuple(speed * 1e3 for speed in given.preflight.speeds(trial))
     if not all(abs(a - b) <= SPEED for a, b in zip(recorded, found, strict=True)):
         yield f"{level:g} mm/s gives {listed(found)} mm/s at the fingers, not {listed(recorded)}"
 
 
-def check_delivered(event: Event, trial: Trial, given: TrialExpectation) -> Iterator[str]:
+def check_delivered(event: Event, trial: Trial, given: Expectation) -> Iterator[str]:
     """Yield faults in the delivered speeds, given the fingers measured in the trial."""
     recorded = event.get("delivered", {"refused": ""})
     if "refused" in recorded:
         return
-    fitted = given.restored.preflight
-    found = {
-        **preflight.delivered_figures(fitted, trial, recorded),
-        "drifted": preflight.has_drifted(fitted, trial, recorded),
-    }
+    speeds = preflight.delivered_figures(given.preflight, trial, recorded)
+    found = {**speeds, "drifted": preflight.has_drifted(given.preflight, trial, recorded)}
     for name, value in found.items():
         if abs(recorded[name] - value) > SPEED:
             yield f"the fingers found in its burst give a delivered {name} of {value}, not {recorded[name]}"
 
 
-def check_intervals(event: Event, trial: Trial, begun: list[Event], given: TrialExpectation) -> Iterator[str]:
+def check_intervals(event: Event, trial: Trial, begun: list[Event], given: Expectation) -> Iterator[str]:
     """Yield faults in the intervals of an answer, given its trial and the intervals that began."""
     parts, recorded, section = given.protocol.presented(trial), event.get("intervals", []), given.protocol.intervals
     if section is None:
@@ -282,7 +229,7 @@ def check_instants(event: Event, trial: Trial) -> Iterator[str]:
         yield f"has a reaction time of {time:.6g} s, but its instants give {least:.6g} to {most:.6g} s"
 
 
-def check_bursts(event: Event, trial: Trial, given: TrialExpectation) -> Iterator[str]:
+def check_bursts(event: Event, trial: Trial, given: Expectation) -> Iterator[str]:
     """Yield inconsistencies between the burst counts of a finished stimulus, its protocol and its instants."""
     bursts, confirmed = event["bursts"], event["confirmed"]
     asked, played, whole, dropped = counts = [bursts[name] for name in ("asked", "played", "whole", "dropped")]
@@ -290,7 +237,7 @@ def check_bursts(event: Event, trial: Trial, given: TrialExpectation) -> Iterato
     if any(each is not None and (type(each) is not int or each < 0) for each in counts):
         yield f"its burst counts are not whole numbers from 0: {counts}"
         return
-    repeats = given.restored.preflight.experiment.apparatus.generator.repeats
+    repeats = given.apparatus.generator.repeats
     if confirmed["repetition"] != repeats:
         yield f"its bursts were repeated as {confirmed['repetition']!r}, but its apparatus file says {repeats!r}"
     if confirmed["confirmed"] and confirmed["repetition"] == "single":
@@ -312,7 +259,7 @@ def check_bursts(event: Event, trial: Trial, given: TrialExpectation) -> Iterato
         yield f"its first burst came at {first} s, but its onset is {confirmed['onset']} s"
 
 
-def _check_number(event: Event, trial: Trial, given: TrialExpectation) -> Iterator[str]:
+def _check_number(event: Event, trial: Trial, given: Expectation) -> Iterator[str]:
     """Yield faults in the number of bursts of a confirmed stimulus, given the protocol and its timing."""
     asked, rate = event["bursts"]["asked"], given.protocol.stimulus_of(trial.condition.stimulus).repetition_rate_Hz
     if trial.condition.is_catch:

@@ -117,10 +117,9 @@ class SessionLog(AbstractContextManager["SessionLog"]):
         RecordError
             If the log is damaged, in use by another process, or cannot be written.
         """
-        from modaltouch.record.agreement import check_view
-
         session = read_session(place.log)
-        if check_view(session).is_current and not session.chain.problems:
+        is_current = place.table.exists() and place.lines_in_view(place.folder) == len(session.events)
+        if is_current and not session.chain.problems:
             return session
         with cls.reopen(place.log, timed_by=timed_by) as log:
             if not log.ends_cleanly:

@@ -8,15 +8,15 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import replace
 from datetime import datetime
 
-from modaltouch.protocol import Schedule, Trial, judge_round
+from modaltouch import preflight, protocol
+from modaltouch.protocol import Schedule, Trial
 from modaltouch.record.expectation import (
     MALFORMED,
     SPEED,
     Event,
-    TrialExpectation,
+    Expectation,
     check_amplitudes,
     check_answered,
     check_bursts,
@@ -38,10 +38,11 @@ _SAME = ("trial", "presentation", "fingers", "planned", "commanded", "response",
 class EventSequence:
     """Check of the lines of a session in sequence."""
 
-    def __init__(self, session: Session, given: TrialExpectation, schedule: Schedule) -> None:
+    def __init__(self, session: Session, given: Expectation, schedule: Schedule) -> None:
         self.problems: list[str] = []
         self._n_finished = self._n_settled = self._n_probed = 0
-        self._session, self._given, self._expected = session, given, given.restored
+        self._session, self._given, self._expected = session, given, given
+        self._schema = session.start.get("schema", 1)
         self._order: dict[Key, Trial] = {(t.practice, t.index): t for t in (*schedule.practice, *schedule.trials)}
         self._n_practice, self._n_trials = len(schedule.practice), len(schedule.trials)
         recovered = [n for n, e in enumerate(session.events, 1) if e["event"] == "recovered" and e.get("missing")]
@@ -91,7 +92,7 @@ class EventSequence:
         if self.problems:
             return []
         lines = [f"{self._n_finished} answers, each in its place, with its level and amplitudes"]
-        if self._given.schema > 1:
+        if self._schema > 1:
             lines[0] += ", and with matching bursts and instants"
         if self._n_probed:
             lines.append(f"drives for the fingers of {self._n_probed} placements recomputed: identical codes")
@@ -145,7 +146,7 @@ class EventSequence:
         """Return a trial of an adaptive run at the level that follows from the earlier answers that count."""
         if self._settled is None or self._settled[0] != planned:
             algorithm = self._session.start["adaptive"]["algorithm"]
-            self._settled = planned, self._expected.levels.settle(planned, self._counted.values(), algorithm)
+            self._settled = planned, self._given.levels.settle(planned, self._counted.values(), algorithm)
         return self._settled[1]
 
     def _fired(self, number: int, event: Event) -> Iterator[str]:
@@ -163,13 +164,12 @@ class EventSequence:
         """Check the design for the measured fingers, and expect it in all lines until the next placement."""
         if event["hands"] == "off":
             return
-        levels = self._given.protocol.conditions.peak_velocities_mm_s
-        restored = self._expected.measured(Trial.from_dict(event["trial"]), event, levels)
-        self._given, self._n_probed = replace(self._given, restored=restored), self._n_probed + 1
+        fitted = preflight.with_measured(self._expected.preflight, Trial.from_dict(event["trial"]), event)
+        self._given, self._n_probed = Expectation(fitted), self._n_probed + 1
         for recorded in event["levels"]:
-            inputs, stimulus = restored.preflight.designs[recorded["design"]].sound
+            inputs, stimulus = fitted.designs[recorded["design"]].sound
             level = 1e3 * float(stimulus.velocity_at_focus([inputs.centre_mm * 1e-3], inputs.reference * 1e-3)[0])
-            highest = restored.preflight.designs[recorded["design"]].attainable
+            highest = fitted.designs[recorded["design"]].attainable
             if recorded["content_hash"] != stimulus.burst.content_hash:
                 yield f"the drive for the fingers that were measured ({recorded['design']}) is not the one recorded"
             if abs(recorded["level_mm_s"] - level) > SPEED or abs(recorded["attainable_mm_s"] - highest) > SPEED:
@@ -189,7 +189,7 @@ class EventSequence:
 
     def _answered(self, number: int, event: Event) -> Iterator[str]:
         yield from self._named(number, event)
-        trial, schema = self._trial, self._given.schema
+        trial, schema = self._trial, self._schema
         faults = [*check_amplitudes(event, trial, self._given), *check_answered(event, trial, self._given)]
         if schema > 1:
             faults += check_instants(event, trial)
@@ -259,9 +259,9 @@ class EventSequence:
     def _judged(self, number: int, event: Event) -> Iterator[str]:
         """Check the verdict on a round of practice."""
         self._passed = self._passed or bool(event["passed"])
-        protocol = self._given.protocol
-        section = protocol.schedule
-        outcome = judge_round(self._counted.values(), event["round"], section.practice_trials, protocol)
+        given = self._given.protocol
+        section = given.schedule
+        outcome = protocol.judge_round(self._counted.values(), event["round"], section.practice_trials, given)
         found = outcome.n_judged, outcome.n_agreed, outcome.passes(section.practice_criterion)
         if number > self._whole_from and found != (event["n_judged"], event["n_agreed"], event["passed"]):
             yield (
