@@ -155,5 +155,6 @@ def test_an_unreadable_line_loses_no_other_answer():
     last, _ = encode_line(EVENTS[2], check)
     chain = parse_chain(first + body + b',"check":"' + check.encode() + b'"}\n' + last, "log")
     assert chain.events == (EVENTS[0], EVENTS[2])
-    said = "log:2: cannot be read: it is not JSON from its character 17 on, although its check is correct"
+    said = "log:2: cannot be read: it is not JSON, is nested too deep, or has a number with too many digits, "
+    said += "although its check is correct"
     assert chain.damage == (said,)

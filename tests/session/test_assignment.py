@@ -40,6 +40,13 @@ def place_of(results: Path, participant: str, session: int = 1) -> SessionFolder
     return SessionFolder(results, "simulated", PAPER.protocol, participant, session)
 
 
+UNREAD: dict[str, Any] = {
+    "rig_choice": "", "answers_choice": "", "design": {}, "versions": {}, "stimulus": {"content_hash": ""},
+    "sources": dict.fromkeys(("protocol", "apparatus", "texts"), {"text": "", "path": ""}),
+}  # fmt: skip
+"""Members of a start record that the assignment does not read."""
+
+
 def sit(
     place: SessionFolder, protocol: Protocol, *, complete: bool, drawn_as: int | None = None
 ) -> tuple[int, SessionLog]:
@@ -48,7 +55,7 @@ def sit(
     turn, _ = assign_turn(place, protocol, drawn_as)
     schedule = Schedule.draw(protocol, place.participant, 1, drawn_as, given=turn)
     about = {"mode": place.mode, "protocol": place.protocol}
-    facts = {**about, "participant": place.participant, "session": place.session, "seed": 1}
+    facts = {**about, "participant": place.participant, "session": place.session, "seed": 1, **UNREAD}
     log = SessionLog.create(place.log, "start", **facts, schedule={**schedule.as_dict(), "n_trials": int(not complete)})
     return turn.number, log
 

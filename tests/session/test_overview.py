@@ -192,7 +192,7 @@ def test_a_session_sooner_than_its_kind_allows_is_noted(
         ({"event": "start", "design": "a design"}, "damaged"),
         ({"event": "start", "schedule": "12 trials"}, "damaged"),
         ({"event": "start", "time": 5}, "interrupted"),
-        ({"event": "start", "schedule": {"n_trials": 12, "seeds": "1"}}, "interrupted"),
+        ({"event": "start", "schedule": {"n_trials": 12, "order_hash": "", "seeds": "1"}}, "interrupted"),
     ],
 )
 def test_a_log_with_impossible_values_does_not_end_the_survey(

@@ -16,7 +16,6 @@ from modaltouch.record.expectation import MALFORMED, SPEED, Expectation, restore
 from modaltouch.record.folders import SessionFolder
 from modaltouch.record.sequence import EventSequence
 from modaltouch.record.session import Session
-from modaltouch.record.shape import check_shape
 from modaltouch.record.view import form_text, table_text
 
 
@@ -73,11 +72,9 @@ def audit_session(session: Session) -> Audit:
         The session, as read from its log.
     """
     path, chain, start = session.path, session.chain, session.start
-    shape = check_shape(session.events, str(path), to_repeat=True)
-    problems = list(dict.fromkeys((*chain.problems, *shape)))
-    place = f"{path}:1:"
-    if shape or not start:
-        return Audit(path, (), tuple(problems) or (f"{place} is not a start record",))
+    if session.faults:
+        return Audit(path, (), session.problems)
+    problems, place = list(chain.problems), f"{path}:1:"
     lines = [] if problems else [f"{len(session.events)} lines, each continuing the one before"]
     try:
         restored = restore(Sources.recorded(start), session.occasion)

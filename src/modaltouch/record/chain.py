@@ -109,7 +109,7 @@ def parse_chain(data: bytes, name: str) -> Chain:
     # bytes.splitlines would also split at a single carriage return in a damaged line.
     for number, line in enumerate(io.BytesIO(data), start=1):
         try:
-            event, check = _decode(line.removesuffix(b"\n"), previous)
+            event, check = decode_line(line.removesuffix(b"\n"), previous)
         except UnreadableLineError as error:
             # The check is correct, so the following lines can still be checked.
             damage.append(f"{name}:{number}: {error}, although its check is correct")
@@ -164,7 +164,11 @@ def line_check(previous: str, body: bytes) -> str:
     return hashlib.sha256(previous.encode() + body).hexdigest()
 
 
-def _decode(line: bytes, previous: str) -> tuple[dict[str, Any] | None, str]:
+def decode_line(line: bytes, previous: str) -> tuple[dict[str, Any] | None, str]:
+    """Return a line's event and check; no event if the check is not correct after the previous one.
+
+    Raises UnreadableLineError if the check is correct and the line is no readable object.
+    """
     tail = TAIL.match(line, max(0, len(line) - _TAIL_BYTES))
     if tail is None:
         return None, ""
@@ -183,12 +187,8 @@ def read_object(line: bytes) -> dict[str, Any]:
     try:
         # json.loads would guess the encoding of bytes anew for every line, which is slow for a whole results tree.
         value = json.loads(line.decode("utf-8", "surrogatepass"))
-    except json.JSONDecodeError as error:
-        raise UnreadableLineError(f"it is not JSON from its character {error.pos + 1} on") from error
-    except RecursionError as error:
-        raise UnreadableLineError("it is nested too deep") from error
-    except ValueError as error:
-        raise UnreadableLineError("it contains a number with too many digits, or is not UTF-8") from error
+    except (ValueError, RecursionError) as error:
+        raise UnreadableLineError("it is not JSON, is nested too deep, or has a number with too many digits") from error
     if not isinstance(value, dict):
         raise UnreadableLineError("it is not a JSON object")
     return value

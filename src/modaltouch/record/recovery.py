@@ -8,6 +8,7 @@ missing cannot be verified; it is left out of the new log and kept in a separate
 from __future__ import annotations
 
 import hashlib
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
@@ -20,8 +21,8 @@ from modaltouch.record.chain import (
     RecordError,
     UnreadableLineError,
     conversion,
+    decode_line,
     describe_torn,
-    line_check,
     parse_chain,
     read_log,
     read_object,
@@ -29,25 +30,6 @@ from modaltouch.record.chain import (
 from modaltouch.record.files import OWNER_ALONE, replace_file
 from modaltouch.record.folders import SessionFolder, find_log
 from modaltouch.record.log import SessionLog
-
-
-@dataclass(frozen=True)
-class UnrecoveredLine:
-    """A line left out of the recovery.
-
-    Attributes
-    ----------
-    number : int
-        Line number in the damaged file, from 1.
-    reason : str
-        Why it is left out.
-    content : bytes
-        The line as found.
-    """
-
-    number: int
-    reason: str
-    content: bytes
 
 
 @dataclass(frozen=True)
@@ -64,8 +46,8 @@ class Recovery:
         Verified lines, in the order of writing.
     numbers : tuple of int
         Line number of each in the file, from 1.
-    left_out : tuple of UnrecoveredLine
-        The other lines.
+    left_out : tuple of (int, str, bytes)
+        The other lines: number in the file from 1, why it is left out, and the line as found.
     missing : tuple of int
         Numbers of lines that were written and are missing.
     converted : str
@@ -78,7 +60,7 @@ class Recovery:
     sha256: str
     events: tuple[dict[str, Any], ...]
     numbers: tuple[int, ...]
-    left_out: tuple[UnrecoveredLine, ...]
+    left_out: tuple[tuple[int, str, bytes], ...]
     missing: tuple[int, ...]
     converted: str
     is_cut: bool
@@ -102,10 +84,14 @@ class Recovery:
         if self.numbers != tuple(sorted(self.numbers)):
             sentences.append("lines were moved; their original order is known")
         sentences += [self.converted] if self.converted else []
-        sentences += [f"line {line.number} is left out: {line.reason}" for line in self.left_out]
+        sentences += [f"line {number} is left out: {reason}" for number, reason, _ in self.left_out]
         if self.missing:
             sentences.append(f"missing: line{'s' * (len(self.missing) > 1)} {_ranges(self.missing)}")
         return sentences
+
+    @property
+    def _reasons(self) -> list[dict[str, Any]]:
+        return [{"line": number, "reason": reason} for number, reason, _ in self.left_out]
 
     def as_dict(self) -> dict[str, Any]:
         """Return the recovery as plain values."""
@@ -114,7 +100,7 @@ class Recovery:
             "sound": self.is_sound,
             "n_lines": len(self.events),
             "n_answers": sum(event.get("event") == "trial" for event in self.events),
-            "left_out": [{"line": line.number, "reason": line.reason} for line in self.left_out],
+            "left_out": self._reasons,
             "missing": list(self.missing),
             "lines": self.lines,
         }
@@ -156,12 +142,12 @@ class Recovery:
                 sha256=self.sha256,
                 lines=[event["n"] for event in self.events],
                 missing=list(self.missing),
-                left_out=[{"line": line.number, "reason": line.reason} for line in self.left_out],
+                left_out=self._reasons,
             )
             place.list_participants(first)
             log.write_view(place)
         if self.left_out:
-            content = b"".join(line.content + b"\n" for line in self.left_out)
+            content = b"".join(line + b"\n" for _, _, line in self.left_out)
             replace_file(place.log.with_name("left_out.txt"), content, "the new log is intact", OWNER_ALONE)
         return place.log
 
@@ -187,20 +173,20 @@ def survey(path: Path) -> Recovery:
         lines.pop()
     claimed = {number: tail.group(1).decode() for number, line in enumerate(lines, 1) if (tail := TAIL.search(line))}
     proved: dict[int, dict[str, Any]] = {}
-    left_out: list[UnrecoveredLine] = []
+    left_out: list[tuple[int, str, bytes]] = []
     first_copy: dict[bytes, int] = {}
     for number, line in enumerate(lines, 1):
         event = _prove(lines, claimed, number)
         if event is None:
-            left_out.append(UnrecoveredLine(number, _why(line, claimed, number), line))
+            left_out.append((number, _why(line, claimed, number), line))
         elif line in first_copy:
-            left_out.append(UnrecoveredLine(number, f"a copy of line {first_copy[line]}", line))
+            left_out.append((number, f"a copy of line {first_copy[line]}", line))
         else:
             first_copy[line] = number
             proved[number] = event
     order = sorted(proved, key=lambda number: proved[number]["n"])
     declared = [event["torn"] for event in proved.values() if "torn" in event]
-    left_out = [line for line in left_out if describe_torn(line.content) not in declared]
+    left_out = [each for each in left_out if describe_torn(each[2]) not in declared]
     events = tuple(proved[number] for number in order)
     written = {event["n"] for event in events}
     # Lines removed from the end leave no gap in the log, but the view states the number of lines it was made from.
@@ -227,17 +213,11 @@ def _facts(event: dict[str, Any]) -> dict[str, Any]:
 
 def _prove(lines: list[bytes], claimed: dict[int, str], number: int) -> dict[str, Any] | None:
     """Return the event of a line if its check is correct after that of any line in the file, else None."""
-    if number not in claimed:
-        return None
-    line, check = lines[number - 1], claimed[number]
-    body = line[: TAIL.search(line).start()]  # type: ignore[union-attr]
-    for previous in (*([claimed[number - 1]] if number - 1 in claimed else []), GENESIS, *claimed.values()):
-        if line_check(previous, body) == check:
-            try:
-                event = read_object(body + b"}")
-            except UnreadableLineError:
-                return None
-            return event if isinstance(event.get("n"), int) else None
+    for previous in (claimed.get(number - 1, GENESIS), GENESIS, *claimed.values()) if number in claimed else ():
+        with suppress(UnreadableLineError):
+            event, _ = decode_line(lines[number - 1], previous)
+            if event is not None:
+                return event if isinstance(event.get("n"), int) else None
     return None
 
 

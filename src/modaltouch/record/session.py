@@ -20,6 +20,44 @@ SCHEMA = 2
 """Version of the log format, stated in the first line. Since version 2, bursts are counted, and an answer is written
 on a separate line before its trial is confirmed."""
 
+READABLE = (1, 2)
+"""Readable versions of the log format."""
+
+_NEEDED: dict[str, tuple[tuple[tuple[str, ...], type | tuple[type, ...]], ...]] = {
+    "start": (
+        (("mode",), str),
+        (("participant",), str),
+        (("protocol",), str),
+        (("schedule", "n_trials"), int),
+        (("session",), int),
+        (("seed",), int),
+        (("rig_choice",), str),
+        (("answers_choice",), str),
+        (("design",), dict),
+        *((("sources", file, key), str) for file in ("protocol", "apparatus", "texts") for key in ("text", "path")),
+        (("schedule", "order_hash"), str),
+        (("stimulus", "content_hash"), str),
+        (("versions",), dict),
+    ),
+    "withdrawn": ((("lines",), list),),
+    "closed": ((("begun_anew_as",), int),),
+    "form": ((("name",), str), (("response", "answer"), str), (("response", "reaction_time"), (int, float))),
+    "trial": (
+        (("trial", "index"), int),
+        (("trial", "block"), int),
+        (("trial", "practice"), bool),
+        (("trial", "repetition"), int),
+        (("trial", "condition", "finger_condition"), str),
+        (("trial", "condition", "zone_left"), str),
+        (("trial", "condition", "zone_right"), str),
+        (("trial", "condition", "velocity_mm_s"), (int, float)),
+        (("confirmed", "confirmed"), bool),
+        (("response", "answer"), str),
+        (("response", "reaction_time"), (int, float)),
+    ),
+}
+"""Required members of each kind of event, and their types."""
+
 
 @dataclass(frozen=True)
 class Session:
@@ -74,19 +112,33 @@ class Session:
         says_so = bool(last.get("event") == "stop" and last.get("complete"))
         return says_so or read_session(log).complete or is_locked(log)
 
-    @cached_property
+    @property
     def problems(self) -> tuple[str, ...]:
         """All problems of the file; empty for an intact file."""
-        from modaltouch.record.shape import check_shape
+        return (*self.chain.problems, *self.faults)
 
-        return (*self.chain.problems, *check_shape(self.events, str(self.path)))
-
-    @property
-    def is_readable(self) -> bool:
-        """Whether there is a start record and all lines have the required members."""
-        from modaltouch.record.shape import check_shape
-
-        return bool(self.start) and not check_shape(self.events, "")
+    @cached_property
+    def faults(self) -> tuple[str, ...]:
+        """Problems of lines that lack members, or have some of wrong types; empty if all can be read."""
+        faults = [] if self.start else [f"{self.path}:1: is not a start record"]
+        for number, event in enumerate(self.events, 1):
+            kind, clock = event.get("event"), event.get("clock", 0.0)
+            if not isinstance(kind, str) or not isinstance(event.get("n"), int) or not isinstance(clock, (int, float)):
+                faults.append(f"{self.path}:{number}: is not an event of a session")
+                continue
+            if kind == "start" and event.get("schema", 1) not in READABLE:
+                faults.append(
+                    f"{self.path}:{number}: was written in format {event.get('schema')}, but this program reads "
+                    f"{' and '.join(map(str, READABLE))}; use the version of the program that wrote it"
+                )
+            for path, types in _NEEDED.get("trial" if kind == "answered" else kind, ()):
+                value: Any = event
+                for step in path:
+                    value = value.get(step) if isinstance(value, dict) else None
+                if not isinstance(value, types) or (isinstance(value, bool) and types is not bool):
+                    faults.append(f"{self.path}:{number}: the event `{kind}` does not say its {'.'.join(path)}")
+                    break
+        return tuple(faults)
 
     @property
     def is_running(self) -> bool:

@@ -137,8 +137,8 @@ def next_session(place: SessionFolder, n_sessions: int) -> tuple[SessionFolder, 
     """
     every = [read_session(log) for log in SessionFolder.logs_of(place.dataset / f"sub-{place.participant}")]
     for each in every:
-        if not each.is_readable:
-            fault = (*each.problems, f"{each.path}:1: is not a start record")[0]
+        if each.faults:
+            fault = each.problems[0]
             way = f"see `modaltouch doctor {each.path.parent}`, or give --session"
             raise RecordError(f"{fault}; so the participant's next session is not known: {way}")
     if not every:

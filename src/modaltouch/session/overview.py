@@ -128,11 +128,9 @@ def _survey_session(log: Path) -> tuple[dict[str, Any], Session]:
     n_in_view = SessionFolder.lines_in_view(log.parent)  # read before the log, which grows first
     try:
         session = read_session(log)
-        problems = session.problems if session.start else (*session.problems, f"{log}:1: is not a start record")
+        problems = session.problems
     except RecordError as error:
         session, problems = Session(log, ()), (str(error),)
-    if not isinstance(session.start.get("design", {}), dict):
-        problems = (*problems, f"{log}:1: the event `start` does not say its design")
     n_removed = n_in_view - len(session.chain.checks) - bool(session.chain.problems)
     if n_removed > 0 and not session.chain.damage:
         problems = (
