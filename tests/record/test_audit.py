@@ -300,7 +300,7 @@ IN_FORMAT_2: dict[str, tuple[Lie, str]] = {
     "bursts that nobody waited for": (
         everywhere(count(asked=20, played=20, whole=20), "trial"), "were due by its answer"),
     "bursts left out": (everywhere(count(asked=-3, played=-3, whole=-3), "trial"), "were due by its answer"),
-    "a number that is none": (everywhere(set_in("bursts", asked=-1), "trial"), "burst counts are not whole numbers"),
+    "a number that is none": (everywhere(set_in("bursts", asked=-1), "trial"), "though its bursts are not all counted"),
     "uncounted bursts": (everywhere(set_in("bursts", whole=None), "trial"), "though its bursts are not all counted"),
     "the first burst": (everywhere(shift("bursts", "first_s", 0.01), "trial"), "its first burst came at"),
     "the first burst, everywhere": (everywhere(shift_first), "but its instants give"),

@@ -151,7 +151,7 @@ def test_bursts_are_as_many_as_were_due(
         ({"whole": 0}, "is confirmed with"),
         ({"played": 0, "whole": 0}, "is confirmed with"),
         ({"dropped": 1}, "is confirmed with"),
-        ({"asked": True}, "its burst counts are not whole numbers from 0"),
+        ({"asked": True}, "is confirmed, although its bursts are not all counted"),
         ({"asked": None}, "is confirmed, although its bursts are not all counted"),
     ],
 )
@@ -162,17 +162,11 @@ def test_a_confirmed_stimulus_has_whole_bursts_and_all_of_them(
     assert any(fault in found for found in faults_of(session.trials[0], given, **bursts))
 
 
-def test_an_unconfirmed_stimulus_may_lack_counts_and_none_may_exceed_another(
-    session: Session, given: Expectation
-) -> None:
-    """Whole bursts are some of those played, which are some of those due; so are those dropped."""
+def test_an_unconfirmed_stimulus_may_lack_counts(session: Session, given: Expectation) -> None:
+    """Nobody counts on it, so its bursts need not add up."""
     event = copy.deepcopy(session.trials[0])
     event["confirmed"]["confirmed"] = False
-    assert faults_of(event, given, asked=9, played=8, whole=7, dropped=1) == []
     assert faults_of(event, given, asked=9, played=None, whole=None) == []
-    for counts in ({"whole": 9}, {"played": 10}, {"dropped": 10}, {"played": None, "whole": 10}):
-        (found,) = faults_of(event, given, **{"asked": 9, "played": 8, "whole": 8, "dropped": 0} | counts)
-        assert found.startswith("has 9 bursts due, ")
 
 
 def further(after: float | None, word: str = "low") -> dict[str, Any]:
