@@ -171,19 +171,6 @@ def test_a_session_begun_anew_counts_once_and_the_time_between_sittings_not(
     assert any("duration" in line for line in shown) and any(" in 2 " in line for line in shown)
 
 
-def test_a_session_sooner_than_its_kind_allows_is_noted(
-    tmp_path: Path, edit: Callable[..., Path], scribe: Callable[..., Path]
-) -> None:
-    """At least a day between the sessions of a participant, not between participants."""
-    kinds = "sessions: [{name: first, min_gap_days: 1}, {name: second, min_gap_days: 1}]"
-    preflight = examine(edit("demo.yaml", ("practice_trials: 1", f"practice_trials: 1\n  {kinds}"))).require()
-    for participant, session in (("p01", 1), ("p01", 2), ("p02", 1)):
-        scribe(preflight, tmp_path, participant, session=session)
-    (found,) = survey_results(tmp_path)
-    said = "p01 session 2 began 0.00 days after the one before, but its kind has min_gap_days: 1"
-    assert [note for note in found["notes"] if "began" in note] == [said]
-
-
 @pytest.mark.parametrize(
     ("change", "state"),
     [

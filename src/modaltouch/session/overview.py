@@ -6,7 +6,6 @@ Only logs are read; `modaltouch verify` recomputes them.
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Iterator
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from itertools import pairwise
@@ -69,48 +68,49 @@ def _survey_dataset(dataset: Path, logs: list[Path]) -> dict[str, Any]:
     try:
         survey["title"] = str(latest.start.get("design", {}).get("title", ""))
         protocol = _protocol_of(latest, *latest.occasion)
+        schedule, seed = protocol.schedule, int(latest.start["seed"])
         new = SessionFolder(dataset.parent, "real", dataset.name, propose_participant(dataset))  # in any mode
-        group, _ = assign_group(new, protocol, int(latest.start["seed"]))
-        due = [each for name in ends if (each := _next_of(name, rows, protocol.schedule.n_sessions))]
+        group, _ = assign_group(new, protocol, seed)
+        due = [each for name in ends if (each := _next_of(name, rows, schedule.n_sessions))]
         due.append({"participant": new.participant, "session": 1, "do": "run", "nth": 1})
-        turns = {name: first_turn(session) for name, session in begun.items()}
         own = {name: session.occasion[0] for name, session in begun.items()} | {new.participant: group}
-        kind_of = protocol.schedule.kind_of
-        kinds = {nth: getattr(kind_of(nth), "name", "") for nth in {1, *(each["nth"] for each in due)}}
-        gaps = {kind.name: kind.min_gap_days for kind in protocol.schedule.session_kinds}
+        named = [kind.name for kind in schedule.session_kinds] or [""]
         # A record contains only the table of its group.
         of_group = {session.occasion[0]: session for session in begun.values()}
         protocols = {
             (name, kind): _protocol_of(of_group.get(name, latest), name, kind)
             for name in sorted(set(own.values()) | set(protocol.groups)) or [""]
-            for kind in gaps or [""]
+            for kind in named
         }
-        if protocol.schedule.balance == "least_filled":
-            turns[new.participant] = assign_turn(new, protocols[group, kinds[1]], 1, group)[0].number
+        turns = {name: first_turn(each) for name, each in begun.items()}
+        if schedule.balance == "least_filled":
+            turns[new.participant] = assign_turn(new, protocols[group, named[0]], 1, group)[0].number
         else:
-            turns[new.participant] = Turn.of(new.participant, int(latest.start["seed"]), 1, protocol.groups).number
+            turns[new.participant] = Turn.of(new.participant, seed, 1, protocol.groups).number
     except (InputError, RecordError, LookupError, AttributeError, TypeError, ValueError) as error:
         return survey | {"notes": [f"orders and next sessions are not known: {error or type(error).__name__}"]}
     for each in due:
         who, nth = each["participant"], each.pop("nth")
         if who not in turns:
             continue
-        each |= _named(own[who], kinds[nth]) | _order(Turn(turns[who] + nth - 1, ""), protocols[own[who], kinds[nth]])
-        if nth > 1 and each["do"] == "run" and (gap := gaps.get(kinds[nth], 0)) and (ended := ends.get(who)):
+        kind = schedule.kind_of(nth)
+        name, gap = ("", None) if kind is None else (kind.name, kind.min_gap_days)
+        each |= _named(own[who], name) | _order(Turn(turns[who] + nth - 1, ""), protocols[own[who], name])
+        if gap and nth > 1 and each["do"] == "run" and (ended := ends.get(who)):
             each["from"] = (datetime.fromisoformat(ended) + timedelta(days=gap)).isoformat(timespec="minutes")
     once = {who: [("", turns[who], row["state"])] for row in rows if (who := row["participant"]) in turns}
-    had = _turns_had(turns, rows) if gaps else once
+    had = _turns_had(turns, rows) if schedule.session_kinds else once
     orders = [
         _named(name, kind) | row
         for name in dict.fromkeys([*protocol.groups, *own.values()])
-        for kind in gaps or [""]
+        for kind in named
         for row in _balance(
             protocols[name, kind],
             [each[1:] for who in begun if own[who] == name for each in had[who] if each[0] == kind],
         )
     ]
-    survey["notes"] = [*_notes(begun, rows), *_early(rows, {} if latest.mode == "simulated" else gaps)]
-    return survey | {"sessions_each": protocol.schedule.n_sessions, "orders": orders, "next": due}
+    survey["notes"] = _notes(begun, rows)
+    return survey | {"sessions_each": schedule.n_sessions, "orders": orders, "next": due}
 
 
 def _protocol_of(session: Session, group: str, kind: str) -> Protocol:
@@ -234,18 +234,6 @@ def _turns_had(turns: dict[str, int], rows: list[dict[str, Any]]) -> dict[str, l
         if row["state"] != "closed" and (who := row["participant"]) in turns:
             had[who].append((row.get("session_kind", ""), turns[who] + len(had[who]), row["state"]))
     return had
-
-
-def _early(rows: list[dict[str, Any]], gaps: dict[str, float]) -> Iterator[str]:
-    """Yield a note on each session that began too early after the previous one for its kind."""
-    for before, row in pairwise(row for row in rows if row["state"] != "closed"):
-        gap = gaps.get(row.get("session_kind", ""), 0)
-        if not gap or before["participant"] != row["participant"] or not (before["ended"] and row["begun"]):
-            continue
-        days = (datetime.fromisoformat(row["begun"]) - datetime.fromisoformat(before["ended"])) / timedelta(days=1)
-        if days < gap:
-            who = f"{row['participant']} session {row['session']}"
-            yield f"{who} began {days:.2f} days after the one before, but its kind has min_gap_days: {gap:g}"
 
 
 def _notes(begun: dict[str, Session], rows: list[dict[str, Any]]) -> list[str]:
