@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 
 from modaltouch.protocol import Findings, Protocol
 from modaltouch.protocol.schedule import Schedule, Turn
+from modaltouch.protocol.streams import FORMER_ALGORITHM
 from modaltouch.record.chain import RecordError
 from modaltouch.record.folders import SessionFolder
 from modaltouch.record.log import SessionLog
@@ -78,6 +79,16 @@ def test_a_gap_left_by_a_dropout_is_filled_next(tmp_path: Path) -> None:
         log.close()
         turns.append(turn)
     assert turns == [0, 1, 2, 3, 1, 0]
+
+
+def test_turns_of_former_orders_are_counted_by_the_rows_that_they_had(tmp_path: Path) -> None:
+    """Turn 1 of three repetitions began in row 3 of a Latin square, where turn 3 begins now."""
+    protocol = changed(order="latin_square", repetitions=3, max_same_pair_running=None)
+    place, turn = place_of(tmp_path, "p1"), Turn(1, "given")
+    drawn = Schedule.draw(protocol, "p1", 1, given=turn, algorithm=FORMER_ALGORITHM).as_dict() | {"n_trials": 0}
+    facts = {"mode": place.mode, "protocol": place.protocol, "participant": "p1", "session": 1, "seed": 1, **UNREAD}
+    SessionLog.create(place.log, "start", **facts, schedule=drawn).close()
+    assert assign_turn(place_of(tmp_path, "p2"), protocol, 1)[1]["filled"] == {"3": 1}
 
 
 def test_turns_are_balanced_within_a_group(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import math
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -89,6 +89,15 @@ class Turn:
         from modaltouch.protocol.latin_squares import numbers_of_rows, row_of_turn
 
         return *self.order(protocol), *(row_of_turn(self.number, n_rows) for n_rows in numbers_of_rows(protocol))
+
+    def as_now(self, start: dict[str, Any], protocol: Protocol) -> Turn:
+        """Return the turn that now has the order, placement and first rows that this one has in a start record."""
+        schedule = start.get("schedule", {})
+        if schedule.get("seeds", {}).get("algorithm") != FORMER_ALGORITHM or protocol.schedule.order != "latin_square":
+            return self
+        rows = Turn(self.number * protocol.scheduled_repetitions, "").balanced(protocol)[2:]
+        turns = (replace(self, number=number) for number in range(Turn.period(protocol)))
+        return next((turn for turn in turns if turn.balanced(protocol) == (*self.order(protocol), *rows)), self)
 
     @staticmethod
     def period(protocol: Protocol) -> int:

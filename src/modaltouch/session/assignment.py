@@ -52,7 +52,7 @@ def assign_turn(
     for participant, first, latest in _participants(place.dataset):
         if first.occasion[0] != group:
             continue
-        base = first_turn(first) % n_turns
+        base = first_turn(first, protocol) % n_turns
         if participant == place.participant:
             own = base
         else:
@@ -189,12 +189,12 @@ def _participants(dataset: Path) -> Iterator[tuple[str, Session, Path]]:
             yield folder.name.removeprefix("sub-"), begun[0], logs[-1]
 
 
-def first_turn(session: Session) -> int:
+def first_turn(session: Session, protocol: Protocol) -> int:
     """Return the turn of a participant's first session, derived from any session."""
     start = session.start
     groups = start.get("design", {}).get("groups", ())
     turn = Turn.recorded(start) or Turn.of(session.participant, int(start["seed"]), session.drawn_as, groups)
-    return turn.number - (session.drawn_as - 1)
+    return turn.as_now(start, protocol).number - (session.drawn_as - 1)
 
 
 _SECTION = ("conditions", "sensation_levels")

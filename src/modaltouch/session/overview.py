@@ -82,7 +82,7 @@ def _survey_dataset(dataset: Path, logs: list[Path]) -> dict[str, Any]:
             for name in sorted(set(own.values()) | set(protocol.groups)) or [""]
             for kind in named
         }
-        turns = {name: first_turn(each) for name, each in begun.items()}
+        turns = {name: first_turn(each, protocols[own[name], named[0]]) for name, each in begun.items()}
         if schedule.balance == "least_filled":
             turns[new.participant] = assign_turn(new, protocols[group, named[0]], 1, group)[0].number
         else:

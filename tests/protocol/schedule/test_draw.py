@@ -91,6 +91,18 @@ def test_recorded_orders_are_drawn_again_by_the_algorithm_they_name(
     assert Schedule.draw_again(protocol, start, 1) == schedule
 
 
+@pytest.mark.parametrize("number", [0, 1, 5, 17, 30])
+def test_a_former_turn_counts_as_the_one_that_now_has_its_first_rows(number: int) -> None:
+    """Rows went on by as many as there are repetitions, and now by one: balance counts what was presented."""
+    protocol = changed("schedule", order="latin_square", repetitions=3, max_same_pair_running=None)
+    turn = Turn(number, "given")
+    former = Schedule.draw(protocol, "anna", 1, given=turn, algorithm=FORMER_ALGORITHM)
+    now = Schedule.draw(protocol, "anna", 1, given=turn.as_now({"schedule": former.as_dict()}, protocol))
+    one, other = ([trial.condition for block in each.blocks for trial in block.trials[:12]] for each in (former, now))
+    assert one == other
+    assert turn.as_now({"schedule": now.as_dict()}, protocol) == turn
+
+
 def test_each_purpose_has_its_own_stream() -> None:
     """Changing practice, the order of blocks or one block changes no other draw."""
     schedule = Schedule.draw(PAPER, "p01", 1)
