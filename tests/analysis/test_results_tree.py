@@ -303,6 +303,6 @@ def test_a_session_given_twice_is_refused(record, tmp_path) -> None:
     session = record("p01").parents[1]
     with pytest.raises(InputError, match=rf"given the same session twice, {session}.* and {session}.*share no session"):
         read_responses(tmp_path / "results", session.parent)
-    copied = shutil.copytree(session, tmp_path / "results" / "copy" / session.name)
+    copied = shutil.copytree(session, tmp_path / "results" / "copy" / "sub-p01" / session.name)
     with pytest.raises(InputError, match=rf"twice, {copied}.* and {session}"):
         read_responses(tmp_path / "results")

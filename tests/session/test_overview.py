@@ -90,11 +90,11 @@ def test_orders_are_balanced_over_those_who_finished(real: dict[str, Any]) -> No
 
 
 def test_the_next_sessions_are_listed_with_their_order(real: dict[str, Any]) -> None:
-    """Interrupted ones to resume, damaged ones for `doctor`, then a new participant."""
+    """Interrupted ones to resume, damaged ones to verify, then a new participant."""
     told = [(each["participant"], each["session"], each["do"], each["finger_conditions"]) for each in real["next"]]
     assert told == [
         ("p02", 1, "resume", TWO),
-        ("p03", 1, "doctor", ONE),
+        ("p03", 1, "verify", ONE),
         ("p06", 1, "resume", TWO),
         ("p07", 1, "run", ONE),
     ]
@@ -178,8 +178,8 @@ def test_a_session_begun_anew_counts_once_and_the_time_between_sittings_not(
         ({"event": ["stop"]}, "damaged"),
         ({"event": "start", "design": "a design"}, "damaged"),
         ({"event": "start", "schedule": "12 trials"}, "damaged"),
-        ({"event": "start", "time": 5}, "interrupted"),
-        ({"event": "start", "schedule": {"n_trials": 12, "order_hash": "", "seeds": "1"}}, "interrupted"),
+        ({"event": "start", "time": 5}, "damaged"),
+        ({"event": "start", "schedule": {"n_trials": 12, "order_hash": "", "seeds": "1"}}, "damaged"),
     ],
 )
 def test_a_log_with_impossible_values_does_not_end_the_survey(
@@ -209,7 +209,7 @@ def test_a_log_without_a_valid_line_is_damaged(tmp_path: Path, demo: Preflight, 
     assert [(row["state"], row["n_sittings"]) for row in found["sessions"]] == [("damaged", 0)]
 
 
-def test_a_complete_session_with_a_torn_log_is_for_doctor(
+def test_a_complete_session_with_a_torn_log_is_for_resume(
     tmp_path: Path, demo: Preflight, scribe: Callable[..., Path]
 ) -> None:
     """All answers are there, but the analysis excludes it until it is repaired."""
@@ -217,21 +217,68 @@ def test_a_complete_session_with_a_torn_log_is_for_doctor(
     log.write_bytes(log.read_bytes() + b'{"n":')
     (found,) = survey_results(tmp_path)
     assert [row["excluded"].startswith("damaged") for row in found["sessions"]] == [True]
-    assert [(each["participant"], each["do"]) for each in found["next"]] == [("p01", "doctor"), ("p02", "run")]
+    assert [(each["participant"], each["do"]) for each in found["next"]] == [("p01", "resume"), ("p02", "run")]
 
 
 @pytest.mark.parametrize("n_lost", [1, 3])
 def test_a_log_shorter_than_its_view_is_damaged(
     tmp_path: Path, demo: Preflight, scribe: Callable[..., Path], n_lost: int
 ) -> None:
-    """Its lines are valid, but `resume` refuses it; `doctor` is the next step."""
+    """Its lines are valid, but `resume` refuses it; `verify` says what is missing."""
     log = scribe(demo, tmp_path, "p01", n_answered=5)
-    n_lines = len(log.read_bytes().splitlines())
-    log.with_name("sub-p01_beh.json").write_text(f'{{"SessionLog": {{"lines": {n_lines + n_lost}}}}}')
+    lines = log.read_bytes().splitlines(keepends=True)
+    log.write_bytes(b"".join(lines[:-n_lost]))
     (found,) = survey_results(tmp_path)
-    told = f"{log}:{n_lines}: {n_lost} line{'s' * (n_lost > 1)} missing after it"
-    assert [(row["state"], row["why"]) for row in found["sessions"]] == [("damaged", told)]
-    assert [(each["participant"], each["do"]) for each in found["next"]] == [("p01", "doctor"), ("p02", "run")]
+    told = f"{log}: the BIDS view was made from {len(lines)} lines, but the log has {len(lines) - n_lost}: lines were "
+    assert [(row["state"], row["why"]) for row in found["sessions"]] == [
+        ("damaged", f"{told}removed from its end; look for a copy")
+    ]
+    assert [(each["participant"], each["do"]) for each in found["next"]] == [("p01", "verify"), ("p02", "run")]
+
+
+def move_to_another_participant(log: Path) -> str:
+    """Rename the participant's folder."""
+    log.parents[2].rename(log.parents[3] / "sub-p08")
+    return "is the record of sub-p01, ses-1; move it to sub-p01/ses-1/beh"
+
+
+def move_to_another_session(log: Path) -> str:
+    """Rename the session's folder."""
+    log.parents[1].rename(log.parents[2] / "ses-2")
+    return "is the record of sub-p01, ses-1; move it to sub-p01/ses-1/beh"
+
+
+def rename_log(log: Path) -> str:
+    """Give the log another name."""
+    log.rename(log.with_name("old.jsonl"))
+    return r"session.jsonl: cannot be read \(No such file or directory\)"
+
+
+def edit_table(log: Path) -> str:
+    """Change an answer in the table."""
+    (table,) = log.parent.glob("*_beh.tsv")
+    table.write_text(table.read_text(encoding="utf-8").replace("both", "left", 1), encoding="utf-8")
+    return "differs from the log, which is the original"
+
+
+@pytest.mark.parametrize("change", [move_to_another_participant, move_to_another_session, rename_log, edit_table])
+def test_a_session_that_was_moved_or_lost_is_found_by_every_reader(
+    tmp_path: Path, demo: Preflight, scribe: Callable[..., Path], change: Callable[[Path], str]
+) -> None:
+    """`study`, `verify` and `analyse` name it with the same words, and the others are read."""
+    scribe(demo, tmp_path, "p02")
+    said = change(scribe(demo, tmp_path, "p01"))
+    (found,) = survey_results(tmp_path)
+    states = {row["state"]: row["excluded"] for row in found["sessions"]}
+    assert re.search(said, states.pop("damaged"))
+    assert states == {"complete": ""}
+    done = call(f"verify {tmp_path}")
+    assert (done.status, bool(re.search(said, done.stderr.replace("\n", " ")))) == (4, True)
+    from modaltouch.analysis import read_responses
+
+    (left_out,) = read_responses(tmp_path).left_out
+    assert re.search(said, left_out.reason)
+    assert call(f"doctor {tmp_path}").status in (0, 4)
 
 
 def test_a_folder_without_sessions_is_refused(tmp_path: Path) -> None:

@@ -189,7 +189,7 @@ def study(
 ) -> None:
     """Show completed and open sessions, and the next participant with their order.
 
-    This reads only the logs and changes nothing; `modaltouch verify` recomputes them.
+    This changes nothing. A session that `modaltouch verify` refuses is damaged, with its reason.
     """
     with reporting(json_output=json_output):
         datasets = session.survey_results(results)

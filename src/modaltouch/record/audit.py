@@ -274,11 +274,12 @@ def check_view(session: Session) -> tuple[str, str, bool]:
     except (OSError, ValueError, LookupError, TypeError, RecursionError) as error:
         return "", f"{table}: the BIDS view cannot be read ({error}); move it away, and {_REMAKE}", False
     if n_lines > len(checks):
-        if session.chain.damage:  # lines after the damage were not read, so missing lines cannot be detected
+        # Lines after a damage are not read, and a running session may have been written to since.
+        if session.chain.damage or session.is_running:
             return "", "", False
         problem = f"the BIDS view was made from {n_lines} lines, but the log has {len(checks)}"
         is_mendable = bool(session.chain.torn) and n_lines == len(checks) + 1
-        return "", f"{session.path}: {problem}: lines were removed from its end", is_mendable
+        return "", f"{session.path}: {problem}: lines were removed from its end; look for a copy", is_mendable
     if n_lines > 0 and checks[n_lines - 1] != check:
         return "", f"{side}: was made from another log", False
     # After a kill between the two, the table includes more lines than its sidecar states.

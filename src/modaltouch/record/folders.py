@@ -170,7 +170,9 @@ class SessionFolder:
 
     @staticmethod
     def logs_under(place: Path) -> list[Path]:
-        """Return the logs at a path, the file itself or all in a folder, sorted by path.
+        """Return the logs at a path, the file itself or all in a folder, sorted by path; also lost ones.
+
+        A folder with a BIDS table has had a log.
 
         Raises
         ------
@@ -184,7 +186,8 @@ class SessionFolder:
             if isinstance(error, PermissionError):
                 raise error
 
-        found = (Path(folder, LOG_NAME) for folder, _, names in os.walk(place, onerror=refuse) if LOG_NAME in names)
+        walk = ((Path(folder, LOG_NAME), names) for folder, _, names in os.walk(place, onerror=refuse))
+        found = (log for log, names in walk if LOG_NAME in names or any(name.endswith("_beh.tsv") for name in names))
         if logs := [place] if place.is_file() else sorted(found):
             return logs
         given = "a folder without a recorded session" if place.exists() else "no such file or folder"
@@ -307,7 +310,7 @@ def find_log(session: Path) -> Path:
     """
     if session.is_file() and session.suffix != ".jsonl":
         raise RecordInputError(f"{session}: is not a session log; give a session's folder or its {LOG_NAME}")
-    logs = SessionFolder.logs_under(session)
+    logs = [session] if session.name == LOG_NAME else SessionFolder.logs_under(session)
     if len(logs) > 1:
         listed = "".join(f"\n  {log.parent}" for log in logs[:10])
         raise RecordInputError(f"{session}: holds {len(logs)} sessions, but exactly one is needed; give it{listed}")

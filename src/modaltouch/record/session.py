@@ -119,7 +119,7 @@ class Session:
 
     @cached_property
     def faults(self) -> tuple[str, ...]:
-        """Problems of lines that lack members, or have some of wrong types; empty if all can be read."""
+        """Problems of the place, and of lines that lack members or have some of wrong types; empty without any."""
         faults = [] if self.start else [f"{self.path}:1: is not a start record"]
         for number, event in enumerate(self.events, 1):
             kind, clock = event.get("event"), event.get("clock", 0.0)
@@ -138,6 +138,10 @@ class Session:
                 if not isinstance(value, types) or (isinstance(value, bool) and types is not bool):
                     faults.append(f"{self.path}:{number}: the event `{kind}` does not say its {'.'.join(path)}")
                     break
+        own, found = (f"sub-{self.participant}", f"ses-{self.start.get('session')}", "beh"), self.path.absolute().parts
+        # A copy elsewhere can be read, such as one that was sent by mail.
+        if not faults and found[-4:-1] != own and any(part.startswith(("sub-", "ses-")) for part in found[-4:-1]):
+            faults.append(f"{self.path}: is the record of {own[0]}, {own[1]}; move it to {'/'.join(own)}")
         return tuple(faults)
 
     @property

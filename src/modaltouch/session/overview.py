@@ -1,6 +1,6 @@
 """Overview of a study: the sessions of a results tree, the balance of orders, and the next sessions.
 
-Only logs are read; `modaltouch verify` recomputes them.
+Records are checked as by `modaltouch verify`, so that the reasons for exclusion are those of the analysis.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from modaltouch.protocol import Findings, InputError, Protocol, Sources, Turn
-from modaltouch.record import RecordError, Session, SessionFolder, read_session
+from modaltouch.record import RecordError, Session, SessionFolder, audit_session, read_session
 from modaltouch.session.assignment import assign_group, assign_turn, first_turn, propose_participant
 
 
@@ -125,21 +125,14 @@ def _named(group: str, kind: str = "") -> dict[str, str]:
 
 def _survey_session(log: Path) -> tuple[dict[str, Any], Session]:
     """Return the row of a session and the session, without events if its log cannot be read."""
-    n_in_view = SessionFolder.lines_in_view(log.parent)  # read before the log, which grows first
     try:
         session = read_session(log)
-        problems = session.problems
+        audit = audit_session(session)
+        problems, damage = audit.problems, [each for each in audit.problems if each not in audit.to_mend]
     except RecordError as error:
-        session, problems = Session(log, ()), (str(error),)
-    n_removed = n_in_view - len(session.chain.checks) - bool(session.chain.problems)
-    if n_removed > 0 and not session.chain.damage:
-        problems = (
-            f"{log}:{len(session.chain.checks)}: {n_removed} line{'s' * (n_removed > 1)} missing after it",
-            *problems,
-        )
-    # A session with a truncated last line can be resumed, but not with any other fault.
-    is_readable = problems == session.chain.problems and not session.chain.damage
-    state, why = _state(session) if is_readable else ("damaged", problems[0])
+        session, problems, damage = Session(log, ()), (str(error),), [str(error)]
+    is_readable = not damage
+    state, why = _state(session) if is_readable else ("damaged", damage[0])
     schedule = session.start["schedule"] if is_readable else {}
     sittings = _sittings(session)
     row = {
@@ -185,9 +178,9 @@ def _next_of(participant: str, rows: list[dict[str, Any]], n_each: int) -> dict[
     """Return a participant's next step; None after the last session or during a session."""
     own = [row for row in rows if row["participant"] == participant]
     held, last = sum(row["state"] != "closed" for row in own), own[-1]
-    damaged = last["state"] in ("damaged", "complete") and last["excluded"].startswith("damaged")
-    if damaged or last["state"] in ("interrupted", "closed"):
-        do = "doctor" if damaged else "resume"
+    to_mend = last["state"] == "complete" and last["excluded"].startswith("damaged")
+    if to_mend or last["state"] in ("damaged", "interrupted", "closed"):
+        do = "verify" if last["state"] == "damaged" else "resume"
         nth = held + (last["state"] == "closed")
         return {"participant": participant, "session": last["session"], "do": do, "nth": nth, "log": last["log"]}
     if last["state"] == "running" or held >= n_each:
