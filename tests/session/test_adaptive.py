@@ -69,7 +69,7 @@ def test_a_forged_level_is_detected(tmp_path, short, finish):
         lines.append(line)
     log.write_bytes(b"".join(lines))
     problems = audit_session(Session.find(log.parent)).problems
-    assert any("the record says 77 mm/s" in problem for problem in problems)
+    assert any("velocity_mm_s 77.0, but the answers before it lead to" in problem for problem in problems)
 
 
 def test_a_killed_session_continues_with_its_stimuli(

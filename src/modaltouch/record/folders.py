@@ -72,14 +72,12 @@ class SessionFolder:
         RecordError
             If the log is not in the folder of its session.
         """
-        folder = log.resolve().parent
-        session, participant = folder.parent.name, folder.parent.parent.name
-        dataset = folder.parent.parent.parent
-        results = dataset.parent if mode == "real" else dataset.parent.parent
-        named = re.fullmatch(r"ses-([1-9]\d*)", session), re.fullmatch(r"sub-(\w+)", participant)
-        if mode not in ("real", "pilot", "simulated") or not all(named):
+        parts = log.resolve().parts
+        named = re.fullmatch(r"sub-(\w+)/ses-([1-9]\d*)/beh", "/".join(parts[-4:-1]))
+        if mode not in ("real", "pilot", "simulated") or named is None:
             raise RecordError(f"{log}: is not in a folder sub-<id>/ses-<n>/beh; move it back there")
-        place = cls(results, mode, protocol, participant[4:], int(session[4:]))  # type: ignore[arg-type]
+        results = Path(*parts[: -5 if mode == "real" else -6])
+        place = cls(results, mode, protocol, named[1], int(named[2]))  # type: ignore[arg-type]
         if place.log != log.resolve():
             raise RecordError(
                 f"{log}: is a {mode} session of the protocol {protocol} and belongs in {place.folder}; move it back "

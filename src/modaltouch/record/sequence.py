@@ -44,6 +44,7 @@ class EventSequence:
         self._session, self._given, self._expected = session, given, given
         self._schema = session.start.get("schema", 1)
         self._order: dict[Key, Trial] = {(t.practice, t.index): t for t in (*schedule.practice, *schedule.trials)}
+        self._keys = [*self._order]
         self._n_practice, self._n_trials = len(schedule.practice), len(schedule.trials)
         recovered = [n for n, e in enumerate(session.events, 1) if e["event"] == "recovered" and e.get("missing")]
         # Lines lost before a recovery leave gaps, so checks that depend on earlier lines begin after it.
@@ -54,8 +55,7 @@ class EventSequence:
         self._pending: Trial | None = None
         self._begun: list[Event] = []
         self._last_line: dict[tuple[bool, int, float], int] = {}
-        self._trial, self._written, self._faulty = next(iter(self._order.values())), dict[str, object](), False
-        self._next = 1
+        self._trial, self._next = next(iter(self._order.values())), 0
         self._unfinished: dict[int, Event] = {}
         self._settled: tuple[Trial, Trial] | None = None
         self._passed, self._filled = False, set[str]()
@@ -116,10 +116,7 @@ class EventSequence:
 
     def _named(self, number: int, event: Event) -> Iterator[str]:
         """Check that a line refers to a trial of the order at its level, and make it the current trial."""
-        if event["trial"] == self._written and not self._faulty:
-            return
         trial = self._trial = Trial.from_dict(event["trial"])
-        self._written, self._faulty = event["trial"], True
         planned = self._order.get((trial.practice, trial.index))
         if planned is None:
             yield (
@@ -127,20 +124,15 @@ class EventSequence:
                 "of practice"
             )
             return
-        if self._given.protocol.adaptive is not None and number > self._whole_from:
+        is_adaptive = self._given.protocol.adaptive is not None
+        if is_adaptive and number > self._whole_from:
             planned = self._settle(planned)
-        self._faulty = trial != planned
-        if not self._faulty:
+        if trial == planned:
             return
         there, here = ({**t.as_dict(), **t.as_dict()["condition"]} for t in (planned, trial))
         differing = next(name for name in here if name != "condition" and here[name] != there.get(name))
-        if differing == "velocity_mm_s" and self._given.protocol.adaptive is not None:
-            yield (
-                f"the answers before {_name(trial)} lead to {there[differing]:g} mm/s, but the record says "
-                f"{here[differing]:g} mm/s"
-            )
-            return
-        yield f"{_name(trial)} has the {differing} {here[differing]}, but its order has {there.get(differing)}"
+        source = "the answers before it lead to" if is_adaptive and differing == "velocity_mm_s" else "its order has"
+        yield f"{_name(trial)} has the {differing} {here[differing]}, but {source} {there.get(differing)}"
 
     def _settle(self, planned: Trial) -> Trial:
         """Return a trial of an adaptive run at the level that follows from the earlier answers that count."""
@@ -181,11 +173,10 @@ class EventSequence:
 
     def _due(self) -> Key | None:
         """Return the next trial: the first remaining one of practice, then of the main trials."""
-        practice = next(((True, n) for n in range(1, self._n_practice + 1) if not self._done[True, n]), None)
-        while self._done[False, self._next]:
+        keys = self._keys
+        while self._next < len(keys) and (self._done[keys[self._next]] or (keys[self._next][0] and self._passed)):
             self._next += 1
-        counting = (False, self._next) if self._next <= self._n_trials else None
-        return counting if practice is None or self._passed else practice
+        return keys[self._next] if self._next < len(keys) else None
 
     def _answered(self, number: int, event: Event) -> Iterator[str]:
         yield from self._named(number, event)
@@ -247,14 +238,14 @@ class EventSequence:
         if gone is not None:
             trial = gone["trial"]
             self._done[trial["practice"], trial["index"]] -= bool(gone["confirmed"]["confirmed"])
-            self._next = 1
+            self._next = 0
 
     def _withdrawn(self, number: int, event: Event) -> Iterator[str]:
         for line in event["lines"]:
             if number > self._whole_from and line not in self._counted:
                 yield f"withdraws line {line}, which is not an answer that counts"
             self._take_back(line)
-        self._settled, self._written = None, {}
+        self._settled = None
 
     def _judged(self, number: int, event: Event) -> Iterator[str]:
         """Check the verdict on a round of practice."""

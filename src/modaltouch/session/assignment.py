@@ -116,15 +116,12 @@ def is_early(place: SessionFolder, protocol: Protocol, drawn_as: int, now: datet
         return ""
     ended = datetime.fromisoformat(last)
     due = ended + timedelta(days=kind.min_gap_days)
-    return (
-        ""
-        if now >= due
-        else (
-            f"{logs[-1]}: the session before ended {ended:%Y-%m-%d %H:%M} UTC, and a session of the kind '{kind.name}' "
-            f"has min_gap_days: {kind.min_gap_days:g} (schedule.sessions), so it may begin from {due:%Y-%m-%d %H:%M} "
-            "UTC on; wait, or begin it anyway with --any-gap, which is then recorded"
-        )
+    said = (
+        f"{logs[-1]}: the session before ended {ended:%Y-%m-%d %H:%M} UTC, and a session of the kind '{kind.name}' "
+        f"has min_gap_days: {kind.min_gap_days:g} (schedule.sessions), so it may begin from {due:%Y-%m-%d %H:%M} "
+        "UTC on; wait, or begin it anyway with --any-gap, which is then recorded"
     )
+    return "" if now >= due else said
 
 
 def next_session(place: SessionFolder, n_sessions: int) -> tuple[SessionFolder, int]:
@@ -248,16 +245,18 @@ def at_own_levels(
 
 def _find(preflight: Preflight, place: SessionFolder, thresholds_from: str) -> dict[str, Any]:
     """Return the threshold from the participant's latest complete session of the other protocol, with its source."""
-    log, damage = _latest(replace(place, protocol=thresholds_from))
-    who = f"participant {place.participant}"
+    dataset, who = replace(place, protocol=thresholds_from).dataset, f"participant {place.participant}"
+    read = (read_session(log) for log in reversed(SessionFolder.logs_of(dataset / f"sub-{place.participant}")))
+    # Sessions older than a damaged one are not used, since their threshold may differ.
+    latest = next((each for each in read if each.problems or each.complete), None)
     anew = f"run that protocol with `-p {place.participant}`, or give the threshold with --threshold"
-    if damage:
-        _refuse(preflight, f"{thresholds_from!r}, whose latest session of {who} is damaged ({damage})",
-                "a sound record", f"see `modaltouch doctor {log}`, or give the threshold with --threshold")  # fmt: skip
-    if log is None:
-        dataset = replace(place, protocol=thresholds_from).dataset
+    if latest is None:
         _refuse(preflight, f"{thresholds_from!r}, but {who} has no complete session of it in {dataset}",
                 "a protocol that has found the participant's threshold", anew)  # fmt: skip
+    log = latest.path
+    if latest.problems:
+        _refuse(preflight, f"{thresholds_from!r}, whose latest session of {who} is damaged ({latest.problems[0]})",
+                "a sound record", f"see `modaltouch doctor {log}`, or give the threshold with --threshold")  # fmt: skip
     from modaltouch.analysis import analyse_responses, read_responses
 
     responses = read_responses(log, mode=place.mode)
@@ -281,26 +280,9 @@ def _find(preflight: Preflight, place: SessionFolder, thresholds_from: str) -> d
         "threshold_mm_s": float(f"{mean:.4g}"),
         "found": "session",
         "session": log.relative_to(place.results).as_posix(),
-        "last_check": read_session(log).chain.last_check,
+        "last_check": latest.chain.last_check,
         "runs": [{name: run[name] for name in names if name in run} for run in runs],
     }
-
-
-def _latest(place: SessionFolder) -> tuple[Path | None, str]:
-    """Return the log of a participant's latest complete or damaged session, and the damage.
-
-    Sessions older than a damaged one are not used, since their threshold may differ.
-    """
-    for log in reversed(SessionFolder.logs_of(place.dataset / f"sub-{place.participant}")):
-        try:
-            session = read_session(log)
-        except RecordError as error:
-            return log, str(error)
-        if session.problems:
-            return log, session.problems[0]
-        if session.complete:
-            return log, ""
-    return None, ""
 
 
 def _refuse(
