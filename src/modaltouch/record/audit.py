@@ -89,13 +89,12 @@ def audit_session(session: Session) -> Audit:
         problems += sequence.problems
         lines += sequence.lines
         agrees, differs, is_mendable = check_view(session)
-    except InputError as error:
-        return Audit(path, (), (*problems, f"{place} its files are not valid: {error}"))
     except RecordError as error:
         return Audit(path, (), (*problems, str(error)))
-    except MALFORMED as error:
-        sentence = f"does not say what its order and drive are based on ({type(error).__name__}: {error})"
-        return Audit(path, (), (*problems, f"{place} {sentence}"))
+    except (InputError, *MALFORMED) as error:
+        based = f"does not say what its order and drive are based on ({type(error).__name__}: {error})"
+        said = f"its files are not valid: {error}" if isinstance(error, InputError) else based
+        return Audit(path, (), (*problems, f"{place} {said}"))
     lines += [agrees] if agrees else []
     problems += [differs] if differs else []
     to_mend = (*(() if chain.damage else chain.problems), *([differs] if is_mendable else []))

@@ -38,19 +38,7 @@ class RecordExistsError(RecordError):
 
 
 class UnreadableLineError(Exception):
-    """A line is not a readable JSON object, although its check may be correct.
-
-    Parameters
-    ----------
-    reason : str
-        Why it cannot be read.
-    check : str
-        Check of the line, if correct.
-    """
-
-    def __init__(self, reason: object, check: str = "") -> None:
-        super().__init__(f"cannot be read: {reason}")
-        self.check = check
+    """A line is not a readable JSON object, although its check may be correct."""
 
 
 @dataclass(frozen=True)
@@ -108,12 +96,11 @@ def parse_chain(data: bytes, name: str) -> Chain:
     previous = GENESIS
     # bytes.splitlines would also split at a single carriage return in a damaged line.
     for number, line in enumerate(io.BytesIO(data), start=1):
-        try:
-            event, check = decode_line(line.removesuffix(b"\n"), previous)
-        except UnreadableLineError as error:
+        event, check, fault = decode_line(line.removesuffix(b"\n"), previous)
+        if fault:
             # The check is correct, so the following lines can still be checked.
-            damage.append(f"{name}:{number}: {error}, although its check is correct")
-            previous = error.check
+            damage.append(f"{name}:{number}: {fault}, although its check is correct")
+            previous = check
             continue
         if event is None or (pending and event.get("torn") != describe_torn(pending.removesuffix(b"\n"))):
             pending = pending + line if pending else line
@@ -164,22 +151,15 @@ def line_check(previous: str, body: bytes) -> str:
     return hashlib.sha256(previous.encode() + body).hexdigest()
 
 
-def decode_line(line: bytes, previous: str) -> tuple[dict[str, Any] | None, str]:
-    """Return a line's event and check; no event if the check is not correct after the previous one.
-
-    Raises UnreadableLineError if the check is correct and the line is no readable object.
-    """
+def decode_line(line: bytes, previous: str) -> tuple[dict[str, Any] | None, str, str]:
+    """Return a line's event, its check, and why it cannot be read, each empty unless the check is correct."""
     tail = TAIL.match(line, max(0, len(line) - _TAIL_BYTES))
-    if tail is None:
-        return None, ""
-    body, check = line[: tail.start()], tail.group(1).decode()
-    if line_check(previous, body) != check:
-        return None, ""
+    if tail is None or line_check(previous, line[: tail.start()]) != tail.group(1).decode():
+        return None, "", ""
     try:
-        return read_object(body + b"}"), check
+        return read_object(line[: tail.start()] + b"}"), tail.group(1).decode(), ""
     except UnreadableLineError as error:
-        error.check = check
-        raise
+        return None, tail.group(1).decode(), str(error)
 
 
 def read_object(line: bytes) -> dict[str, Any]:
@@ -188,7 +168,8 @@ def read_object(line: bytes) -> dict[str, Any]:
         # json.loads would guess the encoding of bytes anew for every line, which is slow for a whole results tree.
         value = json.loads(line.decode("utf-8", "surrogatepass"))
     except (ValueError, RecursionError) as error:
-        raise UnreadableLineError("it is not JSON, is nested too deep, or has a number with too many digits") from error
+        reason = "it is not JSON, is nested too deep, or has a number with too many digits"
+        raise UnreadableLineError(f"cannot be read: {reason}") from error
     if not isinstance(value, dict):
-        raise UnreadableLineError("it is not a JSON object")
+        raise UnreadableLineError("cannot be read: it is not a JSON object")
     return value

@@ -8,7 +8,6 @@ missing cannot be verified; it is left out of the new log and kept in a separate
 from __future__ import annotations
 
 import hashlib
-from contextlib import suppress
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
@@ -214,10 +213,9 @@ def _facts(event: dict[str, Any]) -> dict[str, Any]:
 def _prove(lines: list[bytes], claimed: dict[int, str], number: int) -> dict[str, Any] | None:
     """Return the event of a line if its check is correct after that of any line in the file, else None."""
     for previous in (claimed.get(number - 1, GENESIS), GENESIS, *claimed.values()) if number in claimed else ():
-        with suppress(UnreadableLineError):
-            event, _ = decode_line(lines[number - 1], previous)
-            if event is not None:
-                return event if isinstance(event.get("n"), int) else None
+        event, _, _ = decode_line(lines[number - 1], previous)
+        if event is not None:
+            return event if isinstance(event.get("n"), int) else None
     return None
 
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -47,17 +47,10 @@ def assign_turn(
     RecordError
         If a session cannot be read.
     """
-    n_turns, own = Turn.period(protocol), None
-    filled, left = Counter[int](), Counter[int]()
-    for participant, first, latest in _participants(place.dataset):
-        if first.occasion[0] != group:
-            continue
-        base = first_turn(first, protocol) % n_turns
-        if participant == place.participant:
-            own = base
-        else:
-            (filled if Session.is_complete_or_running(latest) else left)[base] += 1
-    reason = "the participant's earlier sessions"
+    n_turns, reason = Turn.period(protocol), "the participant's earlier sessions"
+    own, filled, left = _tally(
+        place, lambda first: first_turn(first, protocol) % n_turns if first.occasion[0] == group else None
+    )
     if own is None:
         own, reason = min(range(n_turns), key=lambda turn: (filled[turn], left[turn], turn)), LEAST_FILLED
     turn = Turn(own + drawn_as - 1, reason)
@@ -85,14 +78,11 @@ def assign_group(place: SessionFolder, protocol: Protocol, seed: int, given: str
         raise RecordInputError(f"given --group {given}; allowed: {listed}; leave it out for the group that is due")
     if not names:
         return "", ""
-    filled, left = Counter[str](), Counter[str]()
-    for participant, first, latest in _participants(place.dataset):
-        own = first.occasion[0]
-        (filled if Session.is_complete_or_running(latest) else left)[own] += 1
-        if participant == place.participant:
-            if given not in (None, own):
-                raise RecordInputError(f"given --group {given}, but participant {participant} belongs to group {own}")
-            return own, "the participant's earlier sessions"
+    own, filled, left = _tally(place, lambda first: first.occasion[0])
+    if own is not None:
+        if given not in (None, own):
+            raise RecordInputError(f"given --group {given}, but participant {place.participant} belongs to group {own}")
+        return own, "the participant's earlier sessions"
     if given is not None:
         return given, "given"
     if protocol.schedule.balance == "least_filled":
@@ -174,16 +164,22 @@ def propose_participant(dataset: Path) -> str:
     return f"{letters}{int(digits) + 1:0{len(digits)}d}"
 
 
-def _participants(dataset: Path) -> Iterator[tuple[str, Session, Path]]:
-    """Yield each participant with a start record: the start of the first session, and the log of the latest.
+def _tally(place: SessionFolder, kind_of: Callable[[Session], Any]) -> tuple[Any, Counter[Any], Counter[Any]]:
+    """Return the kind of a participant, and the numbers of others of each kind, with and without a complete session.
 
-    Only one line per participant is read, since the dataset is locked meanwhile.
+    The kind follows from the start record of the first session; those of kind None are left out. The latest session
+    counts, also if it is running. Only one line per participant is read, since the dataset is locked meanwhile.
     """
-    for folder in sorted(dataset.glob("sub-*")):
+    own, filled, left = None, Counter[Any](), Counter[Any]()
+    for folder in sorted(place.dataset.glob("sub-*")):
         logs = SessionFolder.logs_of(folder)
-        begun = [Session.peek(log) for log in logs[:1]]
-        if begun and begun[0].start:
-            yield folder.name.removeprefix("sub-"), begun[0], logs[-1]
+        first = Session.peek(logs[0]) if logs else None
+        kind = kind_of(first) if first is not None and first.start else None
+        if kind is not None and folder.name == f"sub-{place.participant}":
+            own = kind
+        elif kind is not None:
+            (filled if Session.is_complete_or_running(logs[-1]) else left)[kind] += 1
+    return own, filled, left
 
 
 def first_turn(session: Session, protocol: Protocol) -> int:

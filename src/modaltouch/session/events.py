@@ -67,19 +67,11 @@ def how_to_continue(reason: str, folder: Path) -> str:
 
 def describe_ending(error: BaseException) -> dict[str, str]:
     """Return the reason for the early end of a session, for its stop record."""
-    match error:
-        case SessionStopped():
-            return {"reason": error.reason}
-        case Interrupted():
-            return {"reason": error.signal_name}
-        case WindowError():
-            reason = error.ending
-        case RigError():
-            reason = "rig fault"
-        case RecordError():
-            reason = "record fault"
-        case _:
-            reason = "error"
+    if isinstance(error, (SessionStopped, Interrupted)):
+        return {"reason": error.reason if isinstance(error, SessionStopped) else error.signal_name}
+    kinds = ((RigError, "rig fault"), (RecordError, "record fault"), (BaseException, "error"))
+    reason = next(reason for kind, reason in kinds if isinstance(error, kind))
+    reason = error.ending if isinstance(error, WindowError) else reason
     return {"reason": reason, "message": f"{type(error).__name__}: {error}"}
 
 

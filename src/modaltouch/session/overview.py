@@ -37,28 +37,21 @@ def survey_results(place: Path) -> list[dict[str, Any]]:
     return [_survey_dataset(dataset, logs) for dataset, logs in datasets.items()]
 
 
-def _survey_logs(logs: list[Path]) -> tuple[list[dict[str, Any]], dict[str, Session], Session]:
-    """Return a row per session, the start of each participant's first session, and the latest of these."""
+def _survey_dataset(dataset: Path, logs: list[Path]) -> dict[str, Any]:
     rows: list[dict[str, Any]] = []
-    begun: dict[str, Session] = {}
+    begun: dict[str, Session] = {}  # the start of each participant's first session
     for log in sorted(logs, key=lambda log: (log.parts[:-3], SessionFolder.number_of(log))):
         row, session = _survey_session(log)
         rows.append(row)
         if session.start:
             begun.setdefault(row["participant"], replace(session, events=session.events[:1]))
     latest = max(begun.values(), key=lambda each: str(each.start.get("time", "")), default=Session(logs[0], ()))
-    return rows, begun, latest
-
-
-def _survey_dataset(dataset: Path, logs: list[Path]) -> dict[str, Any]:
-    rows, begun, latest = _survey_logs(logs)
-    ends = {row["participant"]: row["ended"] for row in rows}
     survey: dict[str, Any] = {
         "folder": str(dataset),
         "protocol": latest.protocol,
         "title": "",
         "mode": latest.mode,
-        "n_participants": len(ends),
+        "n_participants": len({row["participant"] for row in rows}),
         "sessions_each": None,
         "sessions": rows,
         "orders": [],
@@ -67,28 +60,34 @@ def _survey_dataset(dataset: Path, logs: list[Path]) -> dict[str, Any]:
     }
     try:
         survey["title"] = str(latest.start.get("design", {}).get("title", ""))
-        protocol = _protocol_of(latest, *latest.occasion)
-        schedule, seed = protocol.schedule, int(latest.start["seed"])
-        new = SessionFolder(dataset.parent, "real", dataset.name, propose_participant(dataset))  # in any mode
-        group, _ = assign_group(new, protocol, seed)
-        due = [each for name in ends if (each := _next_of(name, rows, schedule.n_sessions))]
-        due.append({"participant": new.participant, "session": 1, "do": "run", "nth": 1})
-        own = {name: session.occasion[0] for name, session in begun.items()} | {new.participant: group}
-        named = [kind.name for kind in schedule.session_kinds] or [""]
-        # A record contains only the table of its group.
-        of_group = {session.occasion[0]: session for session in begun.values()}
-        protocols = {
-            (name, kind): _protocol_of(of_group.get(name, latest), name, kind)
-            for name in sorted(set(own.values()) | set(protocol.groups)) or [""]
-            for kind in named
-        }
-        turns = {name: first_turn(each, protocols[own[name], named[0]]) for name, each in begun.items()}
-        if schedule.balance == "least_filled":
-            turns[new.participant] = assign_turn(new, protocols[group, named[0]], 1, group)[0].number
-        else:
-            turns[new.participant] = Turn.of(new.participant, seed, 1, protocol.groups).number
+        return survey | _plan(dataset, rows, begun, latest) | {"notes": _notes(begun, rows)}
     except (InputError, RecordError, LookupError, AttributeError, TypeError, ValueError) as error:
         return survey | {"notes": [f"orders and next sessions are not known: {error or type(error).__name__}"]}
+
+
+def _plan(dataset: Path, rows: list[dict[str, Any]], begun: dict[str, Session], latest: Session) -> dict[str, Any]:
+    """Return the sessions for each participant, the balance of orders, and the next sessions."""
+    ends = {row["participant"]: row["ended"] for row in rows}
+    protocol = _protocol_of(latest, *latest.occasion)
+    schedule, seed = protocol.schedule, int(latest.start["seed"])
+    new = SessionFolder(dataset.parent, "real", dataset.name, propose_participant(dataset))  # in any mode
+    group, _ = assign_group(new, protocol, seed)
+    due = [each for name in ends if (each := _next_of(name, rows, schedule.n_sessions))]
+    due.append({"participant": new.participant, "session": 1, "do": "run", "nth": 1})
+    own = {name: session.occasion[0] for name, session in begun.items()} | {new.participant: group}
+    named = [kind.name for kind in schedule.session_kinds] or [""]
+    # A record contains only the table of its group.
+    of_group = {session.occasion[0]: session for session in begun.values()}
+    protocols = {
+        (name, kind): _protocol_of(of_group.get(name, latest), name, kind)
+        for name in sorted(set(own.values()) | set(protocol.groups)) or [""]
+        for kind in named
+    }
+    turns = {name: first_turn(each, protocols[own[name], named[0]]) for name, each in begun.items()}
+    if schedule.balance == "least_filled":
+        turns[new.participant] = assign_turn(new, protocols[group, named[0]], 1, group)[0].number
+    else:
+        turns[new.participant] = Turn.of(new.participant, seed, 1, protocol.groups).number
     for each in due:
         who, nth = each["participant"], each.pop("nth")
         if who not in turns:
@@ -109,8 +108,7 @@ def _survey_dataset(dataset: Path, logs: list[Path]) -> dict[str, Any]:
             [each[1:] for who in begun if own[who] == name for each in had[who] if each[0] == kind],
         )
     ]
-    survey["notes"] = _notes(begun, rows)
-    return survey | {"sessions_each": schedule.n_sessions, "orders": orders, "next": due}
+    return {"sessions_each": schedule.n_sessions, "orders": orders, "next": due}
 
 
 def _protocol_of(session: Session, group: str, kind: str) -> Protocol:
