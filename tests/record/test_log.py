@@ -13,6 +13,7 @@ import pytest
 
 from modaltouch.record.chain import RecordError, read_chain
 from modaltouch.record.log import SessionLog
+from modaltouch.record.recovery import survey
 from modaltouch.record.session import Session, read_session
 
 TRIAL = {"index": 1, "block": 1, "practice": False}
@@ -98,6 +99,26 @@ def test_a_torn_log_is_continued_and_keeps_its_remains(tmp_path, cut):
     assert [event["event"] for event in chain.events] == (
         ["start", "trial", "resume"] if cut == 1 else ["start", "resume"]
     )
+
+
+@pytest.mark.parametrize("written", [1, 2, 40, 150, 200, -3, -2])
+def test_a_line_cut_after_a_cut_line_is_continued(tmp_path, written):
+    """A kill may cut the very line that declares the remains of the one before; the next declares both."""
+    path = tmp_path / "session.jsonl"
+    with begin(path) as log:
+        log.append("trial", trial=TRIAL)
+    path.write_bytes(path.read_bytes()[:-30])
+    for _ in range(2):
+        before = len(path.read_bytes())
+        with SessionLog.reopen(path) as log:
+            log.append("resume")
+        data = path.read_bytes()
+        path.write_bytes(data[: before + written] if written > 0 else data[:written])
+    with SessionLog.reopen(path) as log:
+        log.append("resume")
+    chain = read_chain(path)
+    assert (chain.problems, [event["event"] for event in chain.events]) == ((), ["start", "resume"])
+    assert survey(path).is_sound
 
 
 def test_a_damaged_log_is_not_continued(tmp_path):

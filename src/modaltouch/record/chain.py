@@ -3,7 +3,8 @@
 A session log is a file of JSON objects, one per line. The last member of each is ``check``, the SHA-256 of the previous
 line's check followed by the line's bytes up to that member. A changed, removed, duplicated or reordered line breaks the
 chain. A line truncated while being written (power failure, full disk) stays in the file: the next line declares its
-length and hash under ``torn``, so that even the remains are checked.
+length and hash under ``torn``, so that even the remains are checked; if that line is truncated as well, the one after
+it declares both.
 """
 
 from __future__ import annotations
@@ -114,7 +115,7 @@ def parse_chain(data: bytes, name: str) -> Chain:
         previous = check
     if pending and (converted := conversion(data)):
         damage.append(f"{name}:1: {converted}")
-    elif b"\n" in pending:
+    elif b"\n" in pending and (any(map(TAIL.search, pending.split(b"\n"))) or not (events and pending.strip())):
         damage.append(f"{name}:{pending_line}: the chain breaks: a line was changed, removed, duplicated or moved")
     elif pending:
         cut.append(f"{name}:{pending_line}: the last line was cut while being written ({len(pending)} bytes)")
@@ -125,7 +126,7 @@ def parse_chain(data: bytes, name: str) -> Chain:
         tuple(checks),
         problems=(*damage, *cut),
         damage=tuple(damage),
-        torn=pending,
+        torn=pending.removesuffix(b"\n"),
         ends_in_newline=data.endswith(b"\n") or not data,
     )
 

@@ -8,10 +8,11 @@ missing cannot be verified; it is left out of the new log and kept in a separate
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from modaltouch.record.chain import (
     BYTE_ORDER_MARK,
@@ -29,6 +30,8 @@ from modaltouch.record.chain import (
 from modaltouch.record.files import OWNER_ALONE, replace_file
 from modaltouch.record.folders import SessionFolder, find_log
 from modaltouch.record.log import SessionLog
+
+Item = TypeVar("Item")
 
 
 @dataclass(frozen=True)
@@ -185,7 +188,11 @@ def survey(path: Path) -> Recovery:
             proved[number] = event
     order = sorted(proved, key=lambda number: proved[number]["n"])
     declared = [event["torn"] for event in proved.values() if "torn" in event]
-    left_out = [each for each in left_out if describe_torn(each[2]) not in declared]
+    # The remains of several lines in a row are declared together.
+    runs = [
+        (run, describe_torn(b"\n".join(line for _, _, line in run))) for run in _runs(left_out, lambda each: each[0])
+    ]
+    left_out = [each for run, remains in runs if remains not in declared for each in run]
     events = tuple(proved[number] for number in order)
     written = {event["n"] for event in events}
     # Lines removed from the end leave no gap in the log, but the view states the number of lines it was made from.
@@ -231,6 +238,12 @@ def _why(line: bytes, claimed: dict[int, str], number: int) -> str:
 
 def _ranges(numbers: tuple[int, ...]) -> str:
     """Format numbers as ``3, 7 to 9``."""
-    # The difference of number and place is constant in a run.
-    runs = [[number for _, number in run] for _, run in groupby(enumerate(numbers), lambda each: each[1] - each[0])]
+    runs = _runs(numbers, lambda number: number)
     return ", ".join(str(run[0]) if len(run) == 1 else f"{run[0]} to {run[-1]}" for run in runs)
+
+
+def _runs(items: Sequence[Item], number_of: Callable[[Item], int]) -> list[list[Item]]:
+    """Return the runs of items with consecutive numbers."""
+    # The difference of number and place is constant in a run.
+    runs = groupby(enumerate(items), lambda each: number_of(each[1]) - each[0])
+    return [[item for _, item in run] for _, run in runs]
