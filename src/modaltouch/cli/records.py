@@ -160,10 +160,9 @@ def _measure(address: str, apparatus: Path, *, json_output: bool) -> None:
     if json_output:
         print_json({**figures, "verdicts": verdicts, "faults": faults})
     else:
-        for subject, verdict in verdicts.items():
-            typer.echo(f"{subject:10} {verdict}")
-        for subject, fault in faults.items():
-            typer.echo(f"{subject:10} {typer.style('FAULT', fg='red')} {fault}")
+        marked = {subject: f"{typer.style('FAULT', fg='red')} {fault}" for subject, fault in faults.items()}
+        for subject, words in {**verdicts, **marked}.items():
+            typer.echo(f"{subject:10} {words}")
     if faults:
         raise typer.Exit(RIG_FAILED)
 
@@ -176,8 +175,6 @@ def _measure_generator(address: str, apparatus: Path) -> tuple[dict[str, Any], s
 
 
 _MAKER = '<meta name="generator" content="modaltouch study">'
-_HEAD = 20_000
-"""Characters at the start of a page in which `_MAKER` is searched for."""
 
 
 def study(
@@ -224,7 +221,7 @@ def _write_page(file: Path, results: Path, shown: list[dict[str, Any]]) -> None:
 def _is_ours(file: Path) -> bool:
     """Return whether a file is an earlier study page; False if it cannot be read."""
     with suppress(OSError), file.open(encoding="utf-8", errors="replace") as page:
-        return _MAKER in page.read(_HEAD)
+        return _MAKER in page.read(20_000)
     return False
 
 

@@ -40,7 +40,7 @@ class EventSequence:
 
     def __init__(self, session: Session, given: Expectation, schedule: Schedule) -> None:
         self.problems: list[str] = []
-        self._n_finished = self._n_settled = self._n_probed = 0
+        self._n_finished = self._n_probed = 0
         self._session, self._given, self._expected = session, given, given
         self._schema = session.start.get("schema", 1)
         self._order: dict[Key, Trial] = {(t.practice, t.index): t for t in (*schedule.practice, *schedule.trials)}
@@ -97,7 +97,7 @@ class EventSequence:
         if self._n_probed:
             lines.append(f"drives for the fingers of {self._n_probed} placements recomputed: identical codes")
         if self._given.protocol.adaptive is not None:
-            lines.append(f"levels of {self._n_settled} trials follow from the answers before them")
+            lines.append("levels follow from the answers before them")
         return lines
 
     def _stamped(self, number: int, event: Event) -> Iterator[str]:
@@ -194,7 +194,6 @@ class EventSequence:
             faults += ["is confirmed before its end"] if event["confirmed"]["confirmed"] else []
         else:
             self._n_finished += 1
-            self._n_settled += not (trial.practice or trial.condition.is_catch)
             faults += check_bursts(event, trial, self._given) if schema > 1 else []
             faults += check_delivered(event, trial, self._given)
             faults += self._finishes(event) if schema > 1 and number > self._whole_from else []

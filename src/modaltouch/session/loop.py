@@ -7,6 +7,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
+from modaltouch import protocol
 from modaltouch.protocol import TIME_OUT, AnswersSection, Protocol, Response, Trial
 from modaltouch.record import RecordError, SessionLog
 from modaltouch.rig import Firing, Rig, RigError, StimulusLost
@@ -170,9 +171,7 @@ def _close_rounds(sitting: SessionRun) -> None:
     for number in range(1, schedule.practice_rounds + 1):
         last = number * schedule.practice_trials
         if number not in judged and done.issuperset(range(last - schedule.practice_trials + 1, last + 1)):
-            from modaltouch.protocol import judge_round
-
-            outcome = judge_round(counted, number, schedule.practice_trials, sitting.protocol)
+            outcome = protocol.judge_round(counted, number, schedule.practice_trials, sitting.protocol)
             sitting.log.append(
                 "practice_round",
                 round=number,

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, Self
 
+from modaltouch import protocol
 from modaltouch.preflight import Preflight, estimated_duration
 from modaltouch.protocol import InputError, Schedule
 from modaltouch.record import (
@@ -243,15 +244,15 @@ def _with_assigned_turn(setup: Setup) -> Setup:
         return setup
     from modaltouch.session.assignment import LEAST_FILLED, assign_group, assign_turn
 
-    drawn, protocol = setup.schedule, setup.preflight.experiment.protocol
+    drawn, design = setup.schedule, setup.preflight.experiment.protocol
     if drawn.group_by == LEAST_FILLED:
-        due, _ = assign_group(setup.place, protocol, drawn.seed)
+        due, _ = assign_group(setup.place, design, drawn.seed)
         if due != drawn.group:
             raise RecordInputError(
                 f"the group {drawn.group} for participant {drawn.participant}, but another session has taken that "
                 f"place since; now {due} is due: begin again, or keep it with --group {drawn.group}"
             )
-    turn, balance = assign_turn(setup.place, protocol, setup.drawn_as, drawn.group)
+    turn, balance = assign_turn(setup.place, design, setup.drawn_as, drawn.group)
     turn = replace(turn, group=drawn.group, group_by=drawn.group_by)
     schedule = Schedule.draw_from(setup.preflight.findings, drawn.participant, drawn.seed, drawn.session, given=turn)
     return replace(setup, schedule=schedule, facts={**setup.facts, "balance": balance})
@@ -288,11 +289,7 @@ def _session_run(
             setup.on_progress(log.session.n_answered, total)
 
     save_view()
-    protocol, designs, levels, probing = preflight.experiment.protocol, tuple(preflight.designs), None, None
-    if protocol.adaptive is not None:
-        from modaltouch.protocol import Levels
-
-        levels = Levels(protocol)
+    own, designs, probing = preflight.experiment.protocol, tuple(preflight.designs), None
     if prober is not None:
         from modaltouch.session.probing import Probing
 
@@ -300,10 +297,10 @@ def _session_run(
     # With measured fingers, the latest measurement determines the design.
     latest = probing or setup
     return SessionRun(
-        protocol=protocol,
+        protocol=own,
         trials=tuple(t for t in (*schedule.practice, *schedule.trials) if (t.practice, t.index) not in done),
         total=total,
-        levels=levels,
+        levels=None if own.adaptive is None else protocol.Levels(own),
         speeds=lambda trial: latest.preflight.speeds(trial),
         which=probing.which if probing else lambda trial: designs.index(preflight.design_of(trial.condition)),
         played=lambda trial, level: latest.preflight.played(trial.condition, level),
