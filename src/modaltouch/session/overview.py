@@ -230,18 +230,9 @@ def _turns_had(turns: dict[str, int], rows: list[dict[str, Any]]) -> dict[str, l
 def _notes(begun: dict[str, Session], rows: list[dict[str, Any]]) -> list[str]:
     """Return notes on limitations of an analysis of the current tree."""
     texts = {str(session.start.get("sources", {}).get("protocol", {}).get("sha256")) for session in begun.values()}
-    fit = Counter(row["participant"] for row in rows if not row["excluded"])
-    fewest, most = min(fit.values(), default=0), max(fit.values(), default=0)
-    uneven = (
-        f"an analysis would now use the first {fewest} of up to {most} sessions of each participant: not all have more"
-    )
     several = f"sessions were begun with {len(texts)} versions of the protocol"
     now = datetime.now(UTC).isoformat()
     ahead = [f"{row['participant']} session {row['session']}" for row in rows if str(row["begun"] or "") > now]
     who = ", ".join(ahead) if len(ahead) < 4 else f"{len(ahead)} sessions"
     wrong = f"{who}: begun later than now, so this computer's clock is wrong, or was then"
-    return [
-        *([several] if len(texts) > 1 else []),
-        *([uneven] if fewest < most else []),
-        *([wrong] if ahead else []),
-    ]
+    return [*([several] if len(texts) > 1 else []), *([wrong] if ahead else [])]
