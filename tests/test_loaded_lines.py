@@ -79,7 +79,7 @@ def test_an_analysis_of_sessions_loads_only_reading_and_auditing(results, tmp_pa
     loaded, lines = load("analyse", results, "--out", tmp_path / "out", "--json")
     assert not rooms(loaded) & {"lab", "planning", "session", "window"}
     assert not loaded & {"rig.generator", "rig.simulator", "analysis.tidy", "analysis.runs", "record.recovery"}
-    assert lines <= 20_640
+    assert lines <= 20_300
 
 
 def test_check_loads_no_library_that_it_does_not_use():

@@ -6,7 +6,6 @@ Records are checked as by `modaltouch verify`, so that the reasons for exclusion
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from itertools import pairwise
 from pathlib import Path
@@ -44,7 +43,7 @@ def _survey_dataset(dataset: Path, logs: list[Path]) -> dict[str, Any]:
         row, session = _survey_session(log)
         rows.append(row)
         if session.start:
-            begun.setdefault(row["participant"], replace(session, events=session.events[:1]))
+            begun.setdefault(row["participant"], Session(log, session.events[:1]))  # lets go of the rest
     latest = max(begun.values(), key=lambda each: str(each.start.get("time", "")), default=Session(logs[0], ()))
     survey: dict[str, Any] = {
         "folder": str(dataset),
