@@ -272,6 +272,7 @@ def test_a_session_that_was_moved_or_lost_is_found_by_every_reader(
     states = {row["state"]: row["excluded"] for row in found["sessions"]}
     assert re.search(said, states.pop("damaged"))
     assert states == {"complete": ""}
+    assert "excluded, damaged: line " not in call(f"study {tmp_path}").stdout
     done = call(f"verify {tmp_path}")
     assert (done.status, bool(re.search(said, done.stderr.replace("\n", " ")))) == (4, True)
     from modaltouch.analysis import read_responses

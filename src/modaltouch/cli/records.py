@@ -248,7 +248,7 @@ def _in_words(dataset: dict[str, Any]) -> dict[str, Any]:
     kind = "" if mode == "real" else f", {mode} data"
     left_out: dict[str, list[str]] = defaultdict(list)
     for row in rows:
-        if why := row["excluded"].replace(f"{row['log']}:", "line "):
+        if why := row["excluded"].replace(f"{row['log']}: ", "").replace(f"{row['log']}:", "line "):
             left_out[why].append(f"{row['participant']} session {row['session']}")
     each = "" if n_each is None else f", {n_each} planned for each participant"
     return {

@@ -226,8 +226,9 @@ def check_view(session: Session) -> tuple[str, str, bool]:
     forms = {name: found[name] for name in found if name.replace("form_beh.tsv", "_beh.tsv") in found.keys() - {name}}
     tables = [found[name] for name in found.keys() - forms.keys()]
     if len(tables) != 1:
-        problem = f"{session.path.parent}: holds {len(tables)} BIDS tables (*_beh.tsv), but exactly one is needed"
-        return "", problem, not tables
+        remedy = "move the others away" if tables else "`modaltouch resume` writes it"
+        problem = f"holds {len(tables)} BIDS tables (*_beh.tsv), but exactly one is needed; {remedy}"
+        return "", f"{session.path.parent}: {problem}", not tables
     table, side = tables[0], tables[0].with_suffix(".json")
     # The table is written before its sidecar: a session killed between the two the first time has no sidecar.
     is_described = side.exists()

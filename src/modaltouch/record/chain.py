@@ -83,7 +83,8 @@ def read_log(path: Path) -> bytes:
     try:
         return path.read_bytes()
     except OSError as error:
-        raise RecordError(f"{path}: cannot be read ({error.strerror}); give the session.jsonl of a session") from error
+        remedy = "give the session.jsonl of a session, or look for a copy of it"
+        raise RecordError(f"{path}: cannot be read ({error.strerror}); {remedy}") from error
 
 
 def parse_chain(data: bytes, name: str) -> Chain:
