@@ -246,7 +246,8 @@ def check_view(session: Session) -> tuple[str, str, bool]:
             return "", "", False
         problem = f"the BIDS view was made from {n_lines} lines, but the log has {len(checks)}"
         is_mendable = bool(session.chain.torn) and n_lines == len(checks) + 1
-        return "", f"{session.path}: {problem}: lines were removed from its end; look for a copy", is_mendable
+        copy = "" if is_mendable else "; look for a copy"
+        return "", f"{session.path}: {problem}: lines were removed from its end{copy}", is_mendable
     if n_lines > 0 and checks[n_lines - 1] != check:
         return "", f"{side}: was made from another log", False
     # After a kill between the two, the table includes more lines than its sidecar states.
