@@ -12,6 +12,8 @@ from modaltouch.rig.simulator import Simulator
 
 ROOT = Path(__file__).parents[1]
 SOURCES = sorted((ROOT / "src").rglob("*.py"))
+OWN_PIPE = {"watchdog_client.py", "watchdog_process.py"}
+"""The two ends of the pipe between a session and the watchdog that it started; nobody else can write to it."""
 
 
 def calls(path):
@@ -23,10 +25,11 @@ def calls(path):
 
 
 def test_no_data_is_executed():
-    """The source has no pickle, eval, exec, object-building YAML or shell."""
+    """The source has no eval, exec, object-building YAML or shell, and pickles only between its own processes."""
     for path in SOURCES:
         text = path.read_text(encoding="utf-8")
-        assert not re.search(r"^\s*(import|from) (pickle|shelve|dill|marshal)\b", text, flags=re.MULTILINE), path
+        pickles = re.search(r"^\s*(import|from) (pickle|shelve|dill|marshal)\b", text, flags=re.MULTILINE)
+        assert not pickles or path.name in OWN_PIPE, path
         for name, keywords in calls(path):
             assert name not in ("eval", "exec", "os.system", "os.popen"), f"{path}: {name}"
             assert keywords.get("shell", "False") == "False", f"{path}: a shell"
