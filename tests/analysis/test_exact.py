@@ -165,6 +165,14 @@ class TestSignFlip:
         test = sign_flip_test([-3] * against + [3] * (60 - against))
         assert test.p == pytest.approx(2 * n_alike * 2.0**-60, rel=1e-8, abs=0)
 
+    @pytest.mark.parametrize("lean", [0, 8, 60])
+    def test_different_scores_are_transformed_as_they_are_added_up(self, lean, monkeypatch) -> None:
+        """Reference: direct convolution, whose terms are all positive; no two of the 300 scores need be alike."""
+        scores = np.random.default_rng(lean).integers(-300, 301, 300) + lean
+        expected = sign_flip_test(scores).p
+        monkeypatch.setattr("modaltouch.analysis.sums.DIRECT_COST", 0)
+        assert sign_flip_test(scores).p == pytest.approx(expected, rel=1e-10)
+
     def test_more_participants_than_a_float_can_express_give_a_positive_p(self) -> None:
         """No outcome is impossible, so p is never zero."""
         assert 0 < sign_flip_test([1] * 3000).p < 1e-300

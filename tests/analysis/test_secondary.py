@@ -141,6 +141,16 @@ def test_bounds_of_the_centre_are_means_of_subsets(n) -> None:
         assert sign_flip_test(values - at).p > 0.05 >= sign_flip_test(values - at - outwards).p
 
 
+@pytest.mark.parametrize("draw", ["normal", "exponential", "standard_cauchy"])
+def test_a_bound_of_the_centre_is_the_last_that_is_rejected(draw) -> None:
+    """The definition, near the bound of the t interval and far from it."""
+    values = np.rint(100 * getattr(np.random.default_rng(1), draw)(size=40)).astype(int)
+    interval = centre_interval(values / 1000)
+    for bound, outwards in ((interval.low, -1), (interval.high, 1)):
+        at = round(bound * 1000)
+        assert sign_flip_test(values - at).p > 0.05 >= sign_flip_test(values - at - outwards).p
+
+
 def test_five_participants_give_no_bound_of_the_centre() -> None:
     """No sign flips of five reach 0.05: 2 / 2^5 = 0.0625."""
     interval = centre_interval(np.array([0.2, 0.2, 0.2, 0.2, 0.2]))

@@ -68,7 +68,7 @@ def write_tree(root: Path, n_sessions: int, n_repetitions: int, seed: int = 1) -
     """Write session logs of the paper's protocol, every tenth incomplete, damaged, pilot or simulated in turn.
 
     Orders, amplitudes and velocities are the true ones, since the analysis excludes trials that disagree with the log's
-    start record; the answers are synthetic.
+    start record; the answers and their reaction times are random.
     """
     text = (ROOT / "protocols" / "differentiated_stimulation.yaml").read_text(encoding="utf-8")
     sources = examine(ROOT / "protocols" / "differentiated_stimulation.yaml").experiment.sources
@@ -87,7 +87,7 @@ def write_tree(root: Path, n_sessions: int, n_repetitions: int, seed: int = 1) -
         trials = (*schedule.practice, *schedule.trials[: -4 if kind == "incomplete" else None])
         for trial in trials:
             answer = ANSWERS[rng.choice(3, p=SHARES[trial.condition.zones])]
-            events += _presented(preflight, trial, answer)
+            events += _presented(preflight, trial, answer, round(rng.lognormal(-0.2, 0.4), 4))
         data, check = b"", GENESIS
         for n, event in enumerate(events, 1):
             events[n - 1] = {"n": n, "time": "2026-01-02T10:00:00+00:00", "clock": float(n), **event}
@@ -98,12 +98,13 @@ def write_tree(root: Path, n_sessions: int, n_repetitions: int, seed: int = 1) -
         write_view(place, Session(place.log, tuple(events)), {"lines": len(events), "check": check})
 
 
-def _presented(preflight: Preflight, trial: Trial, answer: str) -> list[dict[str, Any]]:
-    """Return the lines of one trial."""
+def _presented(preflight: Preflight, trial: Trial, answer: str, reaction_time: float) -> list[dict[str, Any]]:
+    """Return the lines of one trial, answered after the reaction time [s]."""
     values, amplitudes, (left, right) = trial.as_dict(), *_figures(preflight, trial.condition)
     confirmed = {"commanded_amplitude": amplitudes, "confirmed_amplitude": amplitudes, "confirmed": True}
     fired = {"event": "fired", "trial": values, "confirmed": confirmed}
-    response = {"answer": answer, "reaction_time": 0.8, "onset": "first_burst", "way": "", "answered_by": "participant"}
+    response = {"answer": answer, "reaction_time": reaction_time, "onset": "first_burst", "way": "",
+                "answered_by": "participant"}  # fmt: skip
     planned = {"velocity_mm_s": trial.condition.velocity_mm_s, "speed_left_mm_s": left, "speed_right_mm_s": right}
     return [
         fired,

@@ -23,6 +23,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +43,9 @@ DIRECT_COST = 100_000_000
 
 # Tilt that concentrates a sum of integers at the end of its range [1].
 _STEEPEST = 50.0
+
+# Number of equal terms above which the transform of one is raised to their number.
+_FEW_COPIES = 16
 
 # Maximum size of temporary arrays.
 _AT_ONCE = 1_000_000
@@ -181,19 +185,25 @@ def tail_probability(terms: Sequence[Term], lower: int, upper: int) -> float:
         offset, pmf = _add_copies(terms)
         low, high = max(lower - offset + 1, 0), max(upper - offset, 0)
         return float(pmf[:low].sum() + pmf[high:].sum())
-    return _tilted_tail(terms, upper, 1) + _tilted_tail(terms, lower, -1)
+    tail = _tilted_tail(terms, upper, 1)
+    is_even = all((values == -values[::-1]).all() and (weights == weights[::-1]).all() for values, weights, _ in terms)
+    return 2 * tail if is_even and lower == -upper else tail + _tilted_tail(terms, lower, -1)
 
 
 def _add_copies(terms: Sequence[Term]) -> tuple[int, FloatArray]:
     offset, pmf = 0, np.ones(1)
     for values, weights, count in terms:
-        low, steps = int(values[0]), (values - values[0]).tolist()
         for _ in range(count):
-            grown = np.zeros(pmf.size + steps[-1])
-            for step, weight in zip(steps, weights.tolist(), strict=True):
-                grown[step : step + pmf.size] += weight * pmf
-            offset, pmf = offset + low, grown
+            offset, pmf = offset + int(values[0]), _add_term(pmf, values - values[0], weights)
     return offset, pmf
+
+
+def _add_term(pmf: FloatArray, steps: IntArray, weights: FloatArray) -> FloatArray:
+    """Return the distribution of a sum with one more term, whose values are counted from its lowest."""
+    grown = np.zeros(pmf.size + int(steps.max()))
+    for step, weight in zip(steps.tolist(), weights.tolist(), strict=True):
+        grown[step : step + pmf.size] += weight * pmf
+    return grown
 
 
 def _tilted_tail(terms: Sequence[Term], bound: int, side: int) -> float:
@@ -205,49 +215,70 @@ def _tilted_tail(terms: Sequence[Term], bound: int, side: int) -> float:
         return 0.0
     if target == top:
         return math.exp(sum(count * math.log(float(weights[np.argmax(steps)])) for steps, weights, count in parts))
-    tilt = _tilt_towards(parts, target)
-    mean, deviation = _moments(parts, tilt)
+    laws = _Laws.of(parts)
+    tilt = _tilt_towards(laws, target)
+    mean, deviation = laws.moments(tilt)
     span = max(int(steps.max() - steps.min()) for steps, _, _ in parts)
     # The tilted probability this far from the mean is negligible, so a window replaces the full range.
     margin = 14 * deviation + 40 * span
     last = min(top, math.ceil(mean + margin))
     size = 1 << max(last - min(target, math.floor(mean - margin)), span + 1).bit_length()
-    spectrum = np.ones(size // 2 + 1, dtype=complex)
+    spectrum, block = np.ones(size // 2 + 1, dtype=complex), np.ones(1)
     log_scale, origin = 0.0, 0
     for steps, weights, count in parts:
         first = int(steps.min())
-        tilted = np.zeros(size)
         log_weight = np.log(weights) + tilt * (steps - first)
         log_sum = float(np.logaddexp.reduce(log_weight))
-        tilted[steps - first] = np.exp(log_weight - log_sum)
-        spectrum *= np.fft.rfft(tilted) ** count
+        tilted = np.exp(log_weight - log_sum)
         log_scale += count * log_sum
         origin += count * first
+        if count > _FEW_COPIES:
+            spectrum *= np.fft.rfft(_add_term(np.ones(1), steps - first, tilted), size) ** count
+            continue
+        # Terms with many different distributions are added up before they are transformed together.
+        for _ in range(count):
+            if block.size + span > size // 4:
+                spectrum *= np.fft.rfft(block, size)
+                block = np.ones(1)
+            block = _add_term(block, steps - first, tilted)
+    spectrum *= np.fft.rfft(block, size)
     reach = np.arange(target, last + 1) - origin
     pmf = np.maximum(np.fft.irfft(spectrum, size)[reach % size], 1e-300)
     return float(np.sum(np.exp(log_scale - tilt * reach + np.log(pmf))))
 
 
-def _tilt_towards(parts: Sequence[Term], target: int) -> float:
+class _Laws(NamedTuple):
+    """Distributions of terms, joined: values, logarithms of probabilities, first place and number of copies of each."""
+
+    steps: IntArray
+    log_weight: FloatArray
+    start: IntArray
+    n_copies: IntArray
+
+    @classmethod
+    def of(cls, parts: Sequence[Term]) -> _Laws:
+        values, weights, count = zip(*parts, strict=True)
+        start = np.cumsum([0, *(each.size for each in values[:-1])])
+        return cls(np.concatenate(values), np.log(np.concatenate(weights)), start, np.array(count))
+
+    def moments(self, tilt: float) -> tuple[float, float]:
+        """Return mean and standard deviation of the tilted sum."""
+        n_values = np.diff(self.start, append=self.steps.size)
+        log_weight = self.log_weight + tilt * self.steps
+        weight = np.exp(log_weight - np.repeat(np.maximum.reduceat(log_weight, self.start), n_values))
+        weight /= np.repeat(np.add.reduceat(weight, self.start), n_values)
+        centre = np.add.reduceat(self.steps * weight, self.start)
+        variance = np.add.reduceat((self.steps - np.repeat(centre, n_values)) ** 2 * weight, self.start)
+        return float(self.n_copies @ centre), math.sqrt(self.n_copies @ variance)
+
+
+def _tilt_towards(laws: _Laws, target: int) -> float:
     """Find the non-negative exponential tilt for which the mean of the sum equals the target."""
     from scipy.optimize import brentq
 
     def short(tilt: float) -> float:
-        return target - _moments(parts, tilt)[0]
+        return target - laws.moments(tilt)[0]
 
     if short(0.0) <= 0:
         return 0.0
     return _STEEPEST if short(_STEEPEST) > 0 else float(brentq(short, 0.0, _STEEPEST))
-
-
-def _moments(parts: Sequence[Term], tilt: float) -> tuple[float, float]:
-    """Return mean and standard deviation of the tilted sum."""
-    mean = variance = 0.0
-    for steps, weights, count in parts:
-        log_weight = np.log(weights) + tilt * (steps - steps.max())
-        weight = np.exp(log_weight - log_weight.max())
-        weight /= weight.sum()
-        centre = float((steps * weight).sum())
-        mean += count * centre
-        variance += count * float(((steps - centre) ** 2 * weight).sum())
-    return mean, math.sqrt(variance)
