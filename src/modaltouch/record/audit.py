@@ -255,6 +255,8 @@ def check_view(session: Session) -> tuple[str, str, bool]:
     # The form's table is written first.
     shown = next((each for each in made_from if text == table_text(each)), None)
     if shown is not None and form not in {form_text(shown), form_text(session)}:
+        if not forms:
+            return "", f"{session.path.parent}: the table of the form is missing; `modaltouch resume` writes it", True
         named = next(iter(forms.values()), session.path.parent)
         return "", f"{named}: the table of the form differs from the log; move it away, and {_REMAKE}", False
     if shown is None:

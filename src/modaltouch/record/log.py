@@ -118,7 +118,8 @@ class SessionLog(AbstractContextManager["SessionLog"]):
             If the log is damaged, in use by another process, or cannot be written.
         """
         session = read_session(place.log)
-        is_current = place.table.exists() and place.lines_in_view(place.folder) == len(session.events)
+        is_written = place.table.exists() and (place.form_table.exists() or not session.form)
+        is_current = is_written and place.lines_in_view(place.folder) == len(session.events)
         if is_current and not session.chain.problems:
             return session
         with cls.reopen(place.log, timed_by=timed_by) as log:

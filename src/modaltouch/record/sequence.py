@@ -130,7 +130,7 @@ class EventSequence:
         if trial == planned:
             return
         there, here = ({**t.as_dict(), **t.as_dict()["condition"]} for t in (planned, trial))
-        differing = next(name for name in here if name != "condition" and here[name] != there.get(name))
+        differing = next((name for name in here if name != "condition" and here[name] != there.get(name)), "interval")
         source = "the answers before it lead to" if is_adaptive and differing == "velocity_mm_s" else "its order has"
         yield f"{_name(trial)} has the {differing} {here[differing]}, but {source} {there.get(differing)}"
 

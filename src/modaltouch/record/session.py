@@ -138,9 +138,10 @@ class Session:
                 if not isinstance(value, types) or (isinstance(value, bool) and types is not bool):
                     faults.append(f"{self.path}:{number}: the event `{kind}` does not say its {'.'.join(path)}")
                     break
-        own, found = (f"sub-{self.participant}", f"ses-{self.start.get('session')}", "beh"), self.path.absolute().parts
+        own = f"sub-{self.participant}", f"ses-{self.start.get('session')}", "beh"
+        found = os.path.abspath(self.path).split(os.sep)[-4:-1]
         # A copy elsewhere can be read, such as one that was sent by mail.
-        if not faults and found[-4:-1] != own and any(part.startswith(("sub-", "ses-")) for part in found[-4:-1]):
+        if not faults and any(part.startswith(("sub-", "ses-")) and part not in own for part in found):
             faults.append(f"{self.path}: is the record of {own[0]}, {own[1]}; move it to {'/'.join(own)}")
         return tuple(faults)
 

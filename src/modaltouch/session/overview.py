@@ -74,7 +74,7 @@ def _plan(dataset: Path, rows: list[dict[str, Any]], begun: dict[str, Session], 
     due = [each for name in ends if (each := _next_of(name, rows, schedule.n_sessions))]
     due.append({"participant": new.participant, "session": 1, "do": "run", "nth": 1})
     own = {name: session.occasion[0] for name, session in begun.items()} | {new.participant: group}
-    named = [kind.name for kind in schedule.session_kinds] or [""]
+    named = list(dict.fromkeys(kind.name for kind in schedule.session_kinds)) or [""]
     # A record contains only the table of its group.
     of_group = {session.occasion[0]: session for session in begun.values()}
     protocols = {
