@@ -196,6 +196,11 @@ def shift_first(event: dict[str, Any]) -> None:
         event["bursts"]["first_s"] += 0.05
 
 
+def forge_field(change: Callable[[dict[str, Any]], object]) -> Lie:
+    """Return the forgery of the predicted field that reports show."""
+    return lambda events: [change(field) for field in events[0]["stimulus"]["fields"]]
+
+
 def count(**counts: int) -> Callable[[dict[str, Any]], None]:
     """Return a function that adds to the burst counts."""
     return lambda event: event["bursts"].update({name: event["bursts"][name] + n for name, n in counts.items()})
@@ -275,6 +280,10 @@ IN_BOTH: dict[str, tuple[Lie, str]] = {
     ),
     "the seed": (change_start(seed=2), "seed 2 draws a different order"),
     "the codes": (change_start(stimulus__content_hash="0" * 64), "the recomputed drive has the hash"),
+    "a speed at a zone": (
+        lambda events: events[0]["stimulus"]["stimuli"][0]["zone_peak_mm_s"].update(A=1.0),
+        "its speeds at the zones at 80 mm/s are not those recomputed",
+    ),
     "the design": (
         change_start(design__stimulus={"focus": "A"}),
         "its design differs from its protocol file in stimulus",
@@ -305,6 +314,11 @@ IN_FORMAT_2: dict[str, tuple[Lie, str]] = {
     "an answer of nobody": (everywhere(lambda e: to_line(e, answered=3), "trial"), "finishes the answer on line 3"),
     "confirmed too soon": (
         everywhere(set_in("confirmed", confirmed=True), "answered"), "is confirmed before its end"),
+    "a point of the field": (
+        forge_field(lambda field: field["predicted_mm_s"].__setitem__(9, 1.0)), "its field is not"),
+    "half a field": (forge_field(lambda field: field["target_mm_s"].pop()), "its field is not"),
+    "a field without zones": (forge_field(lambda field: field.pop("zones_mm")), "its field is not"),
+    "a focus": (forge_field(lambda field: field.update(focus="A")), "its field is not the one recomputed"),
     "what repeats": (everywhere(set_in("confirmed", repetition="timer"), "trial"), "were repeated as 'timer'"),
 }  # fmt: skip
 """Lies about what only format 2 tells."""
@@ -400,7 +414,7 @@ def test_a_record_that_names_no_format_is_of_the_first(copied: Callable[..., Pat
     assert audit.lines[3] == "13 answers, each in its place, with its level and amplitudes"
 
 
-@pytest.mark.parametrize("name", ["every level", "the codes", "a speed", "a line number"])
+@pytest.mark.parametrize("name", ["every level", "the codes", "a speed at a zone", "a line number"])
 def test_a_log_that_verify_refuses_is_neither_analysed_nor_resumed(copied: Callable[..., Path], name: str) -> None:
     """Resume and analysis refuse it with the message of verify."""
     log = copied()
@@ -474,7 +488,7 @@ def test_speeds_that_were_sought_at_the_samples_alone_are_verified(
     level = Session.find(log).start["stimulus"]["stimuli"][0]
     found = examine(tmp_path / "demo.yaml").zone_peaks("", level["velocity_mm_s"])
     assert found["A"] * 1e3 > level["zone_peak_mm_s"]["A"] + 0.1
-    assert "mm/s at the fingers, not" in audit_session(Session.find(log)).problems[0]
+    assert "its speeds at the zones" in audit_session(Session.find(log)).problems[0]
     forge(log, lambda events: events[0]["stimulus"].pop("peaks"))
     assert audit_session(Session.find(log)).problems == ()
     assert len(read_responses(log).frame) == 12

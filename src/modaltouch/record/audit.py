@@ -11,7 +11,7 @@ from typing import Any
 
 from modaltouch.protocol import InputError, Schedule, Sources
 from modaltouch.record.chain import RecordError, read_chain
-from modaltouch.record.expectation import MALFORMED, Expectation, restore
+from modaltouch.record.expectation import MALFORMED, SPEED, Expectation, restore
 from modaltouch.record.folders import SessionFolder
 from modaltouch.record.sequence import EventSequence
 from modaltouch.record.session import Session
@@ -129,6 +129,7 @@ def check_beginning(
     else:
         yield False, f"{place} seed {seed} draws a different order from the recorded one"
     yield _check_drive(session.start, given, place)
+    yield _check_shown(session.start, given, place)
     if session.start.get("sensation_levels"):
         yield _check_own_levels(session, restored, place)
     if schedule.session_kind:
@@ -177,6 +178,34 @@ def _check_drive(start: dict[str, Any], given: Expectation, place: str) -> tuple
         True,
         f"{f'drives of {len(hashes)} stimuli' if hashes else 'drive'} recomputed: identical codes ({found[:12]})",
     )
+
+
+def _check_shown(start: dict[str, Any], given: Expectation, place: str) -> tuple[bool, str]:
+    """Check that the recorded fields and speeds at the zones, shown in reports, agree with recomputed ones."""
+    for row in start["stimulus"].get("stimuli", ()):
+        design = " ".join(filter(None, (row.get("stimulus", ""), row.get("placement", ""))))
+        peaks = given.preflight.zone_peaks(design, row["velocity_mm_s"])
+        if not _agree(row["zone_peak_mm_s"], {zone: peak * 1e3 for zone, peak in peaks.items()}):
+            return (False, f"{place} its speeds at the zones at {row['velocity_mm_s']:g} mm/s are not those recomputed")
+    recorded = start["stimulus"].get("fields")  # not recorded by earlier versions
+    if recorded is not None and not _agree(recorded, given.fields):
+        return False, f"{place} its field is not the one recomputed"
+    return True, ""
+
+
+def _agree(recorded: Any, found: Any) -> bool:
+    """Return whether recorded and computed values agree, speeds to 0.002 mm/s."""
+    if isinstance(found, dict):
+        return (
+            isinstance(recorded, dict)
+            and recorded.keys() >= found.keys()
+            and all(_agree(recorded[k], found[k]) for k in found)
+        )
+    if isinstance(found, list):
+        return isinstance(recorded, list) and len(recorded) == len(found) and all(map(_agree, recorded, found))
+    if isinstance(found, float):
+        return isinstance(recorded, (int, float)) and abs(recorded - found) <= SPEED
+    return bool(recorded == found)
 
 
 def _check_gap(session: Session, given: Expectation, place: str) -> tuple[bool, str]:

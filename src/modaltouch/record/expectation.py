@@ -46,6 +46,11 @@ class Expectation:
         """Levels of adaptive runs."""
         return protocol.Levels(self.protocol)
 
+    @cached_property
+    def fields(self) -> list[dict[str, Any]]:
+        """The predicted field of each stimulus at its highest level."""
+        return self.preflight.fields
+
 
 @lru_cache(maxsize=4)
 def restore(sources: Sources, occasion: tuple[str, str]) -> Expectation:
