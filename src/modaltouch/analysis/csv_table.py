@@ -380,10 +380,11 @@ def check_doubling(table: Table, frame: pd.DataFrame, most: int | None) -> tuple
     if most is not None and found <= most:
         return [], [f"{every} occurs {times} times, taken as repetitions, as planned: remove any copies"]
     given, allowed = f"{every} {times} times", "each once, or repetitions with numbers under `repetition`"
+    remedy = "remove the copies, or number the repetitions; or name their protocol with --protocol, if it plans them"
     if most is not None:
         given += f", which gives {found} answers of a participant in a cell"
-        allowed = f"{most}, as in the protocol"
-    return [Problem(table.file, 1, 1, "", given, allowed, "remove the copies, or number the repetitions")], []
+        allowed, remedy = f"{most}, as in the protocol", "remove the copies"
+    return [Problem(table.file, 1, 1, "", given, allowed, remedy)], []
 
 
 def check_unit(table: Table, frame: pd.DataFrame, design: Mapping[str, Any]) -> list[Problem]:
