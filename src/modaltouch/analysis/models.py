@@ -102,9 +102,8 @@ def model_findings(answers: AnswerCounts, frame: pd.DataFrame) -> Iterator[Findi
     """
     table = answer_table(answers, frame).dropna(subset="dominant")
     columns = {"intercept": np.ones(len(table))}
-    varying = terms_of(table)
     # `models.R` has groups, labs, kinds of session and stimuli as well.
-    for term in (each for each in ("pair", "finger_condition", "level") if each in varying):
+    for term in (each for each in terms_of(table) if each in ("finger_condition", "pair", "level")):
         if term == "level":
             columns[f"level, per {answers.scale.step_in_words}"] = table["level"].to_numpy()
             continue

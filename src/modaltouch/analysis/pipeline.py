@@ -246,7 +246,9 @@ def render_files(analysis: Analysis, *, fields: bool = False) -> dict[str, Any]:
     if fields:
         if (figure := draw_fields(responses.start, responses.stimulus)) is None:
             allowed = "sessions recorded by a version later than 0.2.0"
-            raise InputError.of("--fields", "answers without the field of their stimulus", allowed, "leave --fields out")
+            raise InputError.of(
+                "--fields", "answers without the field of their stimulus", allowed, "leave --fields out"
+            )
         pictures.append(ReportFigure("fields", figure, FIELDS, "stimulus"))
     if analysis.design:
         from modaltouch.analysis.measure_figures import draw_design

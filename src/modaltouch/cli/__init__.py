@@ -35,13 +35,13 @@ def print_table(title: str, headings: Sequence[str], rows: Iterable[Sequence[str
     """
     lines = [list(row) for row in rows]
     columns = [[heading, *(line[place] for line in lines)] for place, heading in enumerate(headings)]
-    widths = [max(map(len, column)) for column in columns]
+    widths = [max(1, *map(len, column)) for column in columns]
     most = shutil.get_terminal_size().columns - 3 * len(headings) - 1
     if sum(widths) > most:
         natural, widths = widths, []
         for place, (heading, *cells) in enumerate(columns):
             unbroken = [*heading.split(), *(" ".join(cells).split() if place < n_words else cells)]
-            widths.append(max(map(len, unbroken), default=1))
+            widths.append(max(1, *map(len, unbroken)))
         for place in range(n_words):
             widths[place] = max(widths[place], min(natural[place], widths[place] + most - sum(widths)))
 
@@ -67,9 +67,10 @@ def print_table(title: str, headings: Sequence[str], rows: Iterable[Sequence[str
 def say(*lines: str, **style: Any) -> None:
     """Print lines, wrapped between words to the width of the terminal, in a style as of `typer.style`."""
     width = shutil.get_terminal_size().columns
+    plain = False if os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb" else None
     for line in lines:
         for part in textwrap.wrap(line, width, break_long_words=False, break_on_hyphens=False) or [""]:
-            typer.secho(part, **style)
+            typer.secho(part, color=plain, **style)
 
 
 def make_bars() -> Progress:

@@ -85,7 +85,10 @@ class RecordedFiles(Scope):
     def measure(self, position: float, across: float = 0.0) -> Recording:
         """Request a record, and return it as soon as a valid file arrives."""
         known = {*self._folder.glob("*"), self._folder / WANTED}
-        name = f"{max((int(each.stem) for each in known if each.stem.isdecimal()), default=0) + 1:04d}"
+        taken = [int(each.stem) for each in known if each.stem.isdecimal()]
+        name = f"{max(taken, default=0) + 1:04d}"
+        if taken and not self._former:
+            self._remember(f"{max(taken):04d}")
         since, refused, why = dict[tuple[Path, int, int], float](), set[tuple[Path, int, int]](), ""
         deadline = time.monotonic() + self.slowest
         try:
@@ -183,6 +186,13 @@ class RecordedFiles(Scope):
             sampling_rate=1 / step,
             overloaded=("velocity",) if over else (),
         )
+
+    def _remember(self, name: str) -> None:
+        """Store a digest of the last record left by an earlier command, if it can be read, to detect a repeat."""
+        for path in self._folder.glob(f"{name}.*"):
+            with suppress(KeyError, OSError, ValueError):
+                table = READERS[path.suffix.lower()](path)
+                self._refuse_former(path, table["velocity_m_s" if "velocity_m_s" in table else "velocity_V"])
 
     def _refuse_former(self, path: Path, velocity: FloatArray) -> None:
         """Refuse a record identical to an earlier one: the noise of two bursts is never the same."""

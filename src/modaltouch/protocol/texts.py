@@ -256,7 +256,9 @@ def check_words(protocol: Reading[Protocol], texts: Reading[Texts]) -> Iterator[
             wanted += [((*section, name), ("further", name))] if question.question is None else []
             lists.append(((*section, name, "keys"), tuple(question.keys)))
     for keys, names in lists:
-        labels = [(name, name if re.fullmatch(r"[A-Za-z0-9_-]{1,32}", name) else plain_word(name) or name) for name in names]
+        labels = [
+            (name, name if re.fullmatch(r"[A-Za-z0-9_-]{1,32}", name) else plain_word(name) or name) for name in names
+        ]
         wanted += [((*keys, name), (label,) if name in SHIPPED else ("answers", label)) for name, label in labels]
     if offered.naming() is not None:
         wanted.append((("answers", "keys"), ("how_to_answer_or_none",)))

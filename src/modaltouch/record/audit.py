@@ -62,13 +62,16 @@ class Audit:
             )
 
 
-def audit_session(session: Session) -> Audit:
+def audit_session(session: Session, *, probes: bool = True) -> Audit:
     """Check a session against its start record.
 
     Parameters
     ----------
     session : Session
         The session, as read from its log.
+    probes : bool
+        Whether to design the drives for measured fingers again, a tenth of a second each, and to check the lines that
+        depend on them.
     """
     path, chain, start = session.path, session.chain, session.start
     if session.faults:
@@ -84,7 +87,7 @@ def audit_session(session: Session) -> Audit:
             if sentence:
                 (lines if holds else problems).append(sentence)
         sequence = EventSequence(session, given, schedule)
-        sequence.walk()
+        sequence.walk(probes=probes)
         problems += sequence.problems
         lines += sequence.lines
         agrees, differs, is_mendable = check_view(session)

@@ -139,7 +139,7 @@ class Session:
                     faults.append(f"{self.path}:{number}: the event `{kind}` does not say its {'.'.join(path)}")
                     break
         own = f"sub-{self.participant}", f"ses-{self.start.get('session')}", "beh"
-        found = os.path.abspath(self.path).split(os.sep)[-4:-1]
+        found = self.path.parent.resolve().parts[-3:]
         # A copy elsewhere can be read, such as one that was sent by mail.
         if not faults and any(part.startswith(("sub-", "ses-")) and part not in own for part in found):
             faults.append(f"{self.path}: is the record of {own[0]}, {own[1]}; move it to {'/'.join(own)}")

@@ -70,7 +70,10 @@ def _copy_time(connection: Connection) -> Finding:
     kept = "USER4" in controls.ask("DATA:CAT?")
     controls.complete("DATA:COPY EMEM,USER4" if kept else f"DATA:DEF EMEM,{N_POINTS}")
     n_points = controls.ask("DATA:POIN? EMEM")
-    took = timeit(lambda: controls.complete("DATA:COPY USER4,EMEM"), number=1)
+    try:
+        took = timeit(lambda: controls.complete("DATA:COPY USER4,EMEM"), number=1)
+    except Unconfirmed as error:
+        return "unanswered", str(error), "unlock USER4 at the instrument (Edit menu) and check again"
     if not kept:
         controls.complete("DATA:DEL USER4")
     enough = took < connection.patience.copy / 2

@@ -4,7 +4,7 @@
 driver (the client) makes every exchange via this process, over a pipe, so that the process can switch the outputs off
 at any time, even over an interface limited to a single session (USB). While armed it expects a heartbeat at least every
 `PATIENCE` seconds; every request counts as one. If none arrives, no further burst is triggered and the outputs are
-switched off. The same happens when the pipe ends without `CLEAN` (the client was killed, possibly together with its
+switched off. The same happens when the pipe ends without `release` (the client was killed, possibly together with its
 display server).
 
 A request is a pickled tuple of a number, the name of a method and its arguments; the answer has the same number, and

@@ -124,7 +124,7 @@ def _survey_session(log: Path) -> tuple[dict[str, Any], Session]:
     """Return the row of a session and the session, without events if its log cannot be read."""
     try:
         session = read_session(log)
-        audit = audit_session(session)
+        audit = audit_session(session, probes=False)
         problems, damage = audit.problems, [each for each in audit.problems if each not in audit.to_mend]
     except RecordError as error:
         session, problems, damage = Session(log, ()), (str(error),), [str(error)]

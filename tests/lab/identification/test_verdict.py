@@ -262,10 +262,14 @@ def test_a_set_of_another_scale_is_marked(clean: FrequencyResponses, apparatus: 
     assert float(value[1]) == pytest.approx(factor, rel=0.06)
 
 
+@pytest.mark.parametrize("has_coherence", [True, False])
 @pytest.mark.parametrize(("n_bins", "message"), [(0, ""), (1, "too high"), (-2, "too low")])
-def test_an_axis_that_is_a_bin_off_is_marked(clean: FrequencyResponses, n_bins: int, message: str) -> None:
+def test_an_axis_that_is_a_bin_off_is_marked(
+    clean: FrequencyResponses, n_bins: int, message: str, has_coherence: bool
+) -> None:
     """Found to 3.8 Hz from the values off resonance, since 0 Hz is fixed."""
     moved = replace(clean, frequency=clean.frequency + n_bins * clean.spacing)
+    moved = moved if has_coherence else replace(moved, coherence=None, n_averages=1)
     mark = axis_error(identify(moved, 0.1))
     assert (
         mark == ""
@@ -333,6 +337,18 @@ def test_a_measurement_that_does_not_repeat_the_first_is_refused(
     other = replace(clean, response=clean.response * factor)
     with pytest.raises(ValueError, match=rf"measurement 2 does not repeat the first: .* {message}; check positions"):
         FrequencyResponses.of_repeats([clean, other])
+
+
+def test_a_mirrored_scan_is_reported(clean: FrequencyResponses, apparatus: Apparatus) -> None:
+    """All antisymmetric modes change sign; neither wiring nor sensor does that."""
+    extra = [{"label": label, "natural_frequency_Hz": own, "damping_ratio": 0.02, "gain_mm_s2_per_V": {"side": gain}}
+             for label, own, gain in ((2, 310, -5), (4, 4550, 80), (6, 9800, -300), (8, 17300, 400))]  # fmt: skip
+    modes = (*apparatus.modes, *(type(apparatus.modes[0]).model_validate(each) for each in extra))
+    listed = apparatus.model_copy(update={"modes": modes})
+    found = identify(replace(clean, response=clean.response[:, ::-1]), 0.1, most=0)
+    (told,) = check_gains(found, listed)
+    assert "the gains of all antisymmetric modes have the opposite sign" in told
+    assert check_gains(identify(clean, 0.1, most=0), listed) == []
 
 
 def test_positions_of_wrong_scale_or_origin_are_marked(clean: FrequencyResponses) -> None:

@@ -288,6 +288,25 @@ def test_a_trace_saved_twice_is_refused(answered: Callable[..., Recording], monk
 
 
 @pytest.mark.usefixtures("quickly")
+def test_a_trace_saved_twice_is_refused_by_the_next_command(
+    apparatus: Apparatus, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A scan is resumed while the scope still has the last trace; unreadable files are ignored."""
+    time, volts = 1e-3 + np.arange(60) / 1e5, np.sin(np.arange(120)).reshape(2, 60) / 100
+    with answering(apparatus, tmp_path) as measure:
+        measure(time, volts)
+    monkeypatch.setattr(RecordedFiles, "slowest", 0.2)
+    with (
+        answering(apparatus, tmp_path) as measure,
+        pytest.raises(RigError, match=r"0002.npz: its velocity is identical to that of 0001.npz; arm the"),
+    ):
+        measure(time, volts)
+    (tmp_path / "0003.npz").write_bytes(b"no zip file")
+    with answering(apparatus, tmp_path) as measure:
+        measure(time, 2 * volts)
+
+
+@pytest.mark.usefixtures("quickly")
 def test_a_share_that_is_lost_is_waited_for(
     apparatus: Apparatus, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

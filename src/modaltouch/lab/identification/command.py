@@ -38,7 +38,7 @@ from modaltouch.lab.identification.responses import (
     responses_of,
 )
 from modaltouch.lab.identification.shapes import check_points
-from modaltouch.lab.identification.verdict import check_all, check_modes
+from modaltouch.lab.identification.verdict import check_all, check_modes, mirrored_scan
 from modaltouch.lab.laboratory import SILENT_PROGRESS, SIMULATED, MeasurementProgress, open_laboratory
 from modaltouch.lab.scan import Scan, kept_rows, read_scan, rows_over
 from modaltouch.protocol import Apparatus, Source
@@ -370,6 +370,8 @@ def check_gains(identification: Identification, apparatus: Apparatus, labels: Se
         _refuse_factor([each for (name, _), each in listed.items() if name in chosen], chosen, apparatus)
     if len(ratios) < FEWEST_GAINS:
         return []
+    if mirrored := mirrored_scan({key: each for key, (each, _) in listed.items()}, str(apparatus.apparatus)):
+        return [mirrored]
     shown = ratios if labels is None else labels
     moved = {f"mode {label}": each for label, each in ratios.items() if label in shown and abs(each - 1) > MOVED}
     other: dict[str, float] = {}

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from modaltouch.lab.common import FloatArray
+from modaltouch.lab.common import ComplexArray, FloatArray
 from modaltouch.lab.identification.responses import (
     QUANTITIES,
     FrequencyResponses,
@@ -148,6 +148,12 @@ CSV_COLUMNS = ("frequency_Hz", "set", "position_mm", "real", "imag")
 """Columns of responses in a CSV file; ``coherence`` and ``across_mm``, from the mid-line, may follow. Repeats follow
 each other in one file or come in several files."""
 
+LEAST_DECIBELS, ALIKE = 10.0, 3.0
+"""Minimum median magnitude of numbers that may be decibels, and their maximum over it; responses exceed that [1]."""
+
+MOST = 2.5 * np.pi
+"""Largest phase change of a response across its highest peak [rad]; that of a resonance is less than pi."""
+
 FEWEST_SIGNED = 6
 """Number of places from which at least one response of a beam must have a negative real part."""
 
@@ -227,11 +233,14 @@ def _quantity(path: Path, part: Part, how: ResponseFormat) -> Quantity:
 def _refuse_amplitudes(path: Path, part: Part) -> None:
     """Refuse numbers that cannot be complex responses of a beam."""
     values = np.array([each.values for each in part.responses])
-    places = {key[1] for key, *_ in part.responses if key[1] is not None}
+    size, places = np.abs(values), {key[1] for key, *_ in part.responses if key[1] is not None}
+    typical = float(np.median(size))
     faults = {
         "the imaginary part is zero throughout": not values.imag.any(),
         "the real part is zero throughout": not values.real.any(),
         "no response has a negative real part: magnitudes were exported in its place": bool((values.real >= 0).all()),
+        "the values are large and alike: they are decibels": typical > LEAST_DECIBELS and size.max() < ALIKE * typical,
+        "the phase turns several times within each peak: degrees were taken for radians": _turns(values, size) > MOST,
     }
     fault = next((fault for fault, found in faults.items() if found), None)
     if fault and len(places) >= FEWEST_SIGNED:
@@ -415,3 +424,15 @@ def _read_npz(path: Path, how: ResponseFormat) -> Part:
         return part_of(path, [TimeRecord(key, n.real, n.imag, step) for key, n, _ in found], quantity, how)
     known = "coherence" in arrays
     return Part(axis, [MeasuredResponse(key, n, certain if known else None) for key, n, certain in found], quantity)
+
+
+def _turns(values: ComplexArray, size: FloatArray) -> float:
+    """Return the median phase change of responses, a row each, across their peaks, excluding a delay [rad]."""
+    turned = []
+    for row, amplitude in zip(values, size, strict=True):
+        turn = np.angle(row[1:] * row[:-1].conj())
+        turn = np.angle(np.exp(1j * (turn - np.median(turn))))
+        top, low = int(amplitude.argmax()), np.flatnonzero(amplitude < amplitude.max() / 2**0.5)
+        first, last = low[low < top].max(initial=0), low[low > top].min(initial=turn.size)
+        turned.append(np.abs(turn[first:last]).sum())
+    return float(np.median(turned))

@@ -28,10 +28,15 @@ from modaltouch.lab.identification.peaks import (
 from modaltouch.lab.identification.responses import FrequencyResponses
 
 
-def make_problem(responses: FrequencyResponses, poles: Poles, phase_at: float | None = None) -> LeastSquaresProblem:
-    """Return the least-squares problem for the responses, with bins grouped according to approximate poles."""
+def make_problem(
+    responses: FrequencyResponses, poles: Poles, phase_at: float | None = None, noise: FloatArray | None = None
+) -> LeastSquaresProblem:
+    """Return the least-squares problem for the responses, with bins grouped according to approximate poles.
+
+    Without `noise` [response squared], (n_sets, n_bins), it is that of the responses.
+    """
     bins = Bins.near(responses.frequency, poles.natural_frequency, poles.damping_ratio)
-    noise = responses.noise
+    noise = responses.noise if noise is None else noise
     # All sets share a noise profile over frequency and hence the columns; a set's noise level scales its responses.
     level = np.median(noise, axis=1)
     profile = bins.mean(np.median(noise / level[:, None], axis=0))
@@ -311,7 +316,8 @@ def axis_error(found: Identification) -> str:
         lower = n_bins * responses.spacing
         own = np.maximum(poles.natural_frequency - lower, responses.spacing)
         start = Poles(own, poles.damping_ratio * poles.natural_frequency / own, poles.delay)
-        problem = make_problem(replace(responses, frequency=responses.frequency - lower), start)
+        # The same weights for all axes, though noise without a coherence follows the frequency.
+        problem = make_problem(replace(responses, frequency=responses.frequency - lower), start, noise=responses.noise)
         return refine(problem, start, most=10).cost
 
     given, (least, n_bins) = cost(0), min((cost(n_bins), n_bins) for n_bins in (-1, 1))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -220,9 +220,11 @@ def _cause(identification: Identification, split: str = "") -> str:
     A mode that is split may be described.
     """
     known = [mark for mark in identification.responses.marks if mark.endswith((STILL_MOVES, FROM_ZERO))]
-    if cause := "; ".join(known) or _digit(identification) or _hum(identification) or split:
-        return cause
     worst = max((mode.rest for mode in identification.modes), key=lambda each: each.share)
+    # In a residual of the noise alone, one value or one frequency may lead by chance.
+    is_clear = identification.misfit > WELL_FITTED or worst.share > MOST_LEFT
+    if cause := "; ".join(known) or (is_clear and (_digit(identification) or _hum(identification))) or split:
+        return cause
     name = "nonlinearity or a missing mode" if worst.smooth else "noise"
     is_large = worst.share > MOST_LEFT or worst.smooth > MARKED
     unclear = f"the most probable cause is {name}: {REMEDIES[name]}" if is_large else ""
@@ -360,4 +362,29 @@ def repeatability(identification: Identification) -> str:
     alone = sum(each < 2 for each in n)
     return f"the intervals include the scatter of {max(n)} measurements" + (
         f", except for {alone} modes" if alone else ""
+    )
+
+
+FEWEST_ANTISYMMETRIC = 3
+"""Minimum number of listed gains of antisymmetric modes to recognise a mirrored scan."""
+
+
+def mirrored_scan(ratios: Mapping[tuple[str, int], float], listed_in: str) -> str:
+    """Describe gains of which those of all antisymmetric modes have the other sign than the listed ones; else empty.
+
+    Parameters
+    ----------
+    ratios : mapping of (str, int) to float
+        Gains relative to the listed ones, by actuator set and label of the mode [1].
+    listed_in : str
+        Name of the apparatus that lists them.
+    """
+    antisymmetric = [each for (_, label), each in ratios.items() if label % 2 == 0]
+    symmetric = [each for (_, label), each in ratios.items() if label % 2]
+    if len(antisymmetric) < FEWEST_ANTISYMMETRIC or not symmetric or max(antisymmetric) > 0 or min(symmetric) < 0:
+        return ""
+    return (
+        f"the gains of all antisymmetric modes have the opposite sign of those of {listed_in}, as if the scan were "
+        "mirrored: count positions from mid-beam, positive to the participant's right, or give the file of this beam "
+        "with --apparatus"
     )
