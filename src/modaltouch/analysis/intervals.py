@@ -21,6 +21,7 @@ import math
 from bisect import bisect_right
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from statistics import NormalDist
 from typing import Any
 
@@ -166,14 +167,15 @@ def centre_interval(seconds: FloatArray) -> Interval:
         return Interval(float(seconds.mean()) if values.size else math.nan, -math.inf, math.inf, values.size)
 
     def lowest(values: IntArray) -> int:
+        @cache
         def p(centre: int) -> float:
             return float(sign_flip_test(values - centre).p)
 
         centres = range(int(values.min()), int(np.rint(values.mean())))
-        # The bound is usually within two steps of that of the t interval, which is NaN if the values do not vary.
+        # The bound is usually within a step of that of the t interval, which is NaN if the values do not vary.
         near = range(centres.stop, centres.stop)
         if math.isfinite(bound := student_interval(values.astype(float)).low):
-            near = range(max(math.floor(bound) - 2, centres.start), min(math.floor(bound) + 3, centres.stop))
+            near = range(max(math.floor(bound) - 1, centres.start), min(math.floor(bound) + 3, centres.stop))
         if len(near) > 1 and p(near[0]) <= 1 - CONFIDENCE < p(near[-1]):
             centres = near
         return centres.start + bisect_right(centres, 1 - CONFIDENCE, key=p)

@@ -47,6 +47,10 @@ _STEEPEST = 50.0
 # Number of equal terms above which the transform of one is raised to their number.
 _FEW_COPIES = 16
 
+# Below this fraction of the frequencies, the rest of the characteristic function is computed one by one; and the
+# magnitude below which it does not count.
+_FEW_ALIVE, _NEGLIGIBLE = 64, 1e-25
+
 # Maximum size of temporary arrays.
 _AT_ONCE = 1_000_000
 
@@ -219,12 +223,12 @@ def _tilted_tail(terms: Sequence[Term], bound: int, side: int) -> float:
     tilt = _tilt_towards(laws, target)
     mean, deviation = laws.moments(tilt)
     span = max(int(steps.max() - steps.min()) for steps, _, _ in parts)
-    # The tilted probability this far from the mean is negligible, so a window replaces the full range.
-    margin = 14 * deviation + 40 * span
+    # A window replaces the full range: beyond it lie less than exp(-45) of the tilted sum, by Bernstein's inequality.
+    margin = 15 * span + math.sqrt((15 * span) ** 2 + 90 * deviation**2)
     last = min(top, math.ceil(mean + margin))
     size = 1 << max(last - min(target, math.floor(mean - margin)), span + 1).bit_length()
     spectrum, block = np.ones(size // 2 + 1, dtype=complex), np.ones(1)
-    log_scale, origin = 0.0, 0
+    alive, log_scale, origin = np.arange(spectrum.size), 0.0, 0
     for steps, weights, count in parts:
         first = int(steps.min())
         log_weight = np.log(weights) + tilt * (steps - first)
@@ -232,15 +236,20 @@ def _tilted_tail(terms: Sequence[Term], bound: int, side: int) -> float:
         tilted = np.exp(log_weight - log_sum)
         log_scale += count * log_sum
         origin += count * first
-        if count > _FEW_COPIES:
+        if alive.size < size // _FEW_ALIVE:
+            angle = 2 * np.pi / size * ((steps - first)[:, np.newaxis] * alive % size)
+            spectrum[alive] *= (tilted @ np.exp(-1j * angle)) ** count
+        elif count > _FEW_COPIES:
             spectrum *= np.fft.rfft(_add_term(np.ones(1), steps - first, tilted), size) ** count
-            continue
-        # Terms with many different distributions are added up before they are transformed together.
-        for _ in range(count):
-            if block.size + span > size // 4:
+        else:
+            # Terms with many different distributions are added up before they are transformed together.
+            if block.size + count * span > size // 4:
                 spectrum *= np.fft.rfft(block, size)
                 block = np.ones(1)
-            block = _add_term(block, steps - first, tilted)
+                # A product of a hundred factors is negligible at most frequencies, where no more need be computed.
+                alive = np.flatnonzero(np.abs(spectrum) > _NEGLIGIBLE)
+            for _ in range(count):
+                block = _add_term(block, steps - first, tilted)
     spectrum *= np.fft.rfft(block, size)
     reach = np.arange(target, last + 1) - origin
     pmf = np.maximum(np.fft.irfft(spectrum, size)[reach % size], 1e-300)
