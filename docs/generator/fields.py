@@ -88,8 +88,7 @@ def session_fields() -> tuple[Found, Found]:
         for line in file.read_text(encoding="utf-8").splitlines():
             _add(log[(event := json.loads(line))["event"]], event)
     for kind, names in written_events().items():
-        for each in names:
-            log[kind].setdefault(each, None)
+        log[kind] |= dict.fromkeys(names - log[kind].keys())
     return dict(log), dict(told)
 
 
