@@ -36,7 +36,7 @@ THROUGH = "query of the error queue, through the watchdog"
 BOUNDS = {
     (SETUP, BY_PYVISA): 2.5,
     (THROUGH, QUERY): 2.5,
-    (LEVELS, QUERY): 5.0,
+    (LEVELS, THROUGH): 2.0,
     (OFF, QUERY): 10.0,
     ("heartbeat", QUERY): 0.01,
 }
