@@ -71,7 +71,7 @@ def test_a_simulated_session_loads_neither_lab_nor_analysis_nor_screen(tmp_path)
         "window.masking",
         "window.screen",
     }
-    assert lines <= 20_000
+    assert lines <= 19_500
 
 
 def test_an_analysis_of_sessions_loads_only_reading_and_auditing(results, tmp_path):

@@ -189,7 +189,7 @@ def test_table_without_even_modes_is_refused(table):
         modal_gain=table.modal_gain[::2],
     )
     with pytest.raises(ValueError, match=r"the table lacks modes 2, 4, which .* run `modaltouch identify --modes all`"):
-        Probe.check_table(odd)
+        odd.require_all_modes()
 
 
 def test_a_beam_that_differs_from_the_table_is_refused(table, beam):

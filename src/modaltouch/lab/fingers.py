@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
@@ -292,10 +293,9 @@ def probe_fingers(
     ----------
     protocol, out : Path
         A YAML file or the name of a shipped protocol, and the file of fingers, which is never overwritten.
-    rig : str
-        ``simulated``, or the generator's VISA address.
-    pair : str
-        Zones under the fingers, such as ``A-C``; the protocol's first pair if empty.
+    rig, pair : str
+        ``simulated``, or the generator's VISA address; zones under the fingers, such as ``A-C``, by default the
+        protocol's first pair.
     hand : str, optional
         Hand to use in ``one_hand``, instead of the protocol's.
     laser, speed : float
@@ -325,19 +325,24 @@ def probe_fingers(
     RigError
         If the rig fails, or a probe is refused.
     """
+    plan = _Plan(protocol, pair, hand, seed)
+    prepare_file(out)
+    with progress.interruptible() as heard, _open(plan, rig, seed, record, heard) as bench:
+        try:
+            return plan.carried_out(Prober(bench, plan.fingers, laser, speed), bench, lay, out)
+        except ValueError as error:
+            raise RigError(f"{error}; the outputs are off") from error
+
+
+def _open(
+    plan: _Plan, rig: str, seed: int | None, record: Path | None, progress: MeasurementProgress
+) -> AbstractContextManager[Laboratory]:
+    """Open the laboratory, with a scope whose records arrive in a folder if one is given."""
     # A session that measures fingers reads no files.
     from modaltouch.lab.recorded_files import RecordedFiles
 
-    plan = _Plan(protocol, pair, hand, seed)
-    prepare_file(out)
-    with progress.interruptible() as heard:
-        scope = RecordedFiles(record, plan.apparatus, heard) if record else None
-        with open_laboratory(plan.apparatus, rig, heard, seed=seed, scope=scope) as bench:
-            prober = Prober(bench, plan.fingers, laser, speed)
-            try:
-                return plan.carried_out(prober, bench, lay, out)
-            except ValueError as error:
-                raise RigError(f"{error}; the outputs are off") from error
+    scope = RecordedFiles(record, plan.apparatus, progress) if record else None
+    return open_laboratory(plan.apparatus, rig, progress, seed=seed, scope=scope)
 
 
 class _Plan:
@@ -358,7 +363,7 @@ class _Plan:
         self.placements = placements
         self.rng = np.random.default_rng([seed or 0, 2])
         self.apparatus = findings.with_true_fingers(self.rng)
-        Probe.check_table(self.apparatus.modal_model())
+        self.apparatus.modal_model().require_all_modes()
         pairs = {"-".join(zones): zones for zones in protocol.conditions.contacts}
         pair = pair or next(iter(pairs))
         if pair not in pairs:

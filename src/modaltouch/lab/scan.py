@@ -289,11 +289,8 @@ def take_scan(
                 save_arrays(position_file(folder, index), kept[-1])
             laboratory.progress.show(step, len(kept), len(places))
     except (Interrupted, KeyboardInterrupt) as error:
-        error.add_note(
-            "nothing measured is kept"
-            if folder is None
-            else f"{len(kept)} of {len(places)} points are kept in {folder}; run the same command again to continue"
-        )
+        where = f"{len(kept)} of {len(places)} points are kept in {folder}; run the same command again to continue"
+        error.add_note("nothing measured is kept" if folder is None else where)
         raise
     return Scan(facts, tuple(kept))
 

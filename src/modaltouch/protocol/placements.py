@@ -217,10 +217,8 @@ def check_measured(protocol: Reading[Protocol], apparatus: Reading[Apparatus] | 
             "none, typical, a file, or an apparatus with that section",
             typical,
         )
-    from modaltouch.stimulus import Probe
-
     try:
-        Probe.check_table(apparatus.value.modal_model())
+        apparatus.value.modal_model().require_all_modes()
     except ValueError as error:
         given, _, needed = str(error).partition("; allowed: ")
         allowed, _, remedy = needed.partition("; ")

@@ -72,6 +72,22 @@ class ModalModel:
                     "fingers",
                 )
 
+    def require_all_modes(self) -> None:
+        """Raise if the table has too few modes to identify fingers.
+
+        Raises
+        ------
+        ValueError
+            If modes are missing.
+        """
+        lacking = sorted(set(range(1, max(self.label) + 1)) - set(self.label))
+        if lacking:
+            raise ValueError(
+                f"the table lacks modes {', '.join(map(str, lacking))}, which fingers couple to the others; allowed: "
+                "every mode up to the highest; run `modaltouch identify --modes all`, and name its apparatus file in "
+                "the protocol"
+            )
+
     @property
     def n_modes(self) -> int:
         """Number of modelled modes."""

@@ -224,23 +224,6 @@ class Probe:
             )
         return replace(probes[0], response=mean, deviation=probes[0].deviation / np.sqrt(n))
 
-    @staticmethod
-    def check_table(model: ModalModel) -> None:
-        """Reject a mode table with too few modes to identify fingers.
-
-        Raises
-        ------
-        ValueError
-            If modes are missing.
-        """
-        lacking = sorted(set(range(1, max(model.label) + 1)) - set(model.label))
-        if lacking:
-            raise ValueError(
-                f"the table lacks modes {', '.join(map(str, lacking))}, which fingers couple to the others; allowed: "
-                "every mode up to the highest; run `modaltouch identify --modes all`, and name its apparatus file in "
-                "the protocol"
-            )
-
     def untouched(self, model: ModalModel) -> ProbedBeam:
         """Return the untouched beam, fitted to this probe.
 
