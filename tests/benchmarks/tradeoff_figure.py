@@ -114,4 +114,4 @@ _PREDICTING_LABELS = (
     (-1, (0, 15), "center"),
     (1, (0, 17), "center"),
 )
-_COMMAND_LABELS = ((-1, (4, -16), "left"), (-1, (-4, -16), "right"), (-1, (0, -21), "center"))
+_COMMAND_LABELS = ((-1, (11, 0), "left"), (-1, (-11, 0), "right"), (-1, (0, -21), "center"))
