@@ -108,7 +108,7 @@ class End:
 
 def client_of(ward: Ward, simulator: Simulator, clock: VirtualClock) -> LocalClient:
     """Return a client in this process whose messages take the link."""
-    client = LocalClient(simulator._instrument, clock)
+    client = LocalClient(simulator.afg, clock)
     client.open, client.exchange, client.close = ward.open, ward.exchange, ward.close
     client.release = lambda clean: ward.release()
     return client

@@ -484,7 +484,7 @@ class counted:  # noqa: N801
     """Perform an action just before the n-th message over a link."""
 
     def __init__(self, simulator: Simulator, nth: int, action: Callable[[], None]) -> None:
-        self._instrument = simulator._instrument
+        self._instrument = simulator.afg
         self._execute = self._instrument.execute
         self._left = nth
         self._action = action

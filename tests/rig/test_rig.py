@@ -131,7 +131,7 @@ def test_an_unread_reply_is_an_error_within_a_process(apparatus: Apparatus) -> N
     """The next message interrupts it, -410, as over a network (IEEE 488.2, 6.3.2.3)."""
     clock = VirtualClock(0.0)
     with Simulator(apparatus, clock=clock) as simulator:
-        transport = LocalClient(simulator._instrument, clock)
+        transport = LocalClient(simulator.afg, clock)
         transport.exchange(b"*IDN?\n", timeout=1.0, reply=False)
         assert transport.exchange(b"SYST:ERR?\n", timeout=1.0, reply=True).startswith(b"-410,")
         assert transport.exchange(b"SYST:ERR?\n", timeout=1.0, reply=True).startswith(b"0,")

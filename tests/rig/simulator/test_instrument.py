@@ -7,7 +7,7 @@ import math
 import pytest
 
 from modaltouch.rig.simulator.afg import afg_twin
-from modaltouch.rig.simulator.common import Behaviour, SimulatedInstrument
+from modaltouch.rig.simulator.common import Behaviour
 from modaltouch.system.clock import VirtualClock
 
 NO_ERROR = '0,"No error"'
@@ -18,13 +18,12 @@ class Bench:
 
     def __init__(self, behaviour: Behaviour | None = None) -> None:
         self.clock = VirtualClock(100.0)
-        self.afg, table = afg_twin("AFG3022B", behaviour, clock=self.clock)
-        self.instrument = SimulatedInstrument(self.afg, table)
+        self.afg, self.afg.table = afg_twin("AFG3022B", behaviour, clock=self.clock)
 
     def ask(self, message: str | bytes) -> str:
         """Return the replies to a message."""
         data = message if isinstance(message, bytes) else message.encode()
-        return self.instrument.execute(data).data.decode("latin1").rstrip("\n")
+        return self.afg.execute(data).data.decode("latin1").rstrip("\n")
 
     def error(self, message: str | bytes) -> int:
         """Return the number of the error caused by a message, 0 for none."""
@@ -33,7 +32,7 @@ class Bench:
 
     def upload(self, codes: list[int], user: int = 1) -> None:
         """Store a record."""
-        self.instrument.run(block(codes), 0)
+        self.afg.run(block(codes), 0)
         self.ask(f"DATA:COPY USER{user},EMEM")
 
 

@@ -187,7 +187,7 @@ def test_both_byte_orders_are_read(simulator: Simulator) -> None:
     for name, order, kind in (("A", "NORM", ">i2"), ("B", "SWAP", "<i2")):
         simulator.front_panel(f"FORM:BORD {order}")
         block = codes.astype(kind).tobytes()
-        simulator._instrument.run(f"SOUR2:DATA:ARB:DAC {name},#216".encode() + block, 0)
+        simulator.afg.run(f"SOUR2:DATA:ARB:DAC {name},#216".encode() + block, 0)
         np.testing.assert_array_equal(simulator.afg.volatile[2][name], codes)
     assert said(simulator, "SOUR2:DATA:VOL:CAT?").endswith('"A","B"')
     assert int(said(simulator, "SOUR2:DATA:VOL:FREE?")) == (1 << 20) - 16
@@ -214,7 +214,7 @@ def test_values_are_read_as_floats_in_both_byte_orders(simulator: Simulator) -> 
     values = np.array([0, 0.5, -0.5, 1, -1, 0.25, 0, 0])
     for name, order, kind in (("A", "NORM", ">f4"), ("B", "SWAP", "<f4")):
         simulator.front_panel(f"FORM:BORD {order}")
-        simulator._instrument.run(f"SOUR1:DATA:ARB {name},#232".encode() + values.astype(kind).tobytes(), 0)
+        simulator.afg.run(f"SOUR1:DATA:ARB {name},#232".encode() + values.astype(kind).tobytes(), 0)
         np.testing.assert_array_equal(simulator.afg.volatile[1][name], np.round(values * HIGHEST_CODE))
 
 

@@ -18,7 +18,7 @@ import pyvisa
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig.simulator import Simulator
 from modaltouch.rig.simulator.afg import afg_twin
-from modaltouch.rig.simulator.common import SimulatedInstrument
+from modaltouch.rig.simulator.common import State
 from modaltouch.rig.simulator.scpi import TEXTS
 
 NUMERIC = {
@@ -45,9 +45,10 @@ KEYWORD = {
 """Commands with one keyword, and a valid one."""
 
 
-def fresh() -> SimulatedInstrument:
+def fresh() -> State:
     """Return a generator with nothing behind it."""
-    return SimulatedInstrument(*afg_twin("AFG3022B", None))
+    afg, afg.table = afg_twin("AFG3022B", None)
+    return afg
 
 
 def broken(rng: random.Random) -> tuple[str, int]:
@@ -108,7 +109,7 @@ def mutated(rng: random.Random) -> bytes:
     return bytes(message)
 
 
-def errors_of(instrument: SimulatedInstrument) -> list[str]:
+def errors_of(instrument: State) -> list[str]:
     """Empty the error queue, as a program would."""
     errors = []
     while not (entry := instrument.execute(b"SYST:ERR?\n").data.decode("ascii").strip()).startswith("0,"):
@@ -124,7 +125,7 @@ def test_6000_wrong_commands_cause_their_standard_errors() -> None:
         instrument.execute(b"*CLS")
         assert instrument.execute(message.encode()).data == b"", message
         assert [int(error.partition(",")[0]) for error in errors_of(instrument)] == [number], message[:300]
-    assert instrument.afg.channels[1] == fresh().afg.channels[1]
+    assert instrument.channels[1] == fresh().channels[1]
 
 
 def test_4000_corrupted_messages_leave_a_working_instrument() -> None:
@@ -196,10 +197,10 @@ def test_fixed_cases_stay_fixed(message: bytes, number: int) -> None:
 def test_unknown_headers_are_not_cached() -> None:
     """A thousand different ones leave the table of known headers unchanged."""
     instrument = fresh()
-    before = len(instrument._table._known)
+    before = len(instrument.table._known)
     for count in range(1000):
         instrument.execute(f"NO{count}:SUCH".encode())
-    assert len(instrument._table._known) == before
+    assert len(instrument.table._known) == before
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ import pytest
 from scipy.stats import kstest
 
 from modaltouch.rig.simulator.afg import afg_twin
-from modaltouch.rig.simulator.common import Behaviour, SimulatedInstrument
+from modaltouch.rig.simulator.common import Behaviour
 from modaltouch.rig.simulator.timeline import FINEST, Delays, PlayedBurst
 from modaltouch.system.clock import VirtualClock
 
@@ -24,10 +24,9 @@ class Stage:
 
     def __init__(self, delays: Delays = AT_ONCE, behaviour: Behaviour | None = None, seed: int = 0) -> None:
         self.clock = VirtualClock(1000.0)
-        self.afg, table = afg_twin("AFG3022B", behaviour, delays=delays, seed=seed, clock=self.clock)
+        self.afg, self.afg.table = afg_twin("AFG3022B", behaviour, delays=delays, seed=seed, clock=self.clock)
         self.played: list[PlayedBurst] = []
         self.afg.timeline.on_burst = self.played.append
-        self.instrument = SimulatedInstrument(self.afg, table)
         self.tell("DATA:DEF EMEM,1000;:DATA:DATA:LINE EMEM,1,0,1000,9990;:DATA:COPY USER1", "TRIG:SOUR EXT")
         for n in (1, 2):
             self.tell(f"SOUR{n}:{SETTINGS.format(n=n)}")
@@ -35,7 +34,7 @@ class Stage:
     def tell(self, *messages: str, link: int = 7) -> None:
         """Send messages, none of which may cause an error."""
         for message in messages:
-            self.instrument.execute(message.encode(), link)
+            self.afg.execute(message.encode(), link)
             assert self.afg.next_error() == '0,"No error"'
 
     def on(self) -> None:
@@ -224,7 +223,7 @@ def test_other_messages_do_not_end_a_burst(stage: Stage, message: str) -> None:
     stage.on()
     stage.tell("*TRG")
     stage.wait(0.02)
-    stage.instrument.execute(message.encode())
+    stage.afg.execute(message.encode())
     stage.wait(0.04)
     assert [burst.whole for burst in stage.played[:1]] == [True]
 

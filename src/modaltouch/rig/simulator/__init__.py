@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from modaltouch.protocol import Apparatus
 from modaltouch.rig.pacing import Order, Pacer, Report
 from modaltouch.rig.simulator.afg import afg_twin
-from modaltouch.rig.simulator.common import Behaviour, Reply, SimulatedInstrument
+from modaltouch.rig.simulator.common import Behaviour, Reply, State
 from modaltouch.rig.simulator.scpi import ScpiError
 from modaltouch.rig.simulator.timeline import Delays, Playback
 from modaltouch.rig.simulator.twin import Twin
@@ -102,7 +102,7 @@ class Simulator(AbstractContextManager["Simulator"]):
         delays = Delays(latency, true.relay_ms * 1e-3, true.external_pulses_Hz)
         model, hardware = apparatus.generator.model, {"delays": delays, "seed": seed, "clock": clock}
         self.afg: Any
-        self.afg, table = twin_of(model)(model, behaviour, **hardware)
+        self.afg, self.afg.table = twin_of(model)(model, behaviour, **hardware)
         self.twin = Twin(apparatus, seed)
         self._touched: dict[str, Finger] = {}
         self._played: PlayedLog | None = None
@@ -114,7 +114,6 @@ class Simulator(AbstractContextManager["Simulator"]):
             if played is not None:
                 self._played = PlayedLog(played, self.twin, self.afg.settle, lambda: self.touched)
                 self.afg.timeline.on_burst = self._played.take
-        self._instrument = SimulatedInstrument(self.afg, table)
         self._port = port
         self._sends = sends
 
@@ -123,14 +122,14 @@ class Simulator(AbstractContextManager["Simulator"]):
         """VXI-11 server, started on first use; it can drop connections, reject new ones and listen again."""
         from modaltouch.rig.simulator.vxi11 import Vxi11Server
 
-        return Vxi11Server(self._instrument, self._port)
+        return Vxi11Server(self.afg, self._port)
 
     @cached_property
     def faults(self) -> Faults:
         """Faults, which can be injected at any time."""
         from modaltouch.rig.simulator.faults import Faults
 
-        return Faults(self._instrument)
+        return Faults(self.afg)
 
     @property
     def address(self) -> str:
@@ -148,7 +147,7 @@ class Simulator(AbstractContextManager["Simulator"]):
         clock = self.afg.clock
         if not isinstance(clock, VirtualClock):
             return {"address": self.address, "clock": clock}
-        client = LocalClient(self._instrument, clock)
+        client = LocalClient(self.afg, clock)
         return {"address": "simulated", "clock": clock, "start_guard": lambda address, off: client}
 
     @property
@@ -238,12 +237,11 @@ class Simulator(AbstractContextManager["Simulator"]):
 
     def front_panel(self, command: str) -> str:
         """Execute a command as if entered at the front panel, and return the reply to a query."""
-        return self._instrument.run(command.encode(), 0).data.decode("latin1").removesuffix("\n")
+        return str(self.afg.run(command.encode(), 0).data.decode("latin1").removesuffix("\n"))
 
     def power_cycle(self) -> None:
         """Power-cycle the generator: connections and settings are lost, outputs off, USER memories kept."""
         self.afg.power_on()
-        self._instrument.n_starts += 1
         if "server" in vars(self):
             self.server.drop_connections()
 
@@ -281,7 +279,7 @@ class LocalClient:
     It cannot outlive its process and is therefore only for a twin in the same process.
     """
 
-    def __init__(self, instrument: SimulatedInstrument, clock: VirtualClock) -> None:
+    def __init__(self, instrument: State, clock: VirtualClock) -> None:
         self._instrument = instrument
         self._clock = clock
         self._pacer: Pacer | None = None
@@ -295,7 +293,7 @@ class LocalClient:
     def exchange(self, message: bytes, *, timeout: float, reply: bool) -> bytes:
         """Have a message executed and return the reply, if one is expected, without waiting for one that is late."""
         if self._unread:
-            self._instrument.afg.fail(ScpiError(-410))
+            self._instrument.fail(ScpiError(-410))
         is_open = self._start == self._instrument.n_starts
         received = self._instrument.execute(message) if is_open else Reply(hang_up=True)
         self._unread = bool(received.data) and not reply

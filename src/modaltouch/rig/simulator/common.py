@@ -82,6 +82,15 @@ class OutputChannel(ABC):
         return 1.0 if math.isinf(self.load) else self.load / (self.load + SOURCE_IMPEDANCE)
 
 
+@dataclass(frozen=True)
+class Reply:
+    """The response of an instrument to a message."""
+
+    data: bytes = b""  # response message; empty if the message contained no query
+    delay: float = 0.0  # time until it can be read [s]; infinite for a reply that never arrives
+    hang_up: bool = False  # whether the connection is reset immediately
+
+
 C = TypeVar("C", bound=OutputChannel)
 
 
@@ -96,12 +105,16 @@ class GeneratorState(ABC, Generic[C]):
     clock: Clock = SYSTEM_CLOCK
     link: int = 0  # number of the link whose message is being executed; 0 for the front panel
     identity: str = ""  # reply to ``*IDN?``
-    lock: threading.RLock = field(default_factory=threading.RLock, repr=False)
+    lock: threading.RLock = field(default_factory=threading.RLock, repr=False)  # held while a message is executed
     channels: dict[int, C] = field(default_factory=dict, init=False)
+    table: CommandTable = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         self.errors: deque[str] = deque()
         self.timeline = Timeline(self.delays, self.seed)
+        # Executes a message that a fault affects; returns None for one that no fault affects.
+        self.intercept: Callable[[bytes, int], Reply | None] = lambda message, link: None
+        self.n_starts = 0  # number of power-ons, each of which ends all connections
         self.power_on()
 
     @abstractmethod
@@ -154,12 +167,26 @@ class GeneratorState(ABC, Generic[C]):
         """Start as after a power failure: outputs off, and defaults for everything volatile."""
         self.power_off()
         with self.lock:
+            self.n_starts += 1
             self.errors.clear()
             self.event_status = 128
             self.event_enable = self.service_enable = 0
             self.forget()
             self.reset()
             self.timeline.change(self.clock.now(), self._situation())
+
+    # messages
+
+    def execute(self, message: bytes, link: int = 1) -> Reply:
+        """Execute a message received over a link, one at a time."""
+        return self.intercept(message, link) or self.run(message, link)
+
+    def run(self, message: bytes, link: int) -> Reply:
+        """Execute a message without faults; link 0 is the front panel."""
+        with self.lock:
+            self.link = link
+            replies = self.table.run(message, fail=self.fail)
+        return Reply(b";".join(replies) + b"\n" if replies else b"")
 
     # errors and status
 
@@ -233,38 +260,6 @@ class GeneratorState(ABC, Generic[C]):
 
 
 State = GeneratorState[Any]
-
-
-@dataclass(frozen=True)
-class Reply:
-    """The response of an instrument to a message."""
-
-    data: bytes = b""  # response message; empty if the message contained no query
-    delay: float = 0.0  # time until it can be read [s]; infinite for a reply that never arrives
-    hang_up: bool = False  # whether the connection is reset immediately
-
-
-class SimulatedInstrument:
-    """Executes program messages from any link, one at a time."""
-
-    def __init__(self, afg: GeneratorState[Any], table: CommandTable) -> None:
-        self.afg = afg
-        self.busy = threading.RLock()  # held while a message is executed
-        # Executes a message that a fault affects; returns None for one that no fault affects.
-        self.intercept: Callable[[bytes, int], Reply | None] = lambda message, link: None
-        self.n_starts = 0  # power-ons after the first, each of which ends all connections
-        self._table = table
-
-    def execute(self, message: bytes, link: int = 1) -> Reply:
-        """Execute a message received over a link."""
-        return self.intercept(message, link) or self.run(message, link)
-
-    def run(self, message: bytes, link: int) -> Reply:
-        """Execute a message without faults; link 0 is the front panel."""
-        with self.busy:
-            self.afg.link = link
-            replies = self._table.run(message, fail=self.afg.fail)
-        return Reply(b";".join(replies) + b"\n" if replies else b"")
 
 
 def command_table(

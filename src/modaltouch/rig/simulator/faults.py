@@ -9,7 +9,7 @@ import time
 from dataclasses import dataclass
 from typing import Literal
 
-from modaltouch.rig.simulator.common import Reply, SimulatedInstrument
+from modaltouch.rig.simulator.common import Reply, State
 from modaltouch.rig.simulator.scpi import ScpiError
 
 Kind = Literal[
@@ -57,7 +57,7 @@ class Fault:
 class Faults:
     """The injected faults of an instrument, consumed by the messages that they affect."""
 
-    def __init__(self, instrument: SimulatedInstrument) -> None:
+    def __init__(self, instrument: State) -> None:
         self._instrument = instrument
         instrument.intercept = self._execute
         self._active: list[Fault] = []
@@ -100,9 +100,9 @@ class Faults:
         if not met:
             return None
         instrument = self._instrument
-        with instrument.busy:
+        with instrument.lock:
             if "power_cycle" in met:
-                instrument.afg.power_on()
+                instrument.power_on()
             if "power_cycle" in met or "dropped_connection" in met:
                 return Reply(hang_up=True)
             if "ignored_message" in met:
@@ -111,7 +111,7 @@ class Faults:
                 time.sleep(float(met["slow_command"].value))
             reply = instrument.run(_spoil_upload(message, met), link)
             if "scpi_error" in met:
-                instrument.afg.fail(ScpiError(int(float(met["scpi_error"].value))))
+                instrument.fail(ScpiError(int(float(met["scpi_error"].value))))
             if "front_panel" in met:
                 instrument.run(str(met["front_panel"].value).encode(), 0)
         return _spoil_reply(reply.data, met)

@@ -20,7 +20,7 @@ import typing
 from dataclasses import dataclass, field
 
 from modaltouch.rig.interface import RigError
-from modaltouch.rig.simulator.common import Reply, SimulatedInstrument
+from modaltouch.rig.simulator.common import Reply, State
 from modaltouch.rig.simulator.scpi import ScpiError
 
 SUCCESS, PROGRAM_UNAVAILABLE = 0, 1
@@ -138,13 +138,13 @@ class Vxi11Server:
 
     Parameters
     ----------
-    device : SimulatedInstrument
+    device : GeneratorState
         The instrument.
     port : int
         TCP port on 127.0.0.1; 0 for any free port.
     """
 
-    def __init__(self, device: SimulatedInstrument, port: int = 0) -> None:
+    def __init__(self, device: State, port: int = 0) -> None:
         self.device = device
         self._connections: dict[socket.socket, Links] = {}
         self._guard = threading.RLock()
@@ -154,7 +154,7 @@ class Vxi11Server:
         self._procedures: dict[int, tuple[typing.Callable[[_Link, bytes], bytes | None], int]] = {
             _WRITE: (self._write, 4),
             _READ: (self._read, 8),
-            _READ_STATUS: (lambda link, _: struct.pack(">I", device.afg.status_byte | (16 if link.leaving else 0)), 4),
+            _READ_STATUS: (lambda link, _: struct.pack(">I", device.status_byte | (16 if link.leaving else 0)), 4),
             _TRIGGER: (lambda link, _: device.run(b"*TRG", link.number).data, 0),
             _CLEAR: (self._clear, 0),
             **dict.fromkeys((_REMOTE, _LOCAL, _ENABLE_SERVICE, _DESTROY_LINK), (lambda link, _: None, 0)),
@@ -292,7 +292,7 @@ class Vxi11Server:
     def _open(self, links: Links) -> int:
         """Add a link to those of a connection and return its number."""
         with self._guard:
-            if self.n_links >= self.device.afg.behaviour.max_sessions:
+            if self.n_links >= self.device.behaviour.max_sessions:
                 raise _Refused(_OUT_OF_RESOURCES)
             number = next(self._numbers)
             links[number] = _Link(number)
@@ -312,7 +312,7 @@ class Vxi11Server:
         link.arriving += data
         if len(link.arriving) > LARGEST_MESSAGE:
             link.arriving.clear()
-            self.device.afg.fail(ScpiError(-363))
+            self.device.fail(ScpiError(-363))
         elif flags & _FLAG_END:
             message, link.arriving = bytes(link.arriving), bytearray()
             self._carry_out(link, message)
@@ -320,7 +320,7 @@ class Vxi11Server:
 
     def _carry_out(self, link: _Link, message: bytes) -> None:
         if link.leaving:
-            self.device.afg.fail(ScpiError(-410))
+            self.device.fail(ScpiError(-410))
             link.leaving = b""
         reply = self.device.execute(message, link.number)
         if reply.hang_up:
@@ -330,7 +330,7 @@ class Vxi11Server:
     def _read(self, link: _Link, parameters: bytes) -> bytes:
         _, size, io_timeout, _, flags, terminator = struct.unpack_from(">iIIIii", parameters)
         if not link.leaving:
-            self.device.afg.fail(ScpiError(-420))
+            self.device.fail(ScpiError(-420))
             link.ready_at = float("inf")
         wait = link.ready_at - time.monotonic()
         if wait > 0:
