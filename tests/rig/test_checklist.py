@@ -33,8 +33,8 @@ def usual(apparatus: Apparatus) -> list[dict[str, Any]]:
 @pytest.fixture(scope="module")
 def odd(apparatus: Apparatus) -> list[dict[str, Any]]:
     """Return the rows for an instrument that differs wherever it can."""
-    behaviour = Behaviour(timer_digits=4, copy_time=0.2, limit_violation="clip")
-    with Simulator(apparatus, behaviour=behaviour) as simulator:
+    with Simulator(apparatus, behaviour=Behaviour(timer_digits=4, limit_violation="clip")) as simulator:
+        simulator.faults.inject("slow_command", when="COPY USER4,EMEM;", value=0.2)
         simulator.front_panel("DATA:COPY USER4,EMEM")
         rows = check_rig(simulator.address, apparatus, patience=PATIENCE)
         assert simulator.outputs == (False, False)

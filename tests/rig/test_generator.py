@@ -623,6 +623,18 @@ def test_the_onset_is_after_the_relays_have_settled(loaded: Generator, clock: Vi
     assert firing.trigger_latency == "unknown"
 
 
+def test_a_first_trigger_that_was_not_understood_leaves_no_instant(loaded: Generator, simulator: Simulator) -> None:
+    """A trigger garbled on its way is accepted by the link: the error found at the end leaves the onset unknown."""
+    simulator.faults.inject("truncated_upload", when="TRIG:SEQ:IMM")
+    loaded.fire(0.1, n_bursts=3)
+    loaded.stop()
+    assert loaded.firing is not None
+    assert not loaded.firing.confirmed
+    assert "the generator reports -113" in loaded.firing.reason
+    counted = loaded.firing.bursts
+    assert (counted.played, counted.first_s, counted.uncertainty_s) == (None, None, None)
+
+
 def test_a_late_acknowledgement_does_not_bound_the_first_sample(loaded: Generator) -> None:
     """With a trigger acknowledged after 2.1 ms, the first sample may be up to a millisecond later than that."""
     assert loaded._sample_left((5.0, 5.0021)) == pytest.approx((5.0, 5.0031))

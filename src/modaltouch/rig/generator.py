@@ -280,7 +280,7 @@ class Generator(contextlib.AbstractContextManager["Generator"]):
             return
         self._longest_silence = max(self._longest_silence, self._clock.now() - self._last_beat)
         # Nothing is confirmed until the end of the stimulus is.
-        unknown = replace(firing.bursts, played=None, whole=None)
+        unknown = Bursts(firing.bursts.asked, dropped=firing.bursts.dropped)
         self.firing = replace(firing, reason="the end of the stimulus was not confirmed", bursts=unknown)
         try:
             report, fault = (None, ()) if at_once else self._ask_report(wait=True)
@@ -326,7 +326,8 @@ class Generator(contextlib.AbstractContextManager["Generator"]):
                 stalled = True
                 reasons.append(f"{report.dropped} of {report.due} bursts would have been too late and were left out")
         if faults:
-            bursts = replace(bursts, played=None, whole=None)
+            # Any trigger may have been lost, even the first.
+            bursts = Bursts(bursts.asked, dropped=bursts.dropped)
             # After a stall, the outputs were switched off by the watchdog.
             if not (stalled and all(fault.startswith("output ") for fault in faults)):
                 held_up = self._connection.guard.held_up()

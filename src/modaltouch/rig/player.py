@@ -42,9 +42,13 @@ class Player:
         self._bursts: tuple[Burst, ...] = ()
         self._chosen = 0
         self._by_burst: dict[int, tuple[Setting, ...]] = {}
-        self._settings: tuple[Setting, ...] = ()
         self._stopped = self._let_go = self._instrument.on_all(self._table.stopped)
         self._levels: tuple[Setting, ...] = ()
+
+    @property
+    def _settings(self) -> tuple[Setting, ...]:
+        """Settings of the selected burst, each of which was read back; empty unless its records are stored."""
+        return self._by_burst.get(self._chosen, ())
 
     @property
     def expected(self) -> tuple[Setting, ...]:
@@ -76,7 +80,7 @@ class Player:
         Without `repetition`, they are repeated as usual. Raises RigError if a burst has other channels than the
         instrument, does not begin and end at rest, or is to be repeated by a timer that the instrument lacks.
         """
-        self._bursts, self._settings, self._levels = (), (), ()
+        self._bursts, self._by_burst, self._levels = (), {}, ()
         self.repetition = repetition or self._usual
         if self.repetition == "timer" and self._table.timer is None:
             raise RigError(
@@ -102,8 +106,7 @@ class Player:
 
         If there are more records than memories, only those of the selected burst are uploaded.
         """
-        self._settings = self._levels = ()
-        self._by_burst = {}
+        self._by_burst, self._levels = {}, ()
         if not self._bursts:
             return
         channels = self._instrument.channels
@@ -125,7 +128,6 @@ class Player:
         self._controls.apply_each([*by_burst[self._chosen], *locks])
         guarded = self._limits.guarded_settings()
         self._by_burst = {number: (*guarded, *settings, *locks) for number, settings in by_burst.items()}
-        self._settings = self._by_burst[self._chosen]
 
     def choose(self, which: int) -> None:
         """Select the burst to be played from now on; if its records are stored, only settings change."""
@@ -135,7 +137,6 @@ class Player:
             return
         if self.holds(which):
             # The new settings are expected from here on, so that one that fails is found to differ and applied again.
-            self._settings = self._by_burst[which]
             self._controls.apply_each([setting for setting in self._settings if setting not in before])
         else:
             self.replay()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 
 from modaltouch.rig.simulator.afg import afg_twin
@@ -262,13 +263,40 @@ def test_forced_triggers_count_until_the_outputs_are_off(bench: Bench) -> None:
     assert bench.afg.playback(1) is None
 
 
-@pytest.mark.parametrize(("level", "code"), [("first", 8000), ("last", 8500), ("offset", 8191)])
-def test_the_idle_level_of_an_output(level: str, code: int) -> None:
-    """The three possible idle levels of the notes' first open question."""
-    bench = Bench(Behaviour(idle_level=level))  # type: ignore[arg-type]
+def test_an_output_rests_at_the_first_point(bench: Bench) -> None:
+    """The notes' first open question: as far as is known, not at the last point nor at the offset."""
     bench.upload([8000, 9000, 8500])
     bench.ask("SOUR1:FUNC USER1;:OUTP1 ON")
-    assert bench.afg.playback(1).idle_code == code  # type: ignore[union-attr]
+    assert bench.afg.playback(1).idle_code == 8000  # type: ignore[union-attr]
+
+
+def test_a_timer_tick_during_a_burst_is_lost(bench: Bench) -> None:
+    """A timer of 30 ms with bursts of 50 ms: every second tick counts, so that bursts are played every 60 ms."""
+    bench.upload([8191, 9000, 8191])
+    bench.ask("SOUR1:FUNC USER1;FREQ 20;:SOUR1:BURS:NCYC 1;STAT ON;:OUTP1 ON;:TRIG:TIM 30MS")
+    assert bench.afg.playback(1).period == pytest.approx(0.06)  # type: ignore[union-attr]
+
+
+def test_the_edit_memory_is_played(bench: Bench) -> None:
+    """EMEM is a waveform like the USER memories."""
+    bench.ask("DATA:DEF EMEM,1000;:DATA:DATA:LINE EMEM,1,0,1000,9990;:SOUR2:FUNC EMEM;:OUTP2 ON")
+    sent = bench.afg.playback(2)
+    assert sent is not None
+    assert np.frombuffer(sent.record, ">u2").tolist() == list(range(0, 10_000, 10))
+
+
+@pytest.mark.parametrize("setting", ["BURS:NCYC 3", "BURS:NCYC INF", "BURS:TDEL 5MS", "BURS:MODE GAT", "PHAS 90DEG"])
+def test_a_burst_that_is_not_simulated_plays_nothing(bench: Bench, setting: str) -> None:
+    """Only single cycles that follow their trigger at once; the setting itself is accepted, and its end restores it."""
+    bench.upload([8191, 9000, 8191])
+    bench.ask("SOUR1:FUNC USER1;:SOUR1:BURS:NCYC 1;:SOUR1:BURS:STAT ON;:OUTP1 ON;:TRIG:SOUR EXT;*TRG")
+    assert bench.afg.playback(1) is not None
+    assert bench.error(f"SOUR1:{setting}") == 0
+    assert bench.afg.playback(1) is None
+    bench.ask("*TRG")
+    assert bench.afg.playback(1) is None
+    bench.ask("SOUR1:BURS:NCYC 1;TDEL 0;MODE TRIG;:SOUR1:PHAS 0;*TRG")
+    assert bench.afg.playback(1) is not None
 
 
 def test_a_locked_memory_is_not_overwritten(bench: Bench) -> None:

@@ -144,9 +144,3 @@ def test_the_drive_is_a_staircase_or_filtered_by_the_pole(
     expected = volts * (1 - np.exp(-pole * time))
     expected[4:] = volts * np.exp(-pole * (time[4:] - 0.05))
     np.testing.assert_allclose(slow.at(time), expected, atol=1e-9 * volts)
-
-
-def test_a_timer_tick_during_a_burst_is_lost(playback: Callable[..., Playback], twin: Twin) -> None:
-    """A timer of 30 ms with bursts of 50 ms: every second tick counts, so that bursts are played every 60 ms."""
-    (held,) = twin.held_of([replace(playback(), period=0.03), None])
-    assert held.period == pytest.approx(0.06)

@@ -188,7 +188,7 @@ class Simulator(AbstractContextManager["Simulator"]):
         Parameters
         ----------
         instant : float
-            Time since a trigger [s]; the first sample leaves the generator at 0, or after its trigger delay.
+            Time since a trigger [s]; the first sample leaves the generator at 0.
         first : bool
             Whether the burst starts from rest rather than after many bursts.
         """

@@ -1,4 +1,7 @@
-"""A simulated AFG3022B: its state, and the SCPI commands of the AFG3000 series."""
+"""A simulated AFG3022B: its state, and the SCPI commands of the AFG3000 series.
+
+Not modelled: a channel with bursts of several cycles, gated or delayed bursts, or a phase plays nothing.
+"""
 
 from __future__ import annotations
 
@@ -131,21 +134,16 @@ class Afg(GeneratorState[Channel]):
 
     def sent(self, channel: Channel) -> Playback | None:
         """Return a single burst of a channel, or its record repeated without a trigger; None if it plays no record."""
-        if not channel.function.startswith(("USER", "EMEM")):
+        if not (channel.function.startswith(("USER", "EMEM")) and channel.is_simulated and channel.phase == 0):
             return None
         record = self.edit if channel.function == "EMEM" else self.user[int(channel.function[4:])]
         if record is None:
             return None
-        # The phase selects the point of the record at which a channel begins.
-        first = 2 * round(channel.phase / (2 * math.pi) * (len(record) // 2)) % len(record)
-        record = record[first:] + record[:first]
         sign = -1.0 if channel.polarity == "INV" else 1.0
-        idle = {"first": record[:2], "last": record[-2:]}.get(self.behaviour.idle_level)
-        idle_code = MID_CODE if idle is None else int.from_bytes(idle, "big")
+        # As far as is known, the output rests at the first point between bursts.
+        idle_code = int.from_bytes(record[:2], "big")
         level = sign * channel.amplitude, channel.offset
-        if math.isinf(channel.burst_length) or not channel.burst:
-            return Playback(record, *level, channel.cycle, channel.cycle, idle_code)
-        return Playback(record, *level, channel.cycle, math.inf, idle_code, int(channel.n_cycles), channel.delay)
+        return Playback(record, *level, channel.cycle, math.inf if channel.burst else channel.cycle, idle_code)
 
 
 def blank_record(n_points: int) -> bytes:
@@ -171,21 +169,15 @@ def amplitude_in_vpp(argument: Argument, channel: Channel) -> float:
     unit = named[1].upper() if named else channel.unit if bare else "VPP"
     if unit == "VPP":
         return read_number(argument, units={"V": 1.0, "VPP": 1.0}, minimum=low, maximum=high, default=DEFAULT * factor)
-    per_rms = _per_rms(channel, unit)
-    if unit == "VRMS":
-        bounds = low / per_rms, high / per_rms
-        return per_rms * read_number(argument, units={"VRMS": 1.0}, minimum=bounds[0], maximum=bounds[1])
-    least, most = (amplitude_in_unit(bound, channel, "DBM") for bound in (low, high))
-    level = read_number(argument, units={"DBM": 1.0}, minimum=least, maximum=most)
-    return per_rms * math.sqrt(MILLIWATT * channel.load * 10 ** (level / 10))
+    least, most = (amplitude_in_unit(bound, channel, unit) for bound in (low, high))
+    value = read_number(argument, units={unit: 1.0}, minimum=least, maximum=most)
+    rms = value if unit == "VRMS" else math.sqrt(MILLIWATT * channel.load * 10 ** (value / 10))
+    return rms * _per_rms(channel, unit)
 
 
 def amplitude_in_unit(vpp: float, channel: Channel, unit: str) -> float:
-    """Return an amplitude [V peak to peak at the load] in a unit.
-
-    The rms value of an arbitrary record is not computed; its amplitude is always in volts peak to peak.
-    """
-    if unit == "VPP" or channel.function not in PEAK_TO_PEAK_PER_RMS:
+    """Return an amplitude [V peak to peak at the load] in a unit."""
+    if unit == "VPP":
         return vpp
     rms = vpp / _per_rms(channel, unit)
     return rms if unit == "VRMS" else 10 * math.log10(rms**2 / channel.load / MILLIWATT)
@@ -275,12 +267,17 @@ def _levels(afg: Afg) -> dict[str, Command]:
             get=told(side),
         )
 
+    def shown_unit(number: int) -> str:
+        # The rms value of an arbitrary record is not computed; its amplitude is always in volts peak to peak.
+        channel = afg.channels[number]
+        return channel.unit if channel.function in PEAK_TO_PEAK_PER_RMS else "VPP"
+
     vpp = told("amplitude", LOWEST, HIGHEST)
     level = "[SOURce#]:VOLTage[:LEVel][:IMMediate]"
     return {
         f"{level}[:AMPLitude]": Command(
             set=amplitude,
-            get=lambda n, a: f"{amplitude_in_unit(float(vpp(n, a)), afg.channels[n], afg.channels[n].unit):.4E}",
+            get=lambda n, a: f"{amplitude_in_unit(float(vpp(n, a)), afg.channels[n], shown_unit(n)):.4E}",
         ),
         f"{level}:HIGH": common.edge(afg, 1, LOWEST, "{:.4E}"),
         f"{level}:LOW": common.edge(afg, -1, LOWEST, "{:.4E}"),
@@ -387,7 +384,6 @@ def _user_memories(afg: Afg) -> dict[str, Command]:
             number = _user(target)
             if afg.locked[number]:
                 raise ScpiError(-221, f"USER{number} is locked")
-            afg.clock.sleep(afg.behaviour.copy_time)
             # A channel playing this memory plays the new record.
             afg.user[number] = afg.edit
         else:

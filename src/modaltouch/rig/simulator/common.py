@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Generic, Literal, TypeVar
 
 from modaltouch.rig.simulator.scpi import (
+    Argument,
     Arguments,
     Command,
     CommandTable,
@@ -35,10 +36,7 @@ from modaltouch.system import SYSTEM_CLOCK, Clock
 class Behaviour:
     """Behaviour of the real instrument that is not publicly known, or differs between units."""
 
-    # level of the output between bursts: the ``first`` or ``last`` point, or the ``offset``
-    idle_level: Literal["first", "last", "offset"] = "first"
     timer_digits: int = 9  # significant digits of the trigger timer
-    copy_time: float = 0.0  # time to store a record in a USER memory [s]
     # whether an amplitude beyond VOLTage:LIMit is rejected (``error``) or reduced (``clip``)
     limit_violation: Literal["error", "clip"] = "error"
     max_sessions: int = 16  # maximum number of simultaneous links
@@ -72,9 +70,9 @@ class OutputChannel(ABC):
         """Length of one cycle [s]."""
 
     @property
-    def burst_length(self) -> float:
-        """Time from a trigger to the end of its burst [s]."""
-        return self.delay + self.n_cycles * self.cycle
+    def is_simulated(self) -> bool:
+        """Whether the channel, if in burst mode, plays one cycle at once: no other burst is simulated."""
+        return not self.burst or (self.burst_mode, self.n_cycles, self.delay) == ("TRIG", 1.0, 0.0)
 
     @property
     def load_factor(self) -> float:
@@ -236,22 +234,19 @@ class GeneratorState(ABC, Generic[C]):
             sent = self.sent(channel) if channel.output else None
             if sent is None or not channel.burst:
                 return sent
-            endless = math.isinf(channel.burst_length)
             if tick is not None:
-                # An infinite burst has a single trigger, the first.
-                return sent if endless else replace(sent, period=tick)
+                # A trigger during a burst is lost, and the next one counts.
+                return replace(sent, period=tick * max(1, math.ceil(sent.duration / tick - 1e-9)))
             triggers = self.timeline.triggers
-            if not triggers or endless:
+            if len(triggers) < 2:
                 return sent if triggers else None
-            interval = round(triggers[-1] - triggers[0], 3)
-            return sent if len(triggers) == 1 else replace(sent, period=max(interval, channel.burst_length))
+            return replace(sent, period=max(round(triggers[-1] - triggers[0], 3), sent.duration))
 
     def _situation(self) -> Situation:
         channels, pulses = tuple(self.channels.values()), self.delays.pulses
         heard = None if pulses is None or not self.takes_external_trigger else 1 / pulses
         return Situation(
             sent=tuple(self.sent(channel) for channel in channels),
-            length=tuple((each.n_cycles if each.burst else 1.0) * each.cycle for each in channels),
             in_burst=tuple(each.burst for each in channels),
             outputs=tuple(each.output for each in channels),
             tick=self.tick() or heard,
@@ -301,6 +296,9 @@ def common_commands(state: State) -> dict[str, Command]:
     def complete(_: int) -> None:
         state.event_status |= 1
 
+    def register(argument: Argument) -> int:
+        return whole((argument,), 0, 255)
+
     return {
         "*IDN": Command(get=bare(lambda _: state.identity)),
         "*OPT": Command(get=bare(lambda _: "0")),
@@ -310,8 +308,8 @@ def common_commands(state: State) -> dict[str, Command]:
         "*WAI": Command(set=bare(lambda _: None)),
         "*TST": Command(get=bare(lambda _: "0")),
         "*ESR": Command(get=bare(event_status)),
-        "*ESE": register(state, "event_enable", 255),
-        "*SRE": register(state, "service_enable", 255),
+        "*ESE": setting(state, "event_enable", register, str),
+        "*SRE": setting(state, "service_enable", register, str),
         "*STB": Command(get=bare(lambda _: str(state.status_byte))),
         "*TRG": Command(set=bare(lambda _: state.trigger())),
         "ABORt": Command(set=bare(lambda _: state.timeline.abort(state.clock.now()))),
@@ -319,12 +317,6 @@ def common_commands(state: State) -> dict[str, Command]:
         "SYSTem:ERRor[:NEXT]": Command(get=bare(lambda _: state.next_error())),
         "SYSTem:VERSion": Command(get=bare(lambda _: "1999.0")),
     }
-
-
-def register(state: State, name: str, highest: int) -> Command:
-    """Return the command for an enable register."""
-    read = bare(lambda _: str(getattr(state, name)))
-    return Command(set=lambda c, a: setattr(state, name, whole(a, 0, highest)), get=read)
 
 
 def bare(carry_out: Callable[[int], str | None]) -> Handler:
@@ -397,24 +389,23 @@ def edge(state: Any, sign: int, lowest: float, form: str) -> Command:
     return Command(set=change, get=read)
 
 
-def _holder(state: State, name: str) -> Callable[[int], Any]:
-    """Return a function that gives the holder of a setting for a channel number: the instrument, or that channel."""
-    return (lambda _: state) if hasattr(state, name) else (lambda number: state.channels[number])
+def setting(state: State, name: str, read: Callable[[Argument], object], show: Callable[[Any], str]) -> Command:
+    """Return the command for a setting of the instrument or of a channel, which `read` converts and `show` formats."""
+
+    def holder(number: int) -> Any:
+        return state if hasattr(state, name) else state.channels[number]
+
+    return Command(
+        set=lambda n, a: setattr(holder(n), name, read(one(a))),
+        get=bare(lambda n: show(getattr(holder(n), name))),
+    )
 
 
 def switch(state: State, name: str) -> Command:
-    """Return the command for a boolean setting of a channel or of the instrument."""
-    holder = _holder(state, name)
-    return Command(
-        set=lambda n, a: setattr(holder(n), name, read_boolean(one(a))),
-        get=bare(lambda n: flag(getattr(holder(n), name))),
-    )
+    """Return the command for a boolean setting."""
+    return setting(state, name, read_boolean, flag)
 
 
 def keyword(state: State, name: str, choices: tuple[str, ...]) -> Command:
-    """Return the command for a keyword setting of a channel or of the instrument."""
-    holder = _holder(state, name)
-    return Command(
-        set=lambda n, a: setattr(holder(n), name, read_choice(one(a), choices)),
-        get=bare(lambda n: str(getattr(holder(n), name))),
-    )
+    """Return the command for a keyword setting."""
+    return setting(state, name, lambda argument: read_choice(argument, choices), str)

@@ -2,7 +2,8 @@
 
 An amplitude is that of the record, from its lowest to its highest code, as implied by the guide's figure for "Sinc" and
 measured by users. Not modelled: filters (a record not played with FILTer OFF moves nothing), modulation, sweeps,
-sequences, pulses and ramps, amplitudes in VRMS and DBM, triggering one of two channels in burst mode.
+sequences, pulses and ramps, bursts of several cycles, gated or delayed bursts and those with a phase (nothing moves),
+amplitudes in VRMS and DBM, triggering one of two channels in burst mode.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from modaltouch.stimulus import Converter
 
 HIGHEST_CODE = 32767
 CONVERTER = Converter(HIGHEST_CODE, 1 << 22, 62.5e6, 4, 6, of_record=True, any_rate=True)
-"""Converter of the twin, independent of that of the driver; its limit on points allows for bursts of many cycles."""
+"""Converter of the twin, independent of that of the driver; its limit on points is higher."""
 
 MEMORY, FEWEST = 1 << 20, 8  # points of a channel's memory without options, and of the shortest record
 BUILT_IN = r"INT:\BUILTIN\EXP_RISE.ARB"
@@ -124,17 +125,14 @@ class Trueform(GeneratorState[TrueformChannel]):
     def sent(self, channel: TrueformChannel) -> Playback | None:
         """Return a single burst of a channel, or its record repeated without a trigger; None if it plays no record."""
         is_plain = (channel.function, channel.filter, channel.advance) == ("ARB", "OFF", "SRAT")
-        if not is_plain or channel.record is None or (channel.burst and channel.source != self.waiting.source):
+        starts = channel.is_simulated and channel.burst_phase == 0 and channel.source == self.waiting.source
+        if not is_plain or channel.record is None or (channel.burst and not starts):
             return None
         codes = (channel.record.astype(int) + HIGHEST_CODE).astype(">u2")
-        codes = np.roll(codes, -round(channel.burst_phase / 360 * codes.size) if channel.burst else 0)
         sign = -1.0 if channel.polarity == "INV" else 1.0
         level = sign * channel.amplitude / channel.span, sign * channel.offset
-        rest = {"first": int(codes[0]), "last": int(codes[-1])}.get(self.behaviour.idle_level, HIGHEST_CODE)
-        played = Playback(codes.tobytes(), *level, channel.cycle, channel.cycle, rest, converter=CONVERTER)
-        if not channel.burst or math.isinf(channel.n_cycles):
-            return played
-        return replace(played, period=math.inf, n_cycles=int(channel.n_cycles), delay=channel.delay)
+        period = math.inf if channel.burst else channel.cycle
+        return Playback(codes.tobytes(), *level, channel.cycle, period, int(codes[0]), converter=CONVERTER)
 
     def change(self, number: int, **settings: Any) -> None:
         """Change amplitude, offset or limits, into an open circuit [V]; reject outputs beyond the limits."""

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Self
 
 import numpy as np
 
-from modaltouch.rig.simulator.true_beam import LONGEST_SILENCE, ComplexArray, FloatArray, Held, refined
+from modaltouch.rig.simulator.true_beam import ComplexArray, FloatArray, Held, refined
 from modaltouch.stimulus import Amplifier, BlockKernel, DiagonalSystem
 
 SAME_POLE = 1e-6
@@ -86,10 +85,10 @@ class StateHistory:
         voltage, hold = refined(system, held)
         n_instants, end = voltage.shape[1], math.inf
         # Before a burst or after its period, another burst decays, which requires a whole burst.
-        if span[0] >= held.delay and span[1] < held.delay + held.period:
-            n_needed = int((span[1] - held.delay) / hold) + 2 + SPARE
+        if span[0] >= 0 and span[1] < held.period:
+            n_needed = int(span[1] / hold) + 2 + SPARE
             if n_needed < n_instants:
-                n_instants, end = n_needed, held.delay + (n_needed - 2) * hold
+                n_instants, end = n_needed, (n_needed - 2) * hold
         state = start_state(system, held)
         kernel = BlockKernel.of(system, np.empty((0, state.size), dtype=complex), hold)
         # One extra sample, so that the last instant is the end of the burst.
@@ -100,7 +99,7 @@ class StateHistory:
 
     def covers(self, span: tuple[float, float]) -> bool:
         """Test whether every instant of a span is computed."""
-        return math.isinf(self.end) or (span[0] >= self.held.delay and span[1] < self.end)
+        return math.isinf(self.end) or (span[0] >= 0 and span[1] < self.end)
 
     def motion(self, output: ComplexArray) -> Motion:
         """Return the motion of the output ``Re(output @ state)``; `output` is an (n_states,) complex array."""
@@ -275,11 +274,6 @@ def state_at(system: DiagonalSystem, held: Held, instant: float, *, first: bool)
 
     The instant is at most a period; the `first` burst starts from rest, others after many bursts.
     """
-    instant -= held.delay
-    if instant < 0:
-        if first or math.isinf(held.period):
-            return np.zeros(system.exponent.size, dtype=complex)
-        instant += held.period
     played = min(instant, held.duration + system.delay)
     state = system.state_at(held.voltage, held.timing, played)
     state = state * np.exp(system.exponent * (instant - played))
@@ -287,16 +281,6 @@ def state_at(system: DiagonalSystem, held: Held, instant: float, *, first: bool)
     if first or since < 0:
         return np.asarray(state)
     return np.asarray(state + np.exp(system.exponent * since) * start_state(system, held))
-
-
-def common_peak(system: DiagonalSystem, output: ComplexArray, parts: Sequence[Held]) -> float:
-    """Return the largest magnitude of an output for different bursts with a common period, to 3 parts in 1000."""
-    step = min(refined(system, part)[1] for part in parts) / 2
-    ends = max(part.delay + LONGEST_SILENCE * part.duration for part in parts)
-    span = 0.0, min(parts[0].period, ends)
-    times = np.arange(*span, step)
-    total = sum(StateHistory.of(system, part, span).motion(output).at(times) for part in parts)
-    return float(np.abs(total).max())
 
 
 def lagging(voltage: FloatArray, share: float, limit: float) -> FloatArray:

@@ -21,7 +21,7 @@ import numpy as np
 
 from modaltouch.protocol import Apparatus, InputError, Schedule
 from modaltouch.rig.simulator.timeline import Playback, PlayedBurst
-from modaltouch.rig.simulator.twin import MOST_SAMPLES, Twin
+from modaltouch.rig.simulator.twin import Twin
 from modaltouch.stimulus import Finger
 
 KINDS = (b'"event":"start"', b'"event":"placement"', b'"event":"hands_off"', b'"event":"trial"')
@@ -118,16 +118,12 @@ def _passed(playback: Playback | None, span: tuple[float, float] | None) -> Play
     """Return, as one record, the part of a burst between two instants since its first sample [s]."""
     if playback is None or span is None:
         return None
-    n_samples = len(playback.record) // 2
-    # Earlier cycles no longer affect the beam and are omitted.
-    before = max(
-        math.floor(span[0] / playback.duration), math.ceil(span[1] / playback.duration) - MOST_SAMPLES // n_samples
-    )
-    n_cycles = max(1, math.ceil(span[1] / playback.duration) - before)
-    codes = np.tile(np.frombuffer(playback.record, ">u2"), n_cycles)
-    start, end = ((instant / playback.duration - before) * n_samples for instant in span)
+    # Of a record repeated without triggers, only the cycle in which the span ends matters.
+    codes = np.frombuffer(playback.record, ">u2").copy()
+    before = max(0, math.ceil(span[1] / playback.duration) - 1)
+    start, end = ((instant / playback.duration - before) * codes.size for instant in span)
     codes[: max(math.floor(start), 0)] = codes[math.ceil(end) :] = playback.idle_code
-    return replace(playback, record=codes.tobytes(), duration=playback.duration * n_cycles, n_cycles=1)
+    return replace(playback, record=codes.tobytes())
 
 
 class FollowedSession:

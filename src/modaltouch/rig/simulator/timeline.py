@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from modaltouch.stimulus import Converter
 
 CONVERTER = Converter(mid_code=8191, max_points=1 << 22, clock_rate=250e6, amplitude_digits=4, amplitude_decimals=4)
-"""Converter of a twin of the AFG3022B, independent of that of the driver; its limit on points allows many cycles."""
+"""Converter of a twin of the AFG3022B, independent of that of the driver; its limit on points is higher."""
 
 MID_CODE = CONVERTER.mid_code
 """Code of the converter for 0 V."""
@@ -26,16 +26,14 @@ ROUNDING = 1e-9
 class Playback:
     """The output of one channel."""
 
-    record: bytes  # codes of one cycle, two bytes each, big-endian
+    record: bytes  # codes, two bytes each, big-endian
     # amplitude, offset: amplitude of the full range of codes [V peak to peak] and offset [V], into an open circuit
     amplitude: float
     offset: float
-    duration: float  # length of one cycle [s]
-    # time from one trigger to the next [s]; infinite for a single trigger, one cycle if repeated without triggers
+    duration: float  # of the record [s]
+    # time from one trigger to the next [s]; infinite for a single trigger, `duration` if repeated without triggers
     period: float
     idle_code: int  # code at which the output rests between bursts
-    n_cycles: int = 1  # cycles per burst
-    delay: float = 0.0  # time from a trigger to its burst [s]
     converter: Converter = CONVERTER  # converter of the codes to voltages
 
 
@@ -54,8 +52,6 @@ class Situation:
 
     # output of each channel while its relay is closed: a single burst, or a record repeated without a trigger
     sent: tuple[Playback | None, ...] = ()
-    # duration of the burst of each channel, or of a cycle if repeated without a trigger [s]
-    length: tuple[float, ...] = ()
     in_burst: tuple[bool, ...] = ()  # whether each channel waits for triggers
     outputs: tuple[bool, ...] = ()  # whether each output is commanded on
     tick: float | None = None  # time between triggers without commands [s]; None if there are none
@@ -123,7 +119,7 @@ class Timeline:
         if before == situation:
             return
         self._cycle_length, self._reach = _cycle_length(situation), _reach(situation)
-        if (before.sent, before.length, before.in_burst) != (situation.sent, situation.length, situation.in_burst):
+        if (before.sent, before.in_burst) != (situation.sent, situation.in_burst):
             self._cut(now)
             self.align(now)
         if (before.outputs, before.tick) != (situation.outputs, situation.tick):
@@ -205,8 +201,7 @@ class Timeline:
         spans = {}
         for channel, sent in enumerate(situation.sent):
             if sent is not None and situation.in_burst[channel] == in_burst:
-                first = begin + (sent.delay if in_burst else 0.0)
-                spans[channel] = first, first + (situation.length[channel] if in_burst else self._cycle_length)
+                spans[channel] = begin, begin + (sent.duration if in_burst else self._cycle_length)
         if spans and self.caught is None and any(situation.outputs) and (situation.shows_bursts or not in_burst):
             self.caught = tuple(s if on else None for s, on in zip(situation.sent, situation.outputs, strict=True))
         if spans:
@@ -279,16 +274,14 @@ class Timeline:
 
 def _cycle_length(situation: Situation) -> float:
     """Return the cycle length of records repeated without a trigger, on the slower channel [s]; 0 for none."""
-    rows = zip(situation.sent, situation.length, situation.in_burst, strict=True)
-    length = max((length for sent, length, in_burst in rows if sent is not None and not in_burst), default=0.0)
+    rows = zip(situation.sent, situation.in_burst, strict=True)
+    length = max((sent.duration for sent, in_burst in rows if sent is not None and not in_burst), default=0.0)
     return length * math.ceil(FINEST / length) if length else 0.0
 
 
 def _reach(situation: Situation) -> float:
     """Return the largest age of events that still matter, including the interval between triggers [s]."""
-    lengths = [length for length in situation.length if math.isfinite(length)]
-    delays = [sent.delay for sent in situation.sent if sent is not None]
-    return 3 * max([situation.tick or 0.0, *lengths]) + max(delays, default=0.0)
+    return 3 * max([situation.tick or 0.0, *(sent.duration for sent in situation.sent if sent is not None)])
 
 
 def _after(now: float, origin: float, period: float) -> float:

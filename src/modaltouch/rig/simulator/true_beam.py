@@ -151,7 +151,6 @@ class Held:
     rest: FloatArray  # (n_channels,): voltage at rest, between bursts [V]
     duration: float  # duration of one burst [s]
     period: float  # time from one burst to the next [s]; infinite for a single burst
-    delay: float = 0.0  # time from a trigger (at 0) to its burst [s]
     converter: Converter = CONVERTER
 
     @property
@@ -172,8 +171,6 @@ class Held:
 
     def within_period(self, time: FloatArray) -> FloatArray:
         """Return times since the start of the latest burst [s]; times before a single burst stay negative."""
-        if self.delay:
-            time = time - self.delay
         if math.isinf(self.period):
             return time
         return time if time.min() >= 0 and time.max() < self.period else np.mod(time, self.period)

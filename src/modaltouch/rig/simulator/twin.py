@@ -26,9 +26,6 @@ if TYPE_CHECKING:
     from modaltouch.rig.simulator.motion import StateHistory, TrueState
     from modaltouch.stimulus import Finger
 
-MOST_SAMPLES = 1 << 22
-"""Largest number of samples computed per burst, over all its cycles."""
-
 SETTINGS_KEPT = 64
 """Number of cached settings with peaks, and of cached beams with fingers."""
 
@@ -116,8 +113,8 @@ class Twin:
     ) -> TrueState:
         """Return the true state of the beam at an instant, not available from any instrument of the twin.
 
-        The `instant` is the time since a trigger [s]: the first sample leaves the generator at 0, or after its trigger
-        delay, and moves the beam after the amplifier's delay. The `first` burst starts from rest, others after many.
+        The `instant` is the time since a trigger [s]: the first sample leaves the generator at 0 and moves the beam
+        after the amplifier's delay. The `first` burst starts from rest, others after many.
         """
         from modaltouch.rig.simulator.motion import TrueState, state_at
 
@@ -162,12 +159,7 @@ class Twin:
                 codes = np.frombuffer(playback.record, ">u2").astype(float)
                 rest[channel] = np.clip((playback.idle_code - zero) * scale + shift, -limit, limit)
                 voltage[channel] = np.clip((codes - zero) * scale + shift, -limit, limit) - rest[channel]
-        # Earlier cycles no longer affect the beam when the last ones end.
-        n_cycles = min(first.n_cycles, max(1, MOST_SAMPLES // n_samples))
-        duration = first.duration * n_cycles
-        # A trigger during a burst or its delay is lost, and the next one counts.
-        triggers = max(1.0, np.ceil((first.delay + first.duration * first.n_cycles) / first.period - 1e-9))
-        return Held(np.tile(voltage, n_cycles), rest, duration, first.period * triggers, first.delay, first.converter)
+        return Held(voltage, rest, first.duration, first.period, first.converter)
 
     def _is_linear(self, playbacks: Sequence[Playback | None]) -> bool:
         """Test whether the motion of the beam is proportional to the level."""
@@ -194,11 +186,7 @@ class Twin:
             pressed = PressedBeam.of(self.beam, self.amplifier, fingers, press, stretch)
             return np.asarray(np.abs(shapes.T @ pressed.velocities(*refined(system, parts[0]))).max(axis=1))
         output = shapes.T @ system.velocity
-        if len(parts) > 1 and len({part.period for part in parts}) == 1:
-            from modaltouch.rig.simulator.motion import common_peak
-
-            return np.array([common_peak(system, row, parts) for row in output])
-        # Bursts with different periods drift relative to each other, so that their peaks eventually coincide.
+        # Channels with different clocks drift relative to each other, so that their peaks eventually coincide.
         peaks = (BlockStates.of(system, held.voltage, held.timing).peak(output) for held in parts)
         return sum(peaks, np.zeros(len(positions)))
 
@@ -208,13 +196,13 @@ def _once(setting: Setting) -> Setting:
     playing = [playback for playback in setting if playback is not None]
     if len({_clock(playback) for playback in playing}) > 1:
         return setting
-    if playing[0].period <= playing[0].delay + playing[0].duration * playing[0].n_cycles:
+    if playing[0].period <= playing[0].duration:
         return setting
     return tuple(playback and replace(playback, period=math.inf) for playback in setting)
 
 
 def _clock(playback: Playback) -> tuple[float, ...]:
-    return len(playback.record), playback.duration, playback.period, playback.n_cycles, playback.delay
+    return len(playback.record), playback.duration, playback.period
 
 
 @functools.lru_cache(maxsize=8)
