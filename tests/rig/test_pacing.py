@@ -242,17 +242,15 @@ def test_coarse_system_timer_ticks_do_not_delay_bursts() -> None:
     assert beam.triggered == pytest.approx([10.0 + n * PERIOD for n in range(14)], abs=1e-6)
 
 
-def test_close_ends_a_pacer_without_a_thread() -> None:
+def test_a_step_after_the_end_only_ends_a_pacer() -> None:
     """No burst follows, even if one is due."""
     clock = VirtualClock(10.0)
     beam = Beam(clock)
-    for finish, ended in ((Pacer.close, "asked"), (Pacer.end, "")):
-        pacer = Pacer(ORDER, beam.trigger, lambda: 0.0, clock)
-        finish(pacer)
-        assert pacer.report.ended == ended
-        pacer.step()
-        assert pacer.report.ended == "asked"
-        assert pacer.due is None
+    pacer = Pacer(ORDER, beam.trigger, lambda: 0.0, clock)
+    pacer.end()
+    pacer.step()
+    assert pacer.report.ended == "asked"
+    assert pacer.due is None
     assert beam.triggered == []
 
 

@@ -125,13 +125,3 @@ def test_a_power_cycle_ends_the_connection_within_a_process(apparatus: Apparatus
         assert rig.firing is not None
         assert not rig.firing.confirmed
         assert "the instrument closed the connection" in rig.firing.reason
-
-
-def test_an_unread_reply_is_an_error_within_a_process(apparatus: Apparatus) -> None:
-    """The next message interrupts it, -410, as over a network (IEEE 488.2, 6.3.2.3)."""
-    clock = VirtualClock(0.0)
-    with Simulator(apparatus, clock=clock) as simulator:
-        transport = LocalClient(simulator.afg, clock)
-        transport.exchange(b"*IDN?\n", timeout=1.0, reply=False)
-        assert transport.exchange(b"SYST:ERR?\n", timeout=1.0, reply=True).startswith(b"-410,")
-        assert transport.exchange(b"SYST:ERR?\n", timeout=1.0, reply=True).startswith(b"0,")

@@ -101,11 +101,6 @@ class Pacer:
         """Trigger no further burst."""
         self._asked_to_end.set()
 
-    def close(self) -> None:
-        """Trigger no further burst; for a pacer without a thread in `run`."""
-        self.end()
-        self._end_if_over()
-
     def step(self) -> None:
         """Trigger the burst due now, and drop overdue ones."""
         report, order = self.report, self.order

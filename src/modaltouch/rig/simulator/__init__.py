@@ -21,7 +21,6 @@ from modaltouch.protocol import Apparatus
 from modaltouch.rig.pacing import Order, Pacer, Report
 from modaltouch.rig.simulator.afg import afg_twin
 from modaltouch.rig.simulator.common import Behaviour, Reply, State
-from modaltouch.rig.simulator.scpi import ScpiError
 from modaltouch.rig.simulator.timeline import Delays, Playback
 from modaltouch.rig.simulator.twin import Twin
 from modaltouch.system import SYSTEM_CLOCK, Clock, VirtualClock
@@ -283,20 +282,17 @@ class LocalClient:
         self._instrument = instrument
         self._clock = clock
         self._pacer: Pacer | None = None
-        self._start, self._unread = instrument.n_starts, False
+        self._start = instrument.n_starts
 
     def open(self) -> str:
         """Begin a connection, and return how other programs are locked out."""
-        self._start, self._unread = self._instrument.n_starts, False
+        self._start = self._instrument.n_starts
         return "no other program can reach it"
 
     def exchange(self, message: bytes, *, timeout: float, reply: bool) -> bytes:
         """Have a message executed and return the reply, if one is expected, without waiting for one that is late."""
-        if self._unread:
-            self._instrument.fail(ScpiError(-410))
         is_open = self._start == self._instrument.n_starts
         received = self._instrument.execute(message) if is_open else Reply(hang_up=True)
-        self._unread = bool(received.data) and not reply
         if received.hang_up:
             raise ConnectionResetError("the instrument closed the connection")
         if reply and (not received.data or received.delay > timeout):
@@ -345,7 +341,8 @@ class LocalClient:
     def report(self, *, wait: bool) -> Report:
         """Trigger no further burst and return the report; with `wait`, after the end of the last burst."""
         if self._pacer is not None:
-            self._pacer.close()
+            self._pacer.end()
+            self._pacer.step()
             if wait:
                 self._clock.sleep(self._pacer.silent_from - self._clock.now())
         return self.look()
