@@ -22,7 +22,7 @@ from modaltouch.rig.simulator.keysight33500b import HIGHEST_CODE, keysight_twin
 from modaltouch.system.clock import VirtualClock
 
 PROTOCOLS = Path(__file__).parents[3] / "protocols"
-NO_ERROR = '0,"No error"'
+NO_ERROR = '+0,"No error"'
 
 
 @pytest.fixture(scope="session")

@@ -95,6 +95,11 @@ class Trueform(GeneratorState[TrueformChannel]):
         self.channels = {1: TrueformChannel(), 2: TrueformChannel()}
         self.byte_order, self.trigger_output = "NORM", False
 
+    def next_error(self) -> str:
+        """Remove the oldest error and return it, its number with a sign."""
+        error = super().next_error()
+        return error if error.startswith("-") else f"+{error}"
+
     @property
     def waiting(self) -> TrueformChannel:
         """The first channel in burst mode; the other plays only if it has the same trigger source."""
