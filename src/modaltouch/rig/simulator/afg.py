@@ -1,6 +1,7 @@
 """A simulated AFG3022B: its state, and the SCPI commands of the AFG3000 series.
 
-Not modelled: a channel with bursts of several cycles, gated or delayed bursts, or a phase plays nothing.
+Not modelled: bursts of several cycles, gated or delayed bursts, and those with a phase. A trigger of one plays nothing
+and logs a warning.
 """
 
 from __future__ import annotations
@@ -40,7 +41,6 @@ class Channel(OutputChannel):
 
     function: str = "SIN"
     frequency: float = 1e6
-    phase: float = 0.0
     n_cycles: float = 5.0
     symmetry: float = 50.0
     duty_cycle: float = 50.0
@@ -134,7 +134,7 @@ class Afg(GeneratorState[Channel]):
 
     def sent(self, channel: Channel) -> Playback | None:
         """Return a single burst of a channel, or its record repeated without a trigger; None if it plays no record."""
-        if not (channel.function.startswith(("USER", "EMEM")) and channel.is_simulated and channel.phase == 0):
+        if not (channel.function.startswith(("USER", "EMEM")) and channel.is_simulated):
             return None
         record = self.edit if channel.function == "EMEM" else self.user[int(channel.function[4:])]
         if record is None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import math
 import threading
 from abc import ABC, abstractmethod
@@ -43,6 +44,8 @@ class Behaviour:
     queue_depth: int = 32  # capacity of the error queue
 
 
+_log = logging.getLogger(__name__)
+
 SOURCE_IMPEDANCE = 50.0
 """Output impedance of every channel [ohm]."""
 
@@ -63,6 +66,7 @@ class OutputChannel(ABC):
     burst_mode: str = "TRIG"
     n_cycles: float = 1.0
     delay: float = 0.0
+    phase: float = 0.0
 
     @property
     @abstractmethod
@@ -71,8 +75,8 @@ class OutputChannel(ABC):
 
     @property
     def is_simulated(self) -> bool:
-        """Whether the channel, if in burst mode, plays one cycle at once: no other burst is simulated."""
-        return not self.burst or (self.burst_mode, self.n_cycles, self.delay) == ("TRIG", 1.0, 0.0)
+        """Whether the channel, if in burst mode, plays one whole cycle at once: no other burst is simulated."""
+        return not self.burst or (self.burst_mode, self.n_cycles, self.delay, self.phase) == ("TRIG", 1.0, 0.0, 0.0)
 
     @property
     def load_factor(self) -> float:
@@ -214,6 +218,9 @@ class GeneratorState(ABC, Generic[C]):
         with self.lock:
             if not any(channel.burst for channel in self.channels.values()):
                 raise ScpiError(-211, "no channel is in burst")
+            if any(channel.output and not channel.is_simulated for channel in self.channels.values()):
+                # The instrument would play them, so that there is no error in its queue.
+                _log.warning("the twin plays no burst of several cycles, gated, delayed or with a phase")
             self.timeline.trigger(self.clock.now(), self.link)
 
     def align(self) -> None:

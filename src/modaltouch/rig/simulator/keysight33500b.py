@@ -48,7 +48,6 @@ class TrueformChannel(OutputChannel):
     name: str = BUILT_IN
     record: Codes | None = field(default=None, compare=False)
     burst_period: float = 10e-3
-    burst_phase: float = 0.0
     source: str = "IMM"
     timer: float = 1.0
 
@@ -130,7 +129,7 @@ class Trueform(GeneratorState[TrueformChannel]):
     def sent(self, channel: TrueformChannel) -> Playback | None:
         """Return a single burst of a channel, or its record repeated without a trigger; None if it plays no record."""
         is_plain = (channel.function, channel.filter, channel.advance) == ("ARB", "OFF", "SRAT")
-        starts = channel.is_simulated and channel.burst_phase == 0 and channel.source == self.waiting.source
+        starts = channel.is_simulated and channel.source == self.waiting.source
         if not is_plain or channel.record is None or (channel.burst and not starts):
             return None
         codes = (channel.record.astype(int) + HIGHEST_CODE).astype(">u2")
@@ -292,7 +291,7 @@ def _triggers(state: Trueform) -> dict[str, Command]:
         "[SOURce#]:BURSt:STATe": common.switch(state, "burst"),
         "[SOURce#]:BURSt:MODE": common.keyword(state, "burst_mode", ("TRIGgered", "GATed")),
         "[SOURce#]:BURSt:NCYCles": common.number(state, "n_cycles", {}, 1, 1e8, NUMBER, endless=True),
-        "[SOURce#]:BURSt:PHASe": common.number(state, "burst_phase", {"DEG": 1.0}, -360, 360, NUMBER),
+        "[SOURce#]:BURSt:PHASe": common.number(state, "phase", {"DEG": 1.0}, -360, 360, NUMBER),
         "[SOURce#]:BURSt:INTernal:PERiod": common.number(state, "burst_period", {"S": 1.0}, 1e-6, 8000, NUMBER),
         "TRIGger#:SOURce": common.keyword(state, "source", ("IMMediate", "EXTernal", "TIMer", "BUS")),
         "TRIGger#:TIMer": common.number(state, "timer", {"S": 1.0}, 1e-6, 8000, NUMBER),
