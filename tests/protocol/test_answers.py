@@ -133,7 +133,7 @@ def test_vowel_signs_and_places_to_break_make_no_word_too_long(edit: Edit, label
             "shorten it, or write a soft hyphen (U+00AD) or zero-width space (U+200B) where it may break",
         ),
         ("ทั้งสองนิ้วรู้สึกเหมือนกันมาก", "answers.rechts: given a word of 20 letters on a button; allowed: at most 17"),
-        ("'Press {key}'", "answers.rechts: given {key} in 'Press {key}'; allowed: exactly no words in braces"),
+        ("'Press {key}'", "answers.rechts: given {key} in 'Press {key}'; allowed: no words in braces"),
     ],
 )
 def test_unusable_labels_are_refused(edit: Edit, label: str, fault: str) -> None:

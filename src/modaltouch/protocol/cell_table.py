@@ -50,10 +50,12 @@ def with_cells(source: Source, root: Node, table: Source | None) -> tuple[Node, 
         found = [node for row in rows if (node := row.child(own)) is not None]
         found = found if own == "pair" else [each for node in found for each in node.children]
         if found:
-            # 80 and 80.0 are the same level.
-            keys = [each if isinstance(each := node.plain(), (int, float)) else str(each) for node in found]
-            unlike = [node for place, node in enumerate(found) if keys[place] not in keys[:place]]
-            conditions = conditions.with_child(key, Node(unlike, cells.line, cells.column, file=cells.file))
+            unlike: dict[object, Node] = {}
+            for node in found:
+                # 80 and 80.0 are the same level.
+                value = node.plain()
+                unlike.setdefault(value if isinstance(value, (int, float)) else str(value), node)
+            conditions = conditions.with_child(key, Node([*unlike.values()], cells.line, cells.column, file=cells.file))
     return root.with_child("conditions", conditions), problems
 
 

@@ -148,23 +148,6 @@ def _check_stimulus(reading: Reading[Protocol]) -> Iterator[Problem]:
             f"a band that contains a multiple of {rate:g} Hz below {n_samples / duration / 2:g} kHz",
             "widen it",
         )
-    n_decomposed = reading.sound(*section, "decomposed_modes")
-    for index, label in reading.items(*section, "selected_modes"):
-        if n_decomposed is not None and label > n_decomposed:
-            yield reading.problem(
-                (*section, "selected_modes", index),
-                f"{label}, which is beyond the {n_decomposed} decomposed modes",
-                f"1 to {n_decomposed}",
-                "raise decomposed_modes or leave it out",
-            )
-    n_selected = reading.sound(*section, "selected_modes")
-    if n_decomposed is not None and isinstance(n_selected, int) and n_selected > n_decomposed:
-        yield reading.problem(
-            (*section, "selected_modes"),
-            f"{n_selected}, more than the {n_decomposed} decomposed modes",
-            f"1 to {n_decomposed}",
-            "raise decomposed_modes or select fewer",
-        )
 
 
 def _check_laws(reading: Reading[Protocol]) -> Iterator[Problem]:
@@ -357,18 +340,26 @@ def _check_zones(protocol: Reading[Protocol], apparatus: Reading[Apparatus]) -> 
 
 
 def _check_modes(protocol: Reading[Protocol], apparatus: Reading[Apparatus]) -> Iterator[Problem]:
-    if (n_modes := apparatus.length("modes")) is None:
+    if not (n_modes := apparatus.length("modes")):
         return
     labels = [apparatus.sound("modes", index, "label") for index in range(n_modes)]
-    path = ("stimulus", "selected_modes")
+    path, n_decomposed = ("stimulus", "selected_modes"), protocol.sound("stimulus", "decomposed_modes") or math.inf
     selection = protocol.sound(*path)
-    if isinstance(selection, int) and selection > n_modes:
-        given = f"{selection}, more than the {n_modes} modelled modes"
-        yield protocol.problem(path, given, f"1 to {n_modes}", "select fewer or add modes to the apparatus")
+    if isinstance(selection, int) and selection > min(n_modes, n_decomposed):
+        most, kind, raised = min(
+            (n_modes, "modelled", "add modes to the apparatus"), (n_decomposed, "decomposed", "raise decomposed_modes")
+        )
+        given = f"{selection}, more than the {most} {kind} modes"
+        yield protocol.problem(path, given, f"1 to {most}", f"select fewer or {raised}")
     allowed = ", ".join(map(str, labels))
     for index, label in protocol.items(*path) if None not in labels else ():
         if label not in labels:
             yield protocol.problem((*path, index), f"{label}, which is not a modelled mode", allowed)
+        elif label > n_decomposed:
+            given = f"{label}, which is beyond the {n_decomposed} decomposed modes"
+            yield protocol.problem(
+                (*path, index), given, f"1 to {n_decomposed}", "raise decomposed_modes or leave it out"
+            )
     yield from _check_sampling(protocol, apparatus, n_modes)
 
 

@@ -292,7 +292,7 @@ def check_contacts(reading: Reading[Any]) -> Iterator[Problem]:
 def _check_zones(reading: Reading[Any]) -> Iterator[Problem]:
     given = [key for key in ("zones", "zone_pairs") if reading.find(("conditions", key)) is not None]
     is_listed = any(reading.find(("conditions", key)) is not None for key in ("cells", "table"))
-    is_absent = not given and not reading.problems  # it may be there, misspelt
+    is_absent = not given and not reading.has_unknown_key("conditions")
     if (is_absent or len(given) == 2) and not is_listed and reading.find(("conditions",)) is not None:
         what = "both zones and zone_pairs" if given else "neither zones nor zone_pairs"
         yield reading.problem(
@@ -382,7 +382,7 @@ def _check_answers(reading: Reading[Any], names: list[str], number: int) -> Iter
 def check_way(reading: Reading[Any], name: str) -> Iterator[Problem]:
     """Yield a problem if the way to answer needs a free hand while both hands are on the beam."""
     way = reading.sound("answers", "ways", name)
-    is_free = way == "free_hand" or (way is None and not reading.problems)  # it may be there, misspelt
+    is_free = way == "free_hand" or (way is None and not reading.has_unknown_key("answers"))
     if reading.sound("answers", "given_by") != "experimenter" and is_free:
         path = ("answers", "ways", name) if way else ("answers",)
         yield reading.problem(

@@ -13,7 +13,7 @@ from modaltouch.protocol.conditions import check_way
 from modaltouch.protocol.reading import Reading
 from modaltouch.protocol.sections import Protocol
 from modaltouch.protocol.source import EMPTY, Problem
-from modaltouch.protocol.stimulus_sections import STANDARD_LEVEL
+from modaltouch.protocol.stimulus_sections import STANDARD_LEVEL, StimulusSection
 
 WHOLE = 5e-3
 """Tolerance of a duration for rounding in the file [bursts]."""
@@ -77,15 +77,21 @@ def _check_written_once(protocol: Reading[Protocol]) -> Iterator[Problem]:
 def _check_period(protocol: Reading[Protocol], apparatus: Reading[Apparatus]) -> Iterator[Problem]:
     is_single = (apparatus.sound("generator", "repetition") or "single") == "single"
     most, why = (MOST_OF_PERIOD, ", so that a burst is over before the next is triggered") if is_single else (1.0, "")
-    shared = {key: protocol.sound("stimulus", key) for key in ("duration_ms", "repetition_rate_Hz")}
+    usual = {key: StimulusSection.model_fields[key].default for key in ("duration_ms", "repetition_rate_Hz")}
+    shared = {key: protocol.sound("stimulus", key) for key in usual}
     for own in (None, *(protocol.sound("stimuli") or ())):
         section = ("stimulus",) if own is None else ("stimuli", own)
         duration, rate = (protocol.sound(*section, key) or shared[key] for key in shared)
-        # The later of the two keys, in which a group or a stimulus differs from what all share.
         written = {key: node.line for key in shared if (node := protocol.find((*section, key)))}
         if duration is None or rate is None or not written or duration * rate <= most * 1e3:
             continue
-        key = max(written, key=written.__getitem__)
+        # The key that alone is too long or too fast for the usual value of the other; of two such, or none, the later
+        # one, in which a group or a stimulus differs from what all share.
+        alone = {
+            "duration_ms": duration * usual["repetition_rate_Hz"],
+            "repetition_rate_Hz": rate * usual["duration_ms"],
+        }
+        key = max(written, key=lambda each: (alone[each] > most * 1e3, written[each]))
         other, unit = (rate, "ms") if key == "duration_ms" else (duration, "bursts per second")
         yield protocol.problem(
             (*section, key),

@@ -30,7 +30,7 @@ def draw_intervals(section: IntervalsSection, conditions: Sequence[Condition], s
 def check_intervals(reading: Reading[Any]) -> Iterator[Problem]:
     """Yield a problem for each inconsistency between ``intervals`` and the other sections, as far as they are valid."""
     path, meanings = ("intervals",), reading.items("answers", "intervals")
-    if meanings and reading.keys(*path) is None and not reading.problems:  # it may be there, misspelt
+    if meanings and reading.keys(*path) is None and not reading.has_unknown_key():
         yield reading.problem(
             ("answers", "intervals"),
             "meanings of answers, but a trial has a single stimulus",

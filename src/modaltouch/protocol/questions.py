@@ -285,14 +285,15 @@ def check_key(reading: Reading[Any], path: tuple[str | int, ...], name: str) -> 
             path,
             f"'{name}', which is not the name of a key",
             "left, right, up, down, space, enter, letters, digits, num_0 to num_9, f1 to f20 and the like",
-            f"did you mean '{meant}'?" if meant else "write it in small letters",
+            f"did you mean '{meant}'?" if meant else "write one of these",
         )
 
 
 def check_questions(reading: Reading[Any]) -> Iterator[Problem]:
     """Yield the problems of a scale in place of the answers, of further questions, and of the form."""
     answers, has_scale = ("answers",), bool(reading.keys("answers", "scale"))
-    if reading.keys(*answers) is not None and not has_scale and reading.find((*answers, "keys")) is None:
+    is_absent = reading.keys(*answers) is not None and not has_scale and reading.find((*answers, "keys")) is None
+    if is_absent and not reading.has_unknown_key(*answers):
         yield reading.problem(
             (*answers, "keys"), "nothing", "a mapping", "add the missing key `keys`, or describe a `scale`"
         )

@@ -75,6 +75,12 @@ class Reading(Generic[Model]):
         node = self.find(path)
         return list(node.content) if node is not None and isinstance(node.content, dict) else None
 
+    def has_unknown_key(self, *section: Step) -> bool:
+        """Test whether a section has an unknown key, which may be a missing one misspelt."""
+        from modaltouch.protocol.wording import keys_of
+
+        return not {*(self.keys(*section) or ())} <= {*keys_of(self.model, section)}
+
     def length(self, *path: Step) -> int | None:
         """Return the number of entries of the list at a path; None if there is no list."""
         node = self.find(path)
@@ -161,7 +167,9 @@ def read_tree(source: Source, model: type[Model], root: Node | None, problems: I
         # Only here, since valid files need no words.
         from modaltouch.protocol.wording import problems_of
 
-        problems += problems_of(bare, error)
+        # A value that is no plain YAML is not reported again as one of the wrong kind.
+        placed = {(problem.line, problem.column) for problem in problems}
+        problems += [each for each in problems_of(bare, error) if (each.line, each.column) not in placed]
     return Reading(source, model, root, None if problems else value, tuple(problems))
 
 

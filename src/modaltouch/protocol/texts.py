@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import string
 import unicodedata
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Annotated
 
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator
@@ -49,16 +49,22 @@ def _check_text(text: str, wanted: frozenset[str] = frozenset(), optional: froze
     """Validate a text: not empty, with all required placeholders, and no others except the optional ones."""
     if not text.strip():
         raise fault(*EMPTY)
-    needed = ", ".join(f"{{{name}}}" for name in sorted(wanted)) or "no words in braces"
+    needed = _in_braces(wanted)
+    if optional:
+        needed += f", and if you like {_in_braces(optional)}"
     try:
         fields = [field for field in string.Formatter().parse(text) if field[1] is not None]
     except ValueError as error:
         raise fault(f"{text!r} ({error})", needed, "close every brace") from None
     found = {str(name) for _, name, _, _ in fields}
     if found - optional != wanted or any(spec or conversion for _, _, spec, conversion in fields):
-        given = ", ".join(f"{{{name}}}" for name in sorted(found)) or "no words in braces"
-        raise fault(f"{given} in {text!r}", f"exactly {needed}", "write each of them once")
+        remedy = "write each of them once" if wanted else "leave the others out"
+        raise fault(f"{_in_braces(found)} in {text!r}", f"exactly {needed}" if wanted else needed, remedy)
     return text
+
+
+def _in_braces(names: Iterable[str]) -> str:
+    return ", ".join(f"{{{name}}}" for name in sorted(names)) or "no words in braces"
 
 
 _PLACE = {"x-allowed": "the name of an installed font's file, without folders, or its absolute path"}
@@ -201,7 +207,8 @@ class Texts(Section):
         if isinstance(text, str):
             optional = _OPTIONAL.get(name, frozenset())
             if name == "instructions":
-                optional = frozenset(each for each in optional if info.data.get(each))
+                # One that is itself invalid is reported at its own key.
+                optional = frozenset(each for each in optional if info.data.get(each, True))
             _check_text(text, _PLACEHOLDERS.get(name, frozenset()), optional)
         return text
 

@@ -11,7 +11,7 @@ from pydantic import BaseModel, ValidationError
 
 from modaltouch.protocol.section import LARGEST, SMALLEST, Step, adapter, plain_word
 from modaltouch.protocol.source import Problem, suggest
-from modaltouch.protocol.tree import Node
+from modaltouch.protocol.tree import Node, resolve
 
 
 def problems_of(reading: Any, error: ValidationError) -> list[Problem]:
@@ -130,12 +130,20 @@ def _remedy(reading: Any, path: tuple[Step, ...], node: Node | None) -> str:
     allowed = describe(reading.model, path)
     if node is None:
         return ""
+    item = allowed.partition(", each ")[2] if allowed.startswith("a list of at least") else ""
+    words = _BETWEEN.split(node.text)
+    if item and not item.startswith(("a list", "a mapping")) and words[0]:
+        return f"write [{', '.join(words)}]"
     if isinstance(node.content, str):
         number, after = suggest_number(node.content) if "number" in allowed else ("", "")
         if number:
             unit = unit_of(path)
+            if after == "%" != unit:
+                return f"write it as a share: {float(number) / 100:g}"
             only = f"write only the number: {number}" + ("; the unit is part of the key" if unit and after else "")
             return f"write the number in {unit}, without the unit" if unit and after not in ("", unit) else only
+        if "number" in allowed and len(words) > 1 and all(isinstance(resolve(word), int | float) for word in words):
+            return f"write each number by itself, as in {', '.join(words)}"
         meant = suggest(node.content, allowed.split(", "))
         return f"did you mean '{meant}'?" if meant else ""
     if allowed == "text" and not isinstance(node.content, list | dict | None):
@@ -143,6 +151,10 @@ def _remedy(reading: Any, path: tuple[Step, ...], node: Node | None) -> str:
     if isinstance(node.content, float) and "whole number" in allowed and node.content == node.content // 1:
         return f"write {node.content:.0f}"
     return ""
+
+
+_BETWEEN = re.compile(r"\s*[;,]\s*|\s+")
+"""What separates the items of a list that is written as one word."""
 
 
 def describe(model: type[BaseModel], path: Iterable[Step]) -> str:
@@ -244,6 +256,7 @@ _UNITS = {
     "N_s_per_m": "N s/m",
     "mm_s": "mm/s",
     "V_per_V": "V/V",
+    "percent": "%",
     "mm_s_per_V": "mm/s per V",
     "mm_s2_per_V": "mm/s^2 per V",
 }
