@@ -31,7 +31,10 @@ DRIFT = 0.05
 
 def examine_several(findings: Findings, examine: Callable[[Findings], Preflight], shared: set[Problem]) -> Preflight:
     """Check a protocol with several stimuli, each on its own and all together, with their `shared` problems."""
-    variants = {name: examine(alone) for name, alone in findings.each_stimulus()}
+    variants = {
+        name: examine(replace(alone, problems=(*alone.problems, *findings.problems)))
+        for name, alone in findings.each_stimulus()
+    }
     problems = {
         problem
         for name, part in variants.items()

@@ -210,10 +210,11 @@ def examine_findings(findings: Findings) -> Preflight:
         problems = set(first.problems).union(*(each.problems for each in others))
         return replace(first, problems=tuple(sorted(problems)), others=tuple(others))
     reading = findings.protocol
-    if reading is not None and reading.value is not None and reading.value.stimuli and not findings.problems:
+    if reading is not None and reading.value is not None and reading.value.stimuli and findings.apparatus is not None:
         from modaltouch.preflight.designs import examine_several
 
-        return examine_several(findings, examine_findings, {*Schedule.check(findings), *_check_masking_level(findings)})
+        shared = findings.problems or (*Schedule.check(findings), *_check_masking_level(findings))
+        return examine_several(findings, examine_findings, {*shared})
     inputs = find_design_inputs(findings)
     if findings.fingers is not None and inputs is not None and not findings.problems:
         from modaltouch.preflight.designs import examine_placements
