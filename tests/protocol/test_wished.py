@@ -101,8 +101,11 @@ def test_invalid_points_are_refused_with_their_position(edit: Edit, what: str, s
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("", "field.csv:1:1: given the columns of an empty file"),
-        ("place,speed\n0,1\n", "field.csv:1:1: given the columns place, speed; allowed: position_mm, velocity"),
+        ("", "field.csv:1:1: given a table without the columns position_mm, velocity"),
+        (
+            "place,speed\n0,1\n",
+            "field.csv:1:1: given a table without the columns position_mm, velocity; allowed: position_mm, velocity",
+        ),
         ("position_mm,velocity\n0,1\nx,2\n", "field.csv:3:1: given 'x,2'; allowed: two finite numbers"),
         ("position_mm,velocity\n0,1\n1,nan\n", "field.csv:3:1: given '1,nan'"),
         ("position_mm,velocity\n0,1\n", "field.csv:1:1: given 1 points; allowed: at least 2"),

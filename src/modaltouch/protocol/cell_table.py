@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import math
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -77,44 +77,56 @@ def without_derived(reading: Reading[Any]) -> tuple[Problem, ...]:
     return tuple(each for each in reading.problems if not each.path.startswith(derived))
 
 
+_Line = tuple[int, dict[str, tuple[str, int]]]
+"""Number of a line, and its fields by column, each with its start column."""
+
+
 def _read_table(source: Source) -> tuple[Node, list[Problem]]:
     """Return the rows of a table of cells in the form of a protocol's list, and the problems of the table."""
-    path, rows, problems = str(source.path), list[Node](), list[Problem]()
+    lines, problems = _read_lines(source, _REQUIRED, COLUMNS)
+    return Node([_row(str(source.path), *line) for line in lines], 1, 1, file=str(source.path)), problems
+
+
+def _read_lines(
+    source: Source, required: Sequence[str], known: Sequence[str] = ()
+) -> tuple[list[_Line], list[Problem]]:
+    """Return the lines of a table with its fields, and its problems; without `known` columns, it may have any."""
+    path, rows, problems = str(source.path), list[_Line](), list[Problem]()
     lines = source.text.splitlines()
     header = lines[0] if lines else ""
     separator = next((mark for mark in ",;\t" if mark in header), ",")
     names = [name for name, _ in _fields(header, separator)]
-    missing = [name for name in _REQUIRED if name not in names]
+    missing, allowed = [name for name in required if name not in names], ", ".join(known or required)
     for name, column in _fields(header, separator):
-        if name not in COLUMNS or names.count(name) > 1:
-            meant = suggest(name, set(COLUMNS) - set(names))
+        if names.count(name) > 1 or (known and name not in known):
+            meant = suggest(name, set(known) - set(names))
             missing = [each for each in missing if each != meant]
             remedy = f"did you mean '{meant}'?" if meant else "remove it"
             if name in StimulusVariant.model_fields:
                 remedy = f"give it to the `stimuli` of the protocol ({name}), and name one in the column stimulus"
-            problems.append(
-                Problem(path, 1, column, "", f"the column {name!r}", f"once each: {', '.join(COLUMNS)}", remedy)
-            )
+            problems.append(Problem(path, 1, column, "", f"the column {name!r}", f"once each: {allowed}", remedy))
     if missing:
         given = f"a table without the column{'s' * (len(missing) > 1)} {', '.join(missing)}"
-        problems.append(Problem(path, 1, 1, "", given, ", ".join(COLUMNS), "name the columns in the first line"))
+        problems.append(Problem(path, 1, 1, "", given, allowed, "name the columns in the first line"))
+    if problems:
+        return rows, problems
     for number, line in enumerate(lines[1:], start=2):
         fields = _fields(line, separator)
-        if not line.strip() or problems and problems[0].line == 1:
+        if not line.strip():
             continue
-        if len(fields) != len(names):
-            given, allowed = f"{len(fields)} field{'s' * (len(fields) != 1)}", f"{len(names)}, one for each column"
-            remedy = "correct the line"
-            if line.count('"') % 2:
-                given, allowed, remedy = "an unpaired quotation mark", "quotation marks in pairs", "close it"
-            elif separator == "," and len(fields) > len(names):
-                remedy += "; a decimal comma splits a number into two fields: write 80.5"
-            problems.append(Problem(path, number, 1, "", given, allowed, remedy))
+        if len(fields) == len(names):
+            rows.append((number, dict(zip(names, fields, strict=True))))
             continue
-        rows.append(_row(path, number, dict(zip(names, fields, strict=True))))
+        given, wanted = f"{len(fields)} field{'s' * (len(fields) != 1)}", f"{len(names)}, one for each column"
+        remedy = "correct the line"
+        if line.count('"') % 2:
+            given, wanted, remedy = "an unpaired quotation mark", "quotation marks in pairs", "close it"
+        elif separator == "," and len(fields) > len(names):
+            remedy += "; a decimal comma splits a number into two fields: write 80.5"
+        problems.append(Problem(path, number, 1, "", given, wanted, remedy))
     if not rows and not problems:
-        problems.append(Problem(path, 1, 1, "", "a table without rows", "at least one cell", "write one to a line"))
-    return Node(rows, 1, 1, file=path), problems
+        problems.append(Problem(path, 1, 1, "", "a table without rows", "at least one", "write one to a line"))
+    return rows, problems
 
 
 def _fields(line: str, separator: str) -> list[tuple[str, int]]:
@@ -250,31 +262,16 @@ def are_crossed(conditions: Mapping[str, Any], stimuli: Iterable[str] = ()) -> b
 def read_points(source: Source) -> tuple[Points, list[Problem]]:
     """Read the points in a file, positions [mm] and relative velocities; return points and problems."""
     path, remedy = str(source.path), "write one line per point, such as `-20,0.5`"
-    rows = list(csv.reader(source.text.splitlines()))
-    header = [cell.strip() for cell in rows[0]] if rows else []
-    if not set(POINT_COLUMNS) <= set(header):
-        return (), [
-            Problem(
-                path,
-                1,
-                1,
-                "",
-                f"the columns {', '.join(header) or 'of an empty file'}",
-                ", ".join(POINT_COLUMNS),
-                "name them in the first line",
-            )
-        ]
-    places = [header.index(name) for name in POINT_COLUMNS]
-    points, problems, lines = [], [], []
-    for line, row in enumerate(rows[1:], 2):
-        if not row:
-            continue
-        cells = [_number(row[place]) if place < len(row) else math.nan for place in places]
-        if not all(map(math.isfinite, cells)):
-            problems.append(Problem(path, line, 1, "", repr(",".join(row)), "two finite numbers", remedy))
-            continue
-        points.append((cells[0], cells[1]))
-        lines.append(line)
+    rows, problems = _read_lines(source, POINT_COLUMNS)
+    points, lines = list[tuple[float, float]](), list[int]()
+    for line, fields in rows:
+        position, velocity = (_number(fields[name][0]) for name in POINT_COLUMNS)
+        if math.isfinite(position) and math.isfinite(velocity):
+            points.append((position, velocity))
+            lines.append(line)
+        else:
+            given = repr(",".join(word for word, _ in fields.values()))
+            problems.append(Problem(path, line, 1, "", given, "two finite numbers", remedy))
     if len(points) < 2 and not problems:
         problems.append(Problem(path, 1, 1, "", f"{len(points)} points", "at least 2", remedy))
     problems += [
@@ -284,8 +281,5 @@ def read_points(source: Source) -> tuple[Points, list[Problem]]:
     return tuple(points), problems
 
 
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return math.nan
+def _number(word: str) -> float:
+    return float(number) if isinstance(number := resolve(word), (int, float)) else math.nan
