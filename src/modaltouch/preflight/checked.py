@@ -197,13 +197,23 @@ class Preflight:
 
         return drive_arrays({name: part.sound for name, part in self.designs.items()})
 
-    def explore(self, **asked: Any) -> dict[str, Any]:
-        """Return the requested explorations of a single stimulus; arguments as for `exploration.explore`."""
-        from modaltouch.preflight.exploration import explore
+    def explore(
+        self, *, sensitivity: bool = False, contrast: bool = False, tolerance: float | None = None
+    ) -> dict[str, Any]:
+        """Return the requested explorations of a single stimulus, by name."""
+        from modaltouch.preflight.exploration import contrast_figures, sample_figures, sensitivity_figures
 
         placed = {name: part.sound for name, part in self.of_one_stimulus().placed.items()}
-        pairs = map("-".join, self.experiment.protocol.conditions.contacts)
-        return explore(self.sound, placed, tuple(pairs), **asked)
+        asked: dict[str, Any] = {}
+        if sensitivity:
+            first = {"placement": next(iter(placed))} if placed else {}
+            asked["sensitivity"] = {**first, **sensitivity_figures(*self.sound)}
+        if contrast:
+            pairs = map("-".join, self.experiment.protocol.conditions.contacts)
+            asked["contrast"] = [*contrast_figures(placed or dict.fromkeys(pairs, self.sound))]
+        if tolerance is not None:
+            asked["samples"] = sample_figures(*self.sound, tolerance)
+        return asked
 
     def as_dict(self, *, compare: bool = False, fingers: str | None = None) -> dict[str, Any]:
         """Return all results as plain values, as printed by ``modaltouch check --json``.

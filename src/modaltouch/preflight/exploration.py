@@ -23,26 +23,6 @@ SPREAD: dict[str, Any] = {"natural_frequency": 0.001, "damping_ratio": 0.02, "mo
 """Relative standard deviations of randomly drawn beams [1]."""
 
 
-def explore(
-    sound: Design,
-    placed: dict[str, Design],
-    pairs: tuple[str, ...],
-    *,
-    sensitivity: bool = False,
-    contrast: bool = False,
-    tolerance: float | None = None,
-) -> dict[str, Any]:
-    """Return the requested explorations by name."""
-    asked: dict[str, Any] = {}
-    if sensitivity:
-        asked["sensitivity"] = {**({"placement": next(iter(placed))} if placed else {}), **sensitivity_figures(*sound)}
-    if contrast:
-        asked["contrast"] = [*contrast_figures(placed or dict.fromkeys(pairs, sound))]
-    if tolerance is not None:
-        asked["samples"] = sample_figures(*sound, tolerance)
-    return asked
-
-
 def sensitivity_figures(inputs: DesignInputs, stimulus: Stimulus) -> dict[str, Any]:
     """Return the sensitivity of the field at the focus to errors of the beam's parameters."""
     from modaltouch.stimulus import focus_sensitivity, scatter

@@ -80,16 +80,6 @@ def comparison(preflight: Preflight) -> list[dict[str, Any]]:
     return [stimulus_figures(inputs, compared, level) for level in inputs.levels.values()]
 
 
-def _touched(preflight: Preflight, fingers: str | None) -> list[dict[str, dict[str, Any]]]:
-    """Return the figures of each level of each stimulus under fingers, by placement."""
-    findings = preflight.findings if fingers is None else preflight.findings.under(fingers)
-    return [
-        row
-        for part in preflight.parts.values()
-        for row in touched_figures(findings, {name: each.sound for name, each in part.by_placement.items()})
-    ]
-
-
 def _levels(preflight: Preflight, fingers: str | None) -> list[dict[str, Any]]:
     """Return the figures of each level; with fingers, those of the first placement and under each placement."""
     if preflight.problems:
@@ -101,7 +91,13 @@ def _levels(preflight: Preflight, fingers: str | None) -> list[dict[str, Any]]:
     ]
     if fingers == "none" or (fingers is None and preflight.findings.fingers is None):
         return rows
-    return [{**row, "touched": each} for row, each in zip(rows, _touched(preflight, fingers), strict=True)]
+    findings = preflight.findings if fingers is None else preflight.findings.under(fingers)
+    touched = [
+        each
+        for part in preflight.parts.values()
+        for each in touched_figures(findings, {name: each.sound for name, each in part.by_placement.items()})
+    ]
+    return [{**row, "touched": each} for row, each in zip(rows, touched, strict=True)]
 
 
 def _warnings(preflight: Preflight) -> list[str]:

@@ -15,7 +15,6 @@ import copy
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import product
 from typing import Any
 
 import numpy as np
@@ -212,12 +211,7 @@ class Levels:
         self._quests: dict[Run, Quest] = {}
         if adaptive is not None and adaptive.method == "quest_plus":
             # Built in advance, so that the first trial is not delayed.
-            blank = Quest(self._bounds, to_dB(adaptive.start_mm_s), adaptive.guess_rate, adaptive.lapse_rate)
-            fingers, contacts = protocol.conditions.finger_conditions, protocol.conditions.contacts
-            self._quests |= {
-                (finger_condition, *zones[::order], name): copy.copy(blank)
-                for finger_condition, zones, name, order in product(fingers, contacts, protocol.stimulus_names, (1, -1))
-            }
+            self._blank = Quest(self._bounds, to_dB(adaptive.start_mm_s), adaptive.guess_rate, adaptive.lapse_rate)
 
     def settle(self, trial: Trial, answered: Iterable[Mapping[str, Any]], algorithm: str = "") -> Trial:
         """Return a scheduled trial with its actual level.
@@ -242,7 +236,7 @@ class Levels:
             start, successes = to_dB(adaptive.start_mm_s), [success for _, success in before]
             level = follow(adaptive.staircase, start, self._bounds, successes)
         else:
-            level = self._quests[run].next_level(before)
+            level = self._quests.setdefault(run, copy.copy(self._blank)).next_level(before)
         return replace(trial, condition=replace(trial.condition, velocity_mm_s=from_dB(level, self._range)))
 
     def _history(

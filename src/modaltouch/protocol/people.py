@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
+import numpy as np
 from pydantic import Field, TypeAdapter, ValidationError, create_model, model_validator
 
 from modaltouch.protocol.reading import Reading
 from modaltouch.protocol.section import Number, Section, Text, described
 from modaltouch.protocol.source import Problem, fault
-
-if TYPE_CHECKING:
-    import numpy as np
 
 
 class PersonField(Section):

@@ -6,16 +6,14 @@ The tree is built from parser events, so that nesting, aliases and tags are chec
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import Any, NoReturn
 
 import yaml
 
 from modaltouch.protocol.source import Problem, Source, format_path
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 Scalar = str | int | float | bool | None
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import itertools
-from bisect import bisect_right
 from collections import Counter
 from pathlib import Path
 from typing import Any
