@@ -30,8 +30,11 @@ def measurement_delay(evidences: Sequence[Evidence]) -> float:
     """
     missed = [_missed(each, mean_velocity(each.field)) for each in evidences]
     for evidence, as_given in zip(evidences, missed, strict=True):
-        places, mirrored = evidence.field.positions, mean_velocity(evidence.field)[::-1]
-        if np.allclose(places, -places[::-1]) and _missed(evidence, mirrored).min() < EXPLAINED * as_given.min():
+        places, velocity = evidence.field.positions, mean_velocity(evidence.field)
+        least = EXPLAINED * as_given.min()
+        if _missed(evidence, -velocity).min() < least:
+            raise RecordInputError(INVERTED)
+        if np.allclose(places, -places[::-1]) and _missed(evidence, velocity[::-1]).min() < least:
             raise RecordInputError(
                 "the field is the mirror image of the predicted one: count positions from mid-beam, positive to the "
                 "participant's right, check which output drives which patches, and measure again"
@@ -95,6 +98,14 @@ NEAR, AROUND = 0.25e-3, 1e-3
 FEWEST_INSTANTS = 64
 """Minimum number of samples around the focusing instant."""
 
+UNSTEADY = 0.1
+"""Largest deviation of a record's size from that of the mean of the records at its point [1]."""
+
+INVERTED = (
+    "the velocity has the opposite sign of the predicted one: invert the signal of the vibrometer, or the drive of all "
+    "outputs if it is inverted, and measure again"
+)
+
 
 def _fault_at(scan: Scan, odd: NDArray[np.bool_], fault: str) -> RecordInputError:
     """Return the error for a fault of some points of a scan, with their positions unless all points have it."""
@@ -146,7 +157,7 @@ class ModalFit:
             )
 
     def refuse_odd_points(self, scan: Scan) -> None:
-        """Refuse points with an offset, another factor than the field, a delay, or a velocity unlike the modes there.
+        """Refuse points whose records differ, or with an offset, another factor than the field, a delay, or other modes.
 
         The velocity of each point is fitted by that of the modes there, its derivative, and a constant.
         """
@@ -160,13 +171,23 @@ class ModalFit:
         factor, late, offset = np.array(fits).T
         rest = measured - np.einsum("pc,pct->pt", fits, columns)
         left, power = np.square(rest).mean(axis=1), np.square(expected).mean(axis=1)
+        # Near a node the velocity is mostly that of modes which are not predicted.
+        known = power > 0.25 * np.median(power)
+        velocity, mean = scan.velocity, mean_velocity(scan)
+        size = np.einsum("prt,pt->pr", velocity, mean) / np.maximum(np.square(mean).sum(axis=1), 1e-30)[:, None]
+        odd = known & (np.abs(size - 1).max(axis=1) > UNSTEADY)
+        if odd.any():
+            fault = f"the records differ in size by up to {np.ptp(size[odd], axis=1).max():.0%} of their mean"
+            remedy = "check focus and fastening of the sensor, and that nothing touches the beam"
+            raise _fault_at(scan, odd, f"{fault}: {remedy}")
         # A point that moves unlike the modes there seems to have an offset, too.
         odd = (np.abs(factor - 1) < ALIKE - 1) & (offset**2 > 4 * left)
         odd &= np.abs(offset) > OFFSET * self.evidence.velocity
         if odd.any():
-            fault = f"the velocity has a constant offset of {np.median(offset[odd]) * 1e3:.2g} mm/s"
-            raise _fault_at(scan, odd, f"{fault}: set the offsets of vibrometer and scope to zero, or use a high-pass")
-        self._refuse_odd_factors(scan, factor * (expected * predicted).sum() / np.square(predicted).sum(), power)
+            fault = f"the velocity has a constant offset of up to {np.abs(offset[odd]).max() * 1e3:.2g} mm/s"
+            remedy = "set the offsets of vibrometer and scope to zero, connect them to one earth, or use a high-pass"
+            raise _fault_at(scan, odd, f"{fault}: {remedy}")
+        self._refuse_odd_factors(scan, factor * (expected * predicted).sum() / np.square(predicted).sum(), known)
         delay = late / factor
         if scan is self.evidence.field:
             delay -= np.median(delay)
@@ -181,15 +202,17 @@ class ModalFit:
         odd = (left > UNLIKE * np.median(power)) & (left > STANDS_OUT * np.median(left))
         # Off the mid-line there is torsion, which is not predicted.
         if odd.any() and not scan.across:
-            fault = "the velocity is not that of the beam there: check the positions and their order, and focus and"
+            fault = (
+                "the velocity is not that of the beam there: check the positions and their order, and focus, range and"
+            )
             raise _fault_at(scan, odd, f"{fault} fastening of the sensor")
 
-    def _refuse_odd_factors(self, scan: Scan, times: FloatArray, power: FloatArray) -> None:
+    def _refuse_odd_factors(self, scan: Scan, times: FloatArray, known: NDArray[np.bool_]) -> None:
         """Refuse points that move by another factor of the prediction than the others, or a field that does."""
-        # Near a node the velocity is mostly that of modes which are not predicted.
-        known = power > 0.25 * np.median(power)
         common = float(np.median(times[known]))
         odd = known & ~((times / common > 1 / ALIKE) & (times / common < ALIKE))
+        if common < 0 and not odd.any():
+            raise RecordInputError(INVERTED)
         allowed = f"at the other points {common:.2f} times"
         # The findings state a common factor of the zones.
         if scan is self.evidence.field and not odd.any() and not 1 / PLAUSIBLE < common < PLAUSIBLE:
