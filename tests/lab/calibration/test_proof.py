@@ -294,6 +294,36 @@ def test_unidentifiable_rigs_are_refused(
         ).run()
 
 
+@pytest.mark.parametrize(
+    ("departures", "seed", "message"),
+    [
+        (
+            {"limit_V": 30.0},
+            323,
+            r"the amplifier saturates: the measured peaks of output 1 are \d\d% below the predicted 1\d\d V, allowed 10%",
+        ),
+        (
+            {"frequency_drift": 1e-4},
+            322,
+            r"mode 3 near 25\d\d Hz looks like two resonances; the outputs are off; the beam drifts",
+        ),
+    ],
+    ids=["saturated probes", "drift during a probe"],
+)
+def test_gains_that_differ_have_other_causes_than_wiring(
+    preflight: Preflight,
+    shipped_apparatus: Apparatus,
+    make_bench: Callable,
+    departures: dict[str, float],
+    seed: int,
+    message: str,
+) -> None:
+    """An amplifier that clips the probes, and a beam that drifts during one, halve the gain of a mode."""
+    bench = make_bench(spoilt(shipped_apparatus, **departures), seed)
+    with pytest.raises(RigError, match=message):
+        CalibrationLoop(bench, shipped_apparatus, preflight.inputs).run()
+
+
 @pytest.mark.parametrize("accept", [False, True])
 def test_a_calibration_beyond_its_limits_is_written_only_with_accept(
     accept: bool, outcome: CalibrationResult, edit: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -36,6 +36,7 @@ from modaltouch.lab.calibration.file import (
     write_calibration,
 )
 from modaltouch.lab.calibration.plant import (
+    DriveDelay,
     ModalState,
     Plant,
     fit_drive,
@@ -44,6 +45,8 @@ from modaltouch.lab.calibration.plant import (
     predicted_drive,
 )
 from modaltouch.lab.calibration.plausibility import (
+    CLEARLY_LACKING,
+    MOST_LACKING,
     common_factor,
     mark_of,
     refuse_changing_beam,
@@ -62,7 +65,7 @@ from modaltouch.preflight import DesignInputs, Preflight, design_to_fit, examine
 from modaltouch.protocol import Apparatus, InputError, Problem, Protocol
 from modaltouch.record import prepare_file
 from modaltouch.rig import RigError
-from modaltouch.stimulus import Correction, Stimulus
+from modaltouch.stimulus import Burst, Correction, Stimulus
 
 
 def calibrate(
@@ -253,7 +256,7 @@ class CalibrationLoop:
         # The stimulus designed from the apparatus file assumes the amplifier gain given there.
         self._refuse_beyond_limit(float(self._listed.peak_voltage.max()) * max(plant.drive.gain))
         turns = [self._measure(0, self._listed, plant)]
-        self._drives("drive before", self._listed, plant)
+        self._drives("drive before", self._listed.burst, plant.drive, self._asked[-1])
         corrected_target = listed_target = np.stack([self._target, np.zeros_like(self._target)])
         stimulus = self._corrected(refined, self._correction(corrected_target))
         low, high = COMMON_FACTORS
@@ -284,7 +287,7 @@ class CalibrationLoop:
         levels = self._levels(plant, refined, correction, best.state)
         correction = replace(correction, corrections=tuple((level.velocity, level.factor) for level in levels))
         stimulus = self._corrected(refined, correction)
-        drives = self._drives("drive", stimulus, plant)
+        drives = self._drives("drive", stimulus.burst, plant.drive, self._asked[-1])
         halfway_level = min(self._asked, key=lambda level: abs(level - self._reference / 2))
         self._recorder.begin(f"at {halfway_level * 1e3:g} mm/s", self._points.size)
         halfway = self._turn(len(turns), stimulus, plant, halfway_level, HEADROOM * halfway_level)
@@ -325,11 +328,11 @@ class CalibrationLoop:
         drive = fit_drive(self._recorder.drive(burst, float(np.abs(commanded).max())), commanded, timing)
         refuse_implausible_drive(drive)
         self._recorder.wait_for(drive)
-        rows, voltages, time = [], [], np.zeros(0)
+        rows, bursts, time = [], list[Burst](), np.zeros(0)
         for channel in range(listed.model.n_channels):
             self._recorder.begin(f"modes, by output {channel + 1}", self._points.size)
             burst = identifying_burst(probe_voltage(listed.model, timing, channel), listed, highest)
-            voltages.append(burst.commanded(listed.to_beam))
+            bursts.append(burst)
             time, decay = self._recorder.decays(burst, burst.velocity, self._points)
             rows.append(decay)
         since = time / (1 + drive.clock) - timing.focusing_instant
@@ -343,11 +346,18 @@ class CalibrationLoop:
             drive,
             decays,
             self._shapes,
-            voltages,
+            [burst.commanded(listed.to_beam) for burst in bursts],
             timing,
             None if corner is None else corner * 1e3,
         )
-        refuse_implausible_plant(plant, listed.model, self._recorder.margin)
+        try:
+            refuse_implausible_plant(plant, listed.model, self._recorder.margin)
+        except RigError:
+            # An amplifier that saturates changes the gains, too.
+            for number, burst in enumerate(bursts, start=1):
+                self._bench.load(burst)
+                self._drives(f"drive of output {number}", burst, drive, burst.velocity, most_lacking=CLEARLY_LACKING)
+            raise
         refuse_odd_point(decays, self._shapes, self._points)
         return replace(
             plant,
@@ -386,19 +396,17 @@ class CalibrationLoop:
             n_taken=self._recorder.n_taken,
         )
 
-    def _drives(self, name: str, stimulus: Stimulus, plant: Plant) -> tuple[FloatArray, FloatArray]:
-        """Return predicted and measured drive of the loaded stimulus about its peak at the highest level [V]."""
-        level = self._asked[-1]
-        commanded = stimulus.burst.commanded(self._listed.to_beam, level)
+    def _drives(
+        self, name: str, burst: Burst, drive: DriveDelay, level: float, most_lacking: float = MOST_LACKING
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return predicted and measured drive of the loaded burst about its peak at a level [V]; refuse a wrong one."""
+        commanded = burst.commanded(self._listed.to_beam, level)
         highest = np.abs(commanded).max(axis=0)
         self._recorder.begin(name, 1)
         about = float(highest.argmax()) * self._timing.hold
         taken = self._recorder.drive_from(about - SWEEP / 2, level, float(highest.max()))
-        predicted, measured = (
-            predicted_drive(plant.drive, commanded, taken.time, self._timing),
-            taken.drive.mean(axis=0),
-        )
-        refuse_wrong_drive(predicted, measured, 1 / taken.sampling_rate)
+        predicted, measured = predicted_drive(drive, commanded, taken.time, self._timing), taken.drive.mean(axis=0)
+        refuse_wrong_drive(predicted, measured, 1 / taken.sampling_rate, most_lacking)
         return predicted, measured
 
     def _levels(
