@@ -168,6 +168,15 @@ def test_a_placement_that_is_not_as_expected_is_refused(prober, places, highest,
     assert bench.simulator.outputs == (False, False)
 
 
+def test_a_range_that_is_too_small_is_widened_once(prober):
+    """Fingers unlike the expected ones may let the beam move more than half again as fast."""
+    bench, measuring = prober
+    bench.simulator.touch((-0.04, 0.0))
+    measuring.speed = SPEED / 2
+    expected = {name: (zone, Finger(place, 8e-5, 0.5, 500.0)) for name, zone, place in EXPECTED}
+    assert measuring.hands_on(expected)["misfit"] < 5
+
+
 def test_an_unknown_pair_is_refused(protocol, tmp_path):
     """With the allowed ones."""
     with pytest.raises(ValueError, match="--pair is 'A-E'; allowed: A-C, B-D, C-E, the zones of under_the_finger"):

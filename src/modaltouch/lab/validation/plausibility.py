@@ -157,7 +157,7 @@ class ModalFit:
             )
 
     def refuse_odd_points(self, scan: Scan) -> None:
-        """Refuse points whose records differ, or with an offset, another factor than the field, a delay, or other modes.
+        """Refuse points whose records differ, or with an offset, another factor than the field, a delay or other modes.
 
         The velocity of each point is fitted by that of the modes there, its derivative, and a constant.
         """
