@@ -1,4 +1,4 @@
-"""Fig. 2 and 5 to 8 of the paper, and the zones, for both laws; readable in greyscale."""
+"""Fig. 2 and 5 to 8 of the paper for both laws; readable in greyscale."""
 
 from __future__ import annotations
 
@@ -234,33 +234,6 @@ def _mark_modes(axes: Axes, evidence: Evidence) -> None:
                   transform=axes.get_yaxis_transform())  # fmt: skip
 
 
-def draw_zones(evidence: Evidence) -> Figure:
-    """Draw the velocity at every zone over time: the whole burst, and details around the focus."""
-    time, prediction, n_zones = evidence.times(evidence.course), evidence.prediction, len(evidence.zones)
-    courses = zip(evidence.zones, evidence.zone_velocity, prediction.course, strict=True)
-    near, own = (np.abs(each - evidence.instant) <= AROUND for each in (time, prediction.time))
-    reach = 1.12 * float(np.abs(evidence.zone_velocity).max()) * 1e3
-    with house_style(7.6, 0.95 * n_zones + 0.9, n_zones, 2, sharex="col", sharey=True) as (figure, panels):
-        for row, (name, measured, predicted) in zip(panels, courses, strict=True):
-            row[0].plot(time * 1e3, measured * 1e3, color=DARK, linewidth=0.3, rasterized=True)
-            row[1].plot(prediction.time[own] * 1e3, predicted[own] * 1e3, color=MIDDLE, linewidth=2.2)
-            row[1].plot(time[near] * 1e3, measured[near] * 1e3, color=DARK, linewidth=0.7)
-            row[0].set_ylabel(name, rotation=0, labelpad=10, va="center", fontsize=11)
-            words = f"peak {evidence.zone_peak[name]['measured'] * 1e3:.0f} mm/s"
-            row[0].text(0.01, 0.97, words, va="top", fontsize=7.5, transform=row[0].transAxes)
-            for axes in row:
-                axes.axvline(evidence.instant * 1e3, color=FAINT, linewidth=0.6, linestyle=":")
-                axes.set_ylim(-reach, reach)
-                quiet_grid(axes)
-        panels[0, 0].set_title("whole burst, measured", fontsize=9)
-        panels[0, 1].set_title("around the focus: measured (thin), predicted (wide)", fontsize=9)
-        for axes in panels[-1]:
-            axes.set_xlabel("time [ms]")
-        figure.supylabel("zone, velocity [mm/s]", fontsize=9)
-        figure.suptitle(LAW_TITLES[evidence.stimulus.law], x=0.02, ha="left", fontsize=10)
-    return figure
-
-
 def draw_all(evidences: Sequence[Evidence]) -> dict[str, tuple[Figure, str]]:
     """Draw the figures, each with its caption, by file name."""
     drawn = {
@@ -296,10 +269,5 @@ def draw_all(evidences: Sequence[Evidence]) -> dict[str, tuple[Figure, str]]:
             draw_over_width(evidences),
             "Fig. 7 over the width: measured velocity at the focusing instant, the highest speed within 1 ms of it, "
             "and torsion, which grows linearly across the beam.",
-        )
-    for evidence in evidences:
-        drawn[f"zones_{evidence.stimulus.law}"] = (
-            draw_zones(evidence),
-            f"Velocity at the centre of each zone over time, law “{evidence.stimulus.law}”.",
         )
     return drawn
