@@ -227,11 +227,8 @@ def compare(
 
 def _show_comparison(values: dict[str, Any]) -> None:
     """Print the methods side by side, and the path of the page."""
-    lines = lab.comparison_table(values["methods"], values["velocity_mm_s"])
-    for line in lines:
-        line["cells"] = ["*" * each["best"] + each["text"] for each in line["cells"]]
-    title = f"Target: {values['velocity_mm_s']:g} mm/s at the focus; the best of each row with *"
-    _show_quantities(title, [method["name"] for method in values["methods"]], lines)
+    title, columns = f"Target: {values['velocity_mm_s']:g} mm/s at the focus", [m["name"] for m in values["methods"]]
+    _show_quantities(title, columns, lab.comparison_table(values["methods"]))
     print("\n".join(f"Identification: {text}" for text in values["identification"]))
     print(values["files"]["comparison.html"])
 

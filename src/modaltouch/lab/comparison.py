@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
-from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -32,57 +30,6 @@ from modaltouch.report import (
 from modaltouch.system import commit, version
 
 Row = dict[str, Any]
-
-
-@dataclass(frozen=True)
-class Criterion:
-    """A criterion by which methods are compared."""
-
-    key: str  # key of the value in a method's row
-    name: str  # printed name, without the unit
-    unit: str
-    best: str  # the best value: ``low``, ``high``, ``level`` (close to the level) or ``none``
-    digits: int = 1  # number of decimals printed
-
-    def winners(self, rows: Sequence[Row], level: float) -> list[Row]:
-        """Return the rows with the best printed value."""
-        if self.best == "none":
-            return []
-        goal, sign = level if self.best == "level" else 0.0, -1 if self.best == "high" else 1
-        values = [row[self.key] for row in rows]
-        costs = [inf if each is None else round(sign * abs(round(each, self.digits) - goal), 6) for each in values]
-        return [row for row, cost in zip(rows, costs, strict=True) if cost == min(costs) < inf]
-
-
-def criteria(rows: Sequence[Row]) -> list[Criterion]:
-    """Return the criteria of the comparison, with a contrast for each pair of the protocol."""
-    # A high contrast is best if either zone is the focus; other pairs are not ranked.
-    contrasts = [
-        Criterion(key, f"contrast of ({', '.join(pair)})", "1", "high" if rows[0]["focus"] in pair else "none", 2)
-        for pair in itertools.permutations(rows[0]["zone_peak_mm_s"], 2)
-        if (key := "contrast_{}_{}".format(*pair)) in rows[0]
-    ]
-    return [
-        Criterion("at_focus_mm_s", "velocity at the focus, at the focusing instant", "mm/s", "level"),
-        Criterion("rms_error_mm_s", "distance from the target field, rms", "mm/s", "low", 2),
-        Criterion("max_error_mm_s", "distance from the target field, largest", "mm/s", "low", 2),
-        Criterion("rms_from_selected_mm_s", "distance from the field of the selected modes, rms", "mm/s", "low", 2),
-        Criterion("width_50_mm", "spot width at 50 %", "mm", "none"),
-        Criterion("width_80_mm", "spot width at 80 %", "mm", "none"),
-        Criterion("highest_at_focus_mm_s", "highest speed at the focus, throughout", "mm/s", "level"),
-        Criterion("highest_mm_s", "highest speed anywhere, throughout", "mm/s", "low"),
-        *contrasts,
-        Criterion("peak_voltage_V", "peak voltage", "V", "low"),
-        Criterion("energy_V2_s", "energy", "V² s", "low", 2),
-        Criterion("reach_mm_s", "velocity at the focus at the voltage limit", "mm/s", "high", 0),
-        Criterion("recordings", "recordings before the first focus", "1", "low", 0),
-        Criterion("further_recordings", "recordings for each further focus", "1", "low", 0),
-        Criterion("changed_at_focus_spread_mm_s", "other beams: spread of the velocity at the focus", "mm/s", "low", 2),
-        Criterion(
-            "changed_rms_error_mm_s", "other beams: distance from the target field, rms, median", "mm/s", "low", 2
-        ),
-        Criterion("changed_drift_mm_s", "other beams: change of the field, rms, median", "mm/s", "low", 2),
-    ]
 
 
 def rows_of(contest: Contest) -> list[Row]:
@@ -169,18 +116,35 @@ def draw_robustness(contest: Contest) -> Figure:
     return figure
 
 
-def comparison_table(rows: Sequence[Row], level: float) -> list[dict[str, Any]]:
-    """Return one line per criterion, with a cell for each method and whether it is the best at a level [mm/s]."""
+def comparison_table(rows: Sequence[Row]) -> list[dict[str, Any]]:
+    """Return the table of the methods' key figures; each row has a quantity, its unit, and one cell per method."""
+    contrasts = [
+        (f"contrast of ({', '.join(pair)})", "1", key, 2)
+        for pair in itertools.permutations(rows[0]["zone_peak_mm_s"], 2)
+        if (key := "contrast_{}_{}".format(*pair)) in rows[0]
+    ]
+    lines = [
+        ("velocity at the focus, at the focusing instant", "mm/s", "at_focus_mm_s", 1),
+        ("distance from the target field, rms", "mm/s", "rms_error_mm_s", 2),
+        ("distance from the target field, largest", "mm/s", "max_error_mm_s", 2),
+        ("distance from the field of the selected modes, rms", "mm/s", "rms_from_selected_mm_s", 2),
+        ("spot width at 50 %", "mm", "width_50_mm", 1),
+        ("spot width at 80 %", "mm", "width_80_mm", 1),
+        ("highest speed at the focus, throughout", "mm/s", "highest_at_focus_mm_s", 1),
+        ("highest speed anywhere, throughout", "mm/s", "highest_mm_s", 1),
+        *contrasts,
+        ("peak voltage", "V", "peak_voltage_V", 1),
+        ("energy", "V² s", "energy_V2_s", 2),
+        ("velocity at the focus at the voltage limit", "mm/s", "reach_mm_s", 0),
+        ("recordings before the first focus", "1", "recordings", 0),
+        ("recordings for each further focus", "1", "further_recordings", 0),
+        ("other beams: spread of the velocity at the focus", "mm/s", "changed_at_focus_spread_mm_s", 2),
+        ("other beams: distance from the target field, rms, median", "mm/s", "changed_rms_error_mm_s", 2),
+        ("other beams: change of the field, rms, median", "mm/s", "changed_drift_mm_s", 2),
+    ]
     return [
-        {
-            "quantity": each.name,
-            "unit": each.unit,
-            "cells": [
-                {"text": format_number(row[each.key], decimals=each.digits), "best": row in each.winners(rows, level)}
-                for row in rows
-            ],
-        }
-        for each in criteria(rows)
+        {"quantity": name, "unit": unit, "cells": [format_number(row[key], decimals=digits) for row in rows]}
+        for name, unit, key, digits in lines
     ]
 
 
@@ -230,7 +194,7 @@ def write_comparison(found: Contest, about: dict[str, Any], folder: Path) -> dic
         values=values,
         level=format(round(level, 6), "g"),
         rows=rows,
-        table=comparison_table(rows, level),
+        table=comparison_table(rows),
         delay=found.known.delay * 1e6,
     )
     flat = [

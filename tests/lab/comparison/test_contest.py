@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from modaltouch.cli import app
 from modaltouch.lab.common import title_of
-from modaltouch.lab.comparison import Criterion, criteria, draw_robustness, rows_of, write_comparison
+from modaltouch.lab.comparison import comparison_table, draw_robustness, rows_of, write_comparison
 from modaltouch.lab.contest import contest, true_delay, without_mismatch
 from modaltouch.preflight import examine
 from modaltouch.rig import Simulator
@@ -78,23 +78,14 @@ def test_each_method_wins_where_theory_says(rows):
     assert row["time_reversal"]["recordings"] == 2 < row["exact"]["recordings"] == 82
 
 
-def test_equal_printed_values_are_equal_winners():
-    """Levels count in both directions; a dash never wins."""
-    low = Criterion("x", "x", "V", "low", 1)
-    rows = [{"x": 1.04}, {"x": 1.01}, {"x": 3.0}, {"x": None}]
-    assert low.winners(rows, 0.0) == rows[:2]
-    assert Criterion("x", "x", "V", "level", 0).winners([{"x": 195.0}, {"x": 204.0}], 200.0) == [{"x": 204.0}]
-    assert Criterion("x", "x", "V", "none").winners(rows, 0.0) == []
-
-
 def test_zone_names_may_contain_underscores(rows):
-    """As `Word` in `protocol.section` allows; contrasts with the focus are ranked, others are not."""
+    """As `Word` in `protocol.section` allows."""
     peaks = {"left_end": 10.0, "mid": 200.0, "far_right": 20.0}
     keys = {"contrast_left_end_mid": 20.0, "contrast_left_end_far_right": 2.0}
     row = {name: value for name, value in rows[0].items() if "contrast_" not in name}
-    found = {each.key: each for each in criteria([row | keys | {"focus": "mid", "zone_peak_mm_s": peaks}])}
-    assert [found[key].name for key in keys] == ["contrast of (left_end, mid)", "contrast of (left_end, far_right)"]
-    assert [found[key].best for key in keys] == ["high", "none"]
+    found = {line["quantity"]: line["cells"] for line in comparison_table([row | keys | {"zone_peak_mm_s": peaks}])}
+    assert found["contrast of (left_end, mid)"] == ["20.00"]
+    assert found["contrast of (left_end, far_right)"] == ["2.00"]
 
 
 def test_page_json_and_table_agree(found, rows, tmp_path):
@@ -105,8 +96,8 @@ def test_page_json_and_table_agree(found, rows, tmp_path):
     assert "A &lt;title&gt;" in page
     assert len(re.findall(r'<img src="data:image/svg\+xml;base64,', page)) == page.count("<img") == 2
     assert not re.search(r'(src|href)="(https?:)?//', page)
-    for each in criteria(rows):
-        assert each.name in page, each.name
+    for line in comparison_table(rows):
+        assert line["quantity"] in page, line["quantity"]
     values = json.loads(files["comparison.json"].read_text())
     table = list(csv.DictReader(files["comparison.csv"].read_text().splitlines()))
     assert [line["method"] for line in table] == [method["method"] for method in values["methods"]]
