@@ -6,7 +6,7 @@ allow each mode a gain and a delay of its own, and refuse what then remains at s
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -107,12 +107,6 @@ INVERTED = (
 )
 
 
-def _fault_at(scan: Scan, odd: NDArray[np.bool_], fault: str) -> RecordInputError:
-    """Return the error for a fault of some points of a scan, with their positions unless all points have it."""
-    where = ", ".join(f"{place * 1e3:g}" for place in scan.positions[odd])
-    return RecordInputError(f"{'' if odd.all() else f'at {where} mm '}{fault}, and measure again")
-
-
 @dataclass(frozen=True, eq=False)
 class ModalFit:
     """The field around the focusing instant, with a gain and a delay of its own for each mode.
@@ -157,7 +151,14 @@ class ModalFit:
             )
 
     def refuse_odd_points(self, scan: Scan) -> None:
-        """Refuse points whose records differ, or with an offset, another factor than the field, a delay or other modes.
+        """Refuse the points of a scan that cannot be those of the beam, with the first fault that some of them have."""
+        for odd, fault in self._faults(scan):
+            if odd.any():
+                where = ", ".join(f"{place * 1e3:g}" for place in scan.positions[odd])
+                raise RecordInputError(f"{'' if odd.all() else f'at {where} mm '}{fault}, and measure again")
+
+    def _faults(self, scan: Scan) -> Iterator[tuple[NDArray[np.bool_], str]]:
+        """Yield each kind of fault, with the points that have it.
 
         The velocity of each point is fitted by that of the modes there, its derivative, and a constant.
         """
@@ -173,55 +174,57 @@ class ModalFit:
         left, power = np.square(rest).mean(axis=1), np.square(expected).mean(axis=1)
         # Near a node the velocity is mostly that of modes which are not predicted.
         known = power > 0.25 * np.median(power)
-        velocity, mean = scan.velocity, mean_velocity(scan)
-        size = np.einsum("prt,pt->pr", velocity, mean) / np.maximum(np.square(mean).sum(axis=1), 1e-30)[:, None]
+
+        mean = mean_velocity(scan)
+        size = np.einsum("prt,pt->pr", scan.velocity, mean) / np.maximum(np.square(mean).sum(axis=1), 1e-30)[:, None]
         odd = known & (np.abs(size - 1).max(axis=1) > UNSTEADY)
-        if odd.any():
-            fault = f"the records differ in size by up to {np.ptp(size[odd], axis=1).max():.0%} of their mean"
-            remedy = "check focus and fastening of the sensor, and that nothing touches the beam"
-            raise _fault_at(scan, odd, f"{fault}: {remedy}")
+        differ = np.ptp(size, axis=1).max(where=odd, initial=0.0)
+        yield (
+            odd,
+            f"the records differ in size by up to {differ:.0%} of their mean: check focus and fastening of the sensor, "
+            "and that nothing touches the beam",
+        )
         # A point that moves unlike the modes there seems to have an offset, too.
         odd = (np.abs(factor - 1) < ALIKE - 1) & (offset**2 > 4 * left)
         odd &= np.abs(offset) > OFFSET * self.evidence.velocity
-        if odd.any():
-            fault = f"the velocity has a constant offset of up to {np.abs(offset[odd]).max() * 1e3:.2g} mm/s"
-            remedy = "set the offsets of vibrometer and scope to zero, connect them to one earth, or use a high-pass"
-            raise _fault_at(scan, odd, f"{fault}: {remedy}")
-        self._refuse_odd_factors(scan, factor * (expected * predicted).sum() / np.square(predicted).sum(), known)
-        delay = late / factor
-        if scan is self.evidence.field:
-            delay -= np.median(delay)
-        by_delay = np.square(late[:, None] * slope).mean(axis=1)
-        odd = (np.abs(delay) > LATE) & (by_delay > EXPLAINED * left)
-        if odd.any():
-            fault = (
-                f"the velocity is up to {np.abs(delay[odd]).max() * 1e6:.1f} us late or early, relative to the other"
-            )
-            remedy = "use the same trigger, filters and range at all points, let the beam reach a steady temperature"
-            raise _fault_at(scan, odd, f"{fault} points: {remedy}")
-        odd = (left > UNLIKE * np.median(power)) & (left > STANDS_OUT * np.median(left))
+        yield (
+            odd,
+            f"the velocity has a constant offset of up to {np.abs(offset).max(where=odd, initial=0.0) * 1e3:.2g} mm/s: "
+            "set the offsets of vibrometer and scope to zero, connect them to one earth, or use a high-pass",
+        )
+        times = factor * (expected * predicted).sum() / np.square(predicted).sum()
+        yield self._odd_factor(scan, times, known)
+        delay = late / factor - (np.median(late / factor) if scan is self.evidence.field else 0.0)
+        odd = (np.abs(delay) > LATE) & (np.square(late[:, None] * slope).mean(axis=1) > EXPLAINED * left)
+        latest = np.abs(delay).max(where=odd, initial=0.0)
+        yield (
+            odd,
+            f"the velocity is up to {latest * 1e6:.1f} us late or early, relative to the other points: use the same "
+            "trigger, filters and range at all points, let the beam reach a steady temperature",
+        )
         # Off the mid-line there is torsion, which is not predicted.
-        if odd.any() and not scan.across:
-            fault = (
-                "the velocity is not that of the beam there: check the positions and their order, and focus, range and"
-            )
-            raise _fault_at(scan, odd, f"{fault} fastening of the sensor")
+        yield (
+            (left > UNLIKE * np.median(power)) & (left > STANDS_OUT * np.median(left)) & (scan.across == 0),
+            "the velocity is not that of the beam there: check the positions and their order, and focus, range and "
+            "fastening of the sensor",
+        )
 
-    def _refuse_odd_factors(self, scan: Scan, times: FloatArray, known: NDArray[np.bool_]) -> None:
-        """Refuse points that move by another factor of the prediction than the others, or a field that does."""
+    def _odd_factor(self, scan: Scan, times: FloatArray, known: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], str]:
+        """Return the points that move by another factor of the prediction than the others, or all in a wrong field."""
         common = float(np.median(times[known]))
         odd = known & ~((times / common > 1 / ALIKE) & (times / common < ALIKE))
+        allowed = f"at the other points {common:.2f} times"
         if common < 0 and not odd.any():
             raise RecordInputError(INVERTED)
-        allowed = f"at the other points {common:.2f} times"
         # The findings state a common factor of the zones.
         if scan is self.evidence.field and not odd.any() and not 1 / PLAUSIBLE < common < PLAUSIBLE:
             odd, allowed = np.ones_like(odd), f"allowed {1 / PLAUSIBLE:g} to {PLAUSIBLE:g}"
-        if odd.any():
-            ends = dict.fromkeys(f"{each:.2f}" for each in (times[odd].min(), times[odd].max()))
-            fault = f"the beam moves {' to '.join(ends)} times as fast as predicted: {allowed}; check the unit, the"
-            remedy = "sensitivity, the range and the sign of the velocity, the positions, and the gain of the amplifier"
-            raise _fault_at(scan, odd, f"{fault} {remedy}")
+        ends = times.min(where=odd, initial=np.inf), times.max(where=odd, initial=-np.inf)
+        return odd, (
+            f"the beam moves {' to '.join(dict.fromkeys(f'{each:.2f}' for each in ends))} times as fast as predicted: "
+            f"{allowed}; check the unit, the sensitivity, the range and the sign of the velocity, the positions, and "
+            "the gain of the amplifier"
+        )
 
 
 def _fit(measured: FloatArray, shapes: FloatArray, histories: FloatArray) -> tuple[FloatArray, float]:
