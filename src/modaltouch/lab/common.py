@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -9,10 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.record import prepare_file, replace_file
+from modaltouch.system import version
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.collections import Collection
+    from matplotlib.figure import Figure
 
     from modaltouch.preflight import Preflight
 
@@ -52,6 +55,44 @@ def title_of(preflight: Preflight) -> str:
     """Return a protocol's title or name, with the name of its first stimulus, the one used, if it has several."""
     protocol, name = preflight.experiment.protocol, next(iter(preflight.designs), "")
     return (protocol.title or protocol.protocol) + (f", stimulus {name}" if name else "")
+
+
+def write_page(
+    folder: Path,
+    command: str,
+    name: str,
+    figures: Mapping[str, tuple[Figure, str]],
+    values: dict[str, Any],
+    tables: dict[str, Any],
+    /,
+    **shown: Any,
+) -> dict[str, Any]:
+    """Write a page from a template with the plain values as JSON, and return them with the path of each file.
+
+    Parameters
+    ----------
+    folder, command : Path and str
+        Folder for the results, and the command that owns it.
+    name : str
+        Name of page, template and JSON file.
+    figures : mapping of str to (Figure, str)
+        Figures with their captions, by file name.
+    values, tables : dict
+        Plain values, and tables by file name.
+    **shown
+        Further variables of the template.
+
+    Raises
+    ------
+    RecordError
+        If the folder holds something else or cannot be written.
+    """
+    from modaltouch.report import ReportFigure, page_files, write_files
+
+    pictures = [ReportFigure(each, *drawn) for each, drawn in figures.items()]
+    files = page_files("modaltouch.lab", name, pictures, values=values, **shown)
+    written = write_files(folder, files | {f"{name}.json": values} | tables, {"version": version()}, command)
+    return {**values, "files": {each: str(path) for each, path in written.items()}}
 
 
 def rounded(value: Any, digits: int) -> Any:

@@ -10,24 +10,15 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from modaltouch.lab.common import DARK, MIDDLE, rounded, title_of
+from modaltouch.lab.common import DARK, MIDDLE, rounded, title_of, write_page
 from modaltouch.lab.contest import Contest, DriveAssessment, contest, learn, training_data
 from modaltouch.lab.identification.shapes import check_points
 from modaltouch.lab.laboratory import SILENT_PROGRESS, MeasurementProgress
 from modaltouch.lab.validation.evidence import root_mean_square
 from modaltouch.preflight import examine
 from modaltouch.protocol import InputError
-from modaltouch.report import (
-    INK,
-    ReportFigure,
-    format_number,
-    house_style,
-    page_files,
-    quiet_grid,
-    refuse_other,
-    write_files,
-)
-from modaltouch.system import commit, version
+from modaltouch.report import INK, format_number, house_style, quiet_grid, refuse_other
+from modaltouch.system import commit
 
 Row = dict[str, Any]
 
@@ -165,7 +156,6 @@ def write_comparison(found: Contest, about: dict[str, Any], folder: Path) -> dic
     RecordError
         If the folder holds something else, or cannot be written.
     """
-    refuse_other(folder, COMMAND)
     rows, level, limit = rows_of(found), found.known.target_field.velocity * 1e3, found.known.amplifier.limit
     values = {
         **about,
@@ -177,34 +167,31 @@ def write_comparison(found: Contest, about: dict[str, Any], folder: Path) -> dic
         "identification": list(found.known.quality),
         "methods": rows,
     }
-    figures = [
-        ("fields", draw_fields(found), "The true velocity field at the focusing instant, and the target."),
-        (
-            "robustness",
+    figures = {
+        "fields": (draw_fields(found), "The true velocity field at the focusing instant, and the target."),
+        "robustness": (
             draw_robustness(found),
             "The same drives on other beams, drawn around the learned beam: a dot for each beam, a line for the "
             "learned one.",
         ),
-    ]
-    files = page_files(
-        "modaltouch.lab",
-        "comparison",
-        [ReportFigure(*each) for each in figures],
-        title=f"Comparison: {about['title']}",
-        values=values,
-        level=format(round(level, 6), "g"),
-        rows=rows,
-        table=comparison_table(rows),
-        delay=found.known.delay * 1e6,
-    )
+    }
     flat = [
         {key: value for key, value in row.items() if key != "zone_peak_mm_s"}
         | {f"zone_peak_{zone}_mm_s": peak for zone, peak in row["zone_peak_mm_s"].items()}
         for row in rows
     ]
-    files |= {"comparison.json": values, "comparison.csv": rounded(flat, 4)}
-    written = write_files(folder, files, {"version": version()}, COMMAND)
-    return {**values, "files": {name: str(path) for name, path in written.items()}}
+    return write_page(
+        folder,
+        COMMAND,
+        "comparison",
+        figures,
+        values,
+        {"comparison.csv": rounded(flat, 4)},
+        title=f"Comparison: {about['title']}",
+        level=format(round(level, 6), "g"),
+        table=comparison_table(rows),
+        delay=found.known.delay * 1e6,
+    )
 
 
 def compare(

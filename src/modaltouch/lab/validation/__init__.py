@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from modaltouch.lab.common import rounded, title_of
+from modaltouch.lab.common import rounded, title_of, write_page
 from modaltouch.lab.identification.shapes import check_points
 from modaltouch.lab.laboratory import SILENT_PROGRESS, SIMULATED, Laboratory, MeasurementProgress, open_laboratory
 from modaltouch.lab.recorded_files import RecordedFiles
@@ -21,10 +21,10 @@ from modaltouch.lab.validation.plausibility import evaluate
 from modaltouch.preflight import DesignInputs, Preflight, design, examine
 from modaltouch.protocol import Source
 from modaltouch.record import RecordInputError
-from modaltouch.report import ReportFigure, page_files, refuse_other, write_files
+from modaltouch.report import refuse_other
 from modaltouch.rig import Acquisition
 from modaltouch.stimulus import Law, Stimulus
-from modaltouch.system import commit, version
+from modaltouch.system import commit
 
 COMMAND = "validate"
 """The command that owns the folder."""
@@ -52,16 +52,18 @@ def write_validation(
     RecordError
         If the folder holds something else or cannot be written.
     """
-    refuse_other(folder, COMMAND)
     figures, lag = [key_figures(each, pairs) for each in evidences], evidences[0].lag * 1e6
     shown = ("protocol", "apparatus", "mode", "generator", "scope", "calibration")
     # Anything below a millionth of a unit is not significant.
     found = {"measurement_lag_us": lag, "laws": figures, "findings": findings(figures)}
     values = rounded({key: context[key] for key in shown} | found, 6)
-    files = page_files(
-        "modaltouch.lab",
+    return write_page(
+        folder,
+        COMMAND,
         "validation",
-        [ReportFigure(name, *each) for name, each in draw_all(evidences).items()],
+        draw_all(evidences),
+        values,
+        figure_tables(evidences),
         title=f"Validation: {context['title']}",
         occasion=context,
         level=format(round(evidences[0].velocity * 1e3, 6), "g"),
@@ -72,9 +74,6 @@ def write_validation(
         findings=values["findings"],
         rows=validation_table(figures),
     )
-    tables = {"validation.json": values, **figure_tables(evidences)}
-    written = write_files(folder, files | tables, {"version": version()}, COMMAND)
-    return {**values, "files": {name: str(path) for name, path in written.items()}}
 
 
 def validate(
