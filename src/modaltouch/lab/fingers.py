@@ -40,6 +40,13 @@ FROM_END = 1e-3
 """Distance of the vibrometer's spot from the end of the beam, where every mode moves [m]."""
 
 
+DOUBTFUL = 4.0
+"""Misfit with hands off above which the table or the amplifier may be why fingers do not fit [1]; usually 2."""
+
+LARGEST_DOUBT = 0.2
+"""Largest half-width of a level's 95 % interval, relative to the level, for which a file is written [1]."""
+
+
 class Prober:
     """Measurement of fingers with the same excitation for all placements.
 
@@ -118,7 +125,10 @@ class Prober:
         RigError
             If the rig fails.
         """
-        self._beam = beam = self._record().touched(self._free, [finger for _, finger in expected.values()])
+        try:
+            self._beam = beam = self._record().touched(self._free, [finger for _, finger in expected.values()])
+        except ValueError as error:
+            raise ValueError(f"{error}{self.doubt}") from error
         self._laid = {name: zone for name, (zone, _) in expected.items()}
         self._slopes.clear()
         covariance = beam.covariance[beam.n_beam :, beam.n_beam :].tolist()
@@ -126,6 +136,14 @@ class Prober:
             **self._found(beam.model, beam.misfit),
             "covariance": [[float(f"{value:.4g}") for value in row] for row in covariance],
         }
+
+    @property
+    def doubt(self) -> str:
+        """Remedy for a table that barely describes the untouched beam, added to a refusal; empty if it fits."""
+        if self._free.misfit <= DOUBTFUL:
+            return ""
+        remedy = "enter the corner of a slow amplifier as `amplifier.bandwidth_kHz`, or identify the beam again"
+        return f"; with hands off the misfit was {self._free.misfit:.1f}, usually below {DOUBTFUL:g}: {remedy}"
 
     def predict(self, inputs: DesignInputs, stimulus: Stimulus) -> dict[str, Any]:
         """Predict the effect of a stimulus on the beam with the identified fingers.
@@ -403,6 +421,10 @@ class _Plan:
                 hands.setdefault(hand, {}).setdefault(which, values)
             stimulus = design(own)
             level = prober.predict(own, stimulus)
+            half = float(np.ptp(level["interval_mm_s"])) / 2 / own.reference
+            if half > LARGEST_DOUBT:
+                known = f"the level under these fingers is known to within {half:.0%}: allowed {LARGEST_DOUBT:.0%}"
+                raise ValueError(f"{known}; place {words} again and keep still{prober.doubt}")
             room = stimulus.amplifier.limit / float(stimulus.peak_drive(own.reference * 1e-3).max())
             probes.append(
                 {

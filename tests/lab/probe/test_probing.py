@@ -177,6 +177,27 @@ def test_a_range_that_is_too_small_is_widened_once(prober):
     assert measuring.hands_on(expected)["misfit"] < 5
 
 
+def test_a_table_that_hardly_fits_is_named_when_fingers_do_not_fit(prober, monkeypatch):
+    """An unlisted amplifier corner of 170 to 200 kHz gives a misfit of nearly 10 with hands off."""
+    bench, measuring = prober
+    bench.simulator.touch((-0.02, 0.02))
+    measuring.speed = SPEED
+    monkeypatch.setattr(measuring, "_free", replace(measuring._free, misfit=9.9))
+    expected = {name: (zone, Finger(place, 8e-5, 0.5, 500.0)) for name, zone, place in EXPECTED}
+    said = r"no combination of mass.*; with hands off the misfit was 9\.9, .* enter the corner of a slow amplifier"
+    with pytest.raises(ValueError, match=said):
+        measuring.hands_on(expected)
+
+
+def test_a_level_that_is_not_known_is_refused(protocol, tmp_path, monkeypatch):
+    """-11 to 52 mm/s for 20 mm/s were once written as a result."""
+    predict = Prober.predict
+    monkeypatch.setattr(Prober, "predict", lambda *given: predict(*given) | {"interval_mm_s": [-11.5, 51.8]})
+    with pytest.raises(RigError, match="the level under these fingers is known to within 158%: allowed 20%; place the"):
+        probe_fingers(protocol, tmp_path / "mine.yaml", pair="A-C", seed=5)
+    assert not (tmp_path / "mine.yaml").exists()
+
+
 def test_an_unknown_pair_is_refused(protocol, tmp_path):
     """With the allowed ones."""
     with pytest.raises(ValueError, match="--pair is 'A-E'; allowed: A-C, B-D, C-E, the zones of under_the_finger"):
