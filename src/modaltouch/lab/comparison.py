@@ -59,14 +59,12 @@ def _changed(verdict: DriveAssessment, changed: Sequence[DriveAssessment]) -> Ro
 COMMAND = "compare"
 """The command that owns the folder."""
 
-COLUMNS = 3
-
 
 def draw_fields(contest: Contest) -> Figure:
     """Draw the true field of every method at the focusing instant, and the target field."""
-    n_rows, target = -(-len(contest.designed) // COLUMNS), contest.known.target_field
-    with house_style(7.6, 2.1 * n_rows + 0.5, n_rows, COLUMNS, sharex=True, sharey=True) as (figure, panels):
-        for axes, designed, verdict in zip(panels.ravel(), contest.designed, contest.verdicts, strict=False):
+    target = contest.known.target_field
+    with house_style(7.6, 5.1, 2, 2, sharex=True, sharey=True) as (figure, panels):
+        for axes, designed, verdict in zip(panels.ravel(), contest.designed, contest.verdicts, strict=True):
             place = verdict.position * 1e3
             axes.plot(place, target.velocity * 1e3 * target.profile(verdict.position), color=INK, linestyle="--",
                       linewidth=1, label="target")  # fmt: skip

@@ -213,7 +213,7 @@ def draw_spectrograms(evidences: Sequence[Evidence]) -> Figure:
                 shading="gouraud", rasterized=True,
             )  # fmt: skip
             axes.axvline(evidence.instant * 1e3, color=DARK, linewidth=0.7, linestyle=":")
-            axes.set(xlabel="time [ms]", yscale="log", ylim=(LOWEST * 1e-3, frequency[-1] * 1e-3))
+            axes.set(xlabel="time [ms]", yscale="log", ylim=(frequency[rows[0]] * 1e-3, frequency[-1] * 1e-3))
             axes.set_title(LAW_TITLES[evidence.stimulus.law], loc="left")
             _mark_modes(axes, evidence)
         panels[0].set_ylabel("frequency [kHz]")
