@@ -11,16 +11,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from modaltouch.analysis.balance import check_balance, check_doubling, check_planned, check_unit
 from modaltouch.analysis.columns import OWN_THRESHOLD, VELOCITY, zones_of
-from modaltouch.analysis.csv_table import (
-    Table,
-    TableFormat,
-    check_balance,
-    check_doubling,
-    check_unit,
-    list_faults,
-    read_table,
-)
+from modaltouch.analysis.csv_table import Table, TableFormat, list_faults, read_table
 from modaltouch.analysis.responses import (
     CHOOSE_STIMULUS,
     MODES,
@@ -92,6 +85,8 @@ def read_csv(
     columns.problems += check_unit(table, frame[counts], table_format.design)
     if not columns.problems:
         asked = unmirror(frame[counts], answers)
+        columns.problems += check_planned(table, asked, table_format)
+    if not columns.problems:
         is_whole, parts = are_crossed(table_format.design), _parts(asked, table_format.design)
         checked = [check_balance(table, part, is_crossed=is_whole) for part in parts]
         doubled, noted = check_doubling(table, asked, table_format.most)
@@ -342,17 +337,13 @@ class _Columns:
         values = self.numbers(
             name, f"0 to {_LONGEST:g} s, or nothing", lambda value: 0 <= value <= _LONGEST, empty=True
         )
-        if (middle := values.median()) > _LONG:
-            line, given = int(values.index[values > _LONG][0]), f"a median time of {middle:g} s"
-            self.problems.append(
-                self._table.problem(
-                    line,
-                    name,
-                    given,
-                    f"seconds, with a median of at most {_LONG:g}",
-                    "divide times in milliseconds by 1000",
-                )
+        middle = values.groupby(self._table.fields["participant"], observed=True).transform("median")
+        if slow := list(values.index[(middle > _LONG) & (values > _LONG)][:1]):
+            given = (
+                f"a median time of {middle[slow[0]]:g} s from participant {self._table.fields['participant'][slow[0]]}"
             )
+            allowed, remedy = f"seconds, with a median of at most {_LONG:g}", "divide times in milliseconds by 1000"
+            self.problems.append(self._table.problem(slow[0], name, given, allowed, remedy))
         return values
 
     def check_words(self, where: pd.Series, design: Mapping[str, Any]) -> None:
@@ -394,7 +385,8 @@ class _Columns:
             line, zone = fault
             return self._table.problem(line, "zone_right", f"zone {zone!r} under both fingers", allowed, remedy)
 
-        same = zones.loc[zones["zone_left"] == zones["zone_right"], "zone_right"]
+        is_same = (zones["zone_left"] == zones["zone_right"]) & (zones["zone_left"] != "")
+        same = zones.loc[is_same, "zone_right"]
         self.problems += list_faults(
             self._table.file, list(same.items()), "rows with a zone under both fingers", problem
         )
@@ -418,15 +410,20 @@ class _Columns:
                     fields.loc[where, column], names.__contains__, ", ".join(names),
                     lambda word: (repr(word), "write one of them, as the protocol does"),
                 )  # fmt: skip
-        if "group" in fields:
-            own = fields.loc[where, ["participant", "group"]].astype("str")
-            odd = own[own["group"] != own.groupby("participant")["group"].transform("first")]
-            self.problems += list_faults(
-                table.file, list(odd.itertuples(name=None)), "rows of another group", lambda row: table.problem(
-                    row[0], "group", f"{row[2]!r} of participant {row[1]}, who was in another group before",
-                    "one group of each participant", "correct one of them",
-                ),
-            )  # fmt: skip
+        for column in {"group", "lab"} & {*fields}:
+            self.check_one(fields.loc[where, ["participant", column]].astype("str"), column)
+
+    def check_one(self, own: pd.DataFrame, column: str) -> None:
+        """Refuse participants in several groups or labs."""
+        odd = own[own[column] != own.groupby("participant")[column].transform("first")]
+        allowed, remedy = f"one {column} of each participant", "correct one of them, or give two people two names"
+
+        def problem(row: tuple[Any, ...]) -> Problem:
+            given = f"{row[2]!r} of participant {row[1]}, who was in another {column} before"
+            return self._table.problem(row[0], column, given, allowed, remedy)
+
+        rows = list(odd.drop_duplicates().itertuples(name=None))
+        self.problems += list_faults(self._table.file, rows, f"rows of another {column}", problem)
 
     def _values(self, name: str, read: Callable[[str], float]) -> pd.Series:
         column = self._table.fields[name]

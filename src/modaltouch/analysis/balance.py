@@ -1,0 +1,237 @@
+"""Checks of a table of answers against its design: missing and surplus answers, copies, and cells not planned."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from modaltouch.analysis.columns import VELOCITY, label_zones, scale_of
+from modaltouch.analysis.csv_table import Table, TableFormat, list_faults
+from modaltouch.analysis.responses import answers_per_cell, cell_of, describe_cell, keys_of
+from modaltouch.protocol import Problem
+
+# Share of missing answers at or above which a participant presumably had another design, or gave up [1].
+_MOST_MISSING = 0.25
+
+# Share of distinct rows that occur equally often at or above which a table was presumably pasted together [1], and
+# their number from which all but one will do: in that many, the counts of chance are rarely all even but for one.
+_MOST_ROWS, _ALL_BUT_ONE = 0.95, 10
+
+# Minimum number of distinct reaction times for which a full match cannot be coincidence.
+_FEWEST_TIMES = 4
+
+
+def check_balance(table: Table, frame: pd.DataFrame, *, is_crossed: bool = True) -> tuple[list[Problem], int]:
+    """Find duplicate rows, missing cells and surplus answers, and return the usual number of answers per cell.
+
+    Single answers may be missing, but not a cell of all participants, nor a quarter of one participant's answers.
+
+    The design crosses all finger conditions, zone pairs and levels in the table. Multiple rows of one participant and
+    cell are repetitions if numbered by a column ``repetition``, or if all cells have the same number of rows.
+
+    Parameters
+    ----------
+    table : Table
+        The file, for the locations of the problems.
+    frame : DataFrame
+        Rows of the file, indexed by line.
+    is_crossed : bool
+        Whether the design is crossed. If not, every trial has a row, and only duplicate rows are reported.
+    """
+    if frame["n"].sum() == 0:
+        remedy = "look at the columns excluded, practice, catch and n, as far as there are any"
+        return [Problem(table.file, 1, 1, "", "no answers", "at least one answer that is not practice", remedy)], 0
+    again = [*_doubled(table, frame), *_copied(table, frame)]
+    if not is_crossed:
+        return again, 0
+    answers = answers_per_cell(frame)
+    counts = answers.to_numpy()
+    usual = int(np.bincount(counts[counts > 0]).argmax())
+    keys, scale, cells = list(keys_of(frame.columns)), scale_of(frame.columns), answers.columns.to_list()
+
+    def missing(participant: str) -> Problem:
+        row = counts[answers.index.get_loc(participant)]
+        fewer = [describe_cell(cell, scale) for cell, n in zip(cells, row, strict=True) if n < usual]
+        return table.problem(
+            int(frame.index[frame["participant"] == participant][0]),
+            "participant",
+            f"{'no answer' if usual == 1 else 'too few answers'} from participant {participant} in "
+            f"{', '.join(fewer[:3])}" + (f" and {len(fewer) - 3} more cells" if len(fewer) > 3 else ""),
+            f"{usual} in every cell of the design (each finger condition, zone pair and level)",
+            "add the missing rows, or remove this participant from the file",
+        )
+
+    def surplus(key: tuple[Any, ...]) -> Problem:
+        participant, *cell = key
+        lines = frame.index[(frame[keys] == list(key)).all(axis=1)]
+        given = f"{answers.loc[participant, tuple(cell)]} answers from participant {participant}"
+        given += f" in {describe_cell(cell, scale)} (line{'s' * (len(lines) > 1)} {', '.join(map(str, lines[:5]))})"
+        remedy = "remove duplicate rows, or correct n: every cell needs the same number of answers"
+        return table.problem(int(lines[-1]), "participant", given, f"{usual}, as in the other cells", remedy)
+
+    lacks = np.maximum(usual - counts, 0)
+    far = lacks.sum(axis=1) >= _MOST_MISSING * usual * len(cells)
+    fewer = list(answers.index[far | ((counts == 0) & (counts == 0).all(axis=0)).any(axis=1)])
+    if rare := _rare(table, frame) if fewer else []:
+        return rare, usual
+    more = [(answers.index[who], *cells[cell]) for who, cell in np.argwhere(counts > usual).tolist()]
+    problems = [
+        *again,
+        *list_faults(table.file, fewer, "participants with missing answers", missing, f"{usual} in every cell"),
+        *list_faults(table.file, more, "cells with surplus answers", surplus, f"{usual} in every cell"),
+    ]
+    return problems, usual
+
+
+def _rare(table: Table, frame: pd.DataFrame) -> list[Problem]:
+    """Report finger conditions, zones and levels that hardly anybody has, such as a mistyped or a measured level."""
+    level, problems, n = scale_of(frame.columns).column, list[Problem](), frame["participant"].nunique()
+    levels = frame[level].map("{:.12g}".format)
+    columns = {
+        "finger_condition": frame["finger_condition"].astype("str"),
+        "zone_left": label_zones(frame),
+        level: levels,
+    }
+    for name, column in columns.items():
+        n_met = column.map(frame["participant"].groupby(column).nunique())
+        is_measured = name == level and 2 * column.nunique() > len(frame)
+        rare = column[(2 * n_met < n) | is_measured].drop_duplicates()
+        if rare.empty:
+            continue
+        given = ", ".join(f"{value} (line {line})" for line, value in rare[:3].items())
+        given += f" and {len(rare) - 3} more" * (len(rare) > 3) + ", which hardly any participant has"
+        remedy = "correct them" + f"; put measured levels into a column not named {level}" * (name == level)
+        problems.append(table.problem(int(rare.index[0]), name, given, "the same for all participants", remedy))
+    return problems
+
+
+def check_doubling(table: Table, frame: pd.DataFrame, most: int | None) -> tuple[list[Problem], list[str]]:
+    """Refuse a table whose every row is duplicated, but for a few; up to the planned repetitions, note it instead.
+
+    Repetitions of a participant who always answers alike look like copies, so unplanned ones need numbers.
+
+    Parameters
+    ----------
+    table : Table
+        The file.
+    frame : DataFrame
+        Rows of the file that count.
+    most : int or None
+        Most answers of a participant in a cell, according to the protocol; None if unknown.
+    """
+    counts = pd.util.hash_pandas_object(table.fields, index=False).value_counts().to_numpy()
+    least = min(_MOST_ROWS, 1 - 1 / len(counts)) if len(counts) >= _ALL_BUT_ONE else _MOST_ROWS
+    multiples = (times for times in range(int(counts.max()), 1, -1) if (counts % times == 0).mean() >= least)
+    times = next(multiples, 1)
+    every = "every row" if (counts % times == 0).all() else "nearly every row"
+    if times < 2 or frame.empty:
+        return [], []
+    cell = [*cell_of(frame.columns), *({"stimulus"} & {*frame.columns})]
+    found = int(frame.groupby(["participant", *cell], observed=True)["n"].sum().max())
+    if most is not None and found <= most:
+        return [], [f"{every} occurs {times} times, taken as repetitions, as planned: remove any copies"]
+    given, allowed = f"{every} {times} times", "each once, or repetitions with numbers under `repetition`"
+    remedy = "remove the copies, or number the repetitions; or name their protocol with --protocol, if it plans them"
+    if most is not None:
+        given += f", which gives {found} answers of a participant in a cell"
+        allowed, remedy = f"{most}, as in the protocol", "remove the copies"
+    return [Problem(table.file, 1, 1, "", given, allowed, remedy)], []
+
+
+def check_unit(table: Table, frame: pd.DataFrame, design: Mapping[str, Any]) -> list[Problem]:
+    """Report levels below 1 mm/s throughout, presumably given in m/s, unless the protocol has such levels."""
+    planned = (design.get("conditions") or {}).get("peak_velocities_mm_s") or (1.0,)
+    highest = frame[VELOCITY.column].max() if VELOCITY.column in frame else math.inf
+    if not highest < 1 <= max(planned):
+        return []
+    remedy = "multiply them by 1000 if they are in m/s" + "; if not, name their protocol with --protocol" * (not design)
+    given, allowed = f"levels of at most {highest:g}", "peak velocities in mm/s"
+    return [table.problem(int(frame.index[0]), VELOCITY.column, given, allowed, remedy)]
+
+
+def _doubled(table: Table, frame: pd.DataFrame) -> list[Problem]:
+    """Report duplicate rows of a repetition or a count."""
+    counted = [name for name, column in (("repetition", "repetition"), ("response", "n")) if column in table.fields]
+    keys = [*keys_of(frame.columns), *counted, *({"session"} & set(frame.columns) if counted else ())]
+    again = frame[frame.duplicated(keys, keep=False)] if counted else frame[:0]
+
+    def problem(lines: pd.Index) -> Problem:
+        row, cell = frame.loc[lines[1]], cell_of(frame.columns)
+        where = describe_cell((row[name] for name in cell), scale_of(frame.columns))
+        given = f"participant {row['participant']}, {where} again (first on line {lines[0]})"
+        return table.problem(
+            int(lines[1]),
+            keys[-1],
+            given,
+            f"one row for each {', '.join(keys)}",
+            "remove one of the rows, or number them",
+        )
+
+    return list_faults(table.file, list(again.groupby(keys, observed=True).groups.values()), "duplicate rows", problem)
+
+
+def _copied(table: Table, frame: pd.DataFrame) -> list[Problem]:
+    """Report participants whose trials all occur twice, or match another participant's answers and reaction times."""
+    timed = frame.dropna(subset=["response_time"]) if "response_time" in frame else frame[:0]
+    seen: dict[tuple[Any, ...], Any] = {}
+    problems = []
+    for participant, own in timed.groupby("participant", sort=False, observed=True):
+        rows = own[[*cell_of(own.columns), "response", "response_time"]]
+        if rows["response_time"].nunique() < _FEWEST_TIMES:
+            continue
+        other = seen.setdefault(tuple(sorted(map(str, rows.itertuples(index=False)))), participant)
+        # Coarse times may coincide by chance, but only in a table pasted repeatedly does every row recur equally often.
+        twice = math.gcd(*rows.value_counts().tolist()) > 1
+        if twice or other != participant:
+            given = (
+                f"every answer of {participant}, with the same times, "
+                f"{'twice' if twice else f'identical to those of {other}'}"
+            )
+            problems.append(table.problem(int(own.index[-1]), "participant", given, "each once", "remove the copies"))
+    return problems or _numbered_twice(table, frame)
+
+
+def _numbered_twice(table: Table, frame: pd.DataFrame) -> list[Problem]:
+    """Report participants of whom a trial has several rows: copies, sessions, or two people of one name."""
+    if "trial" not in frame or (frame["n"] != 1).any():
+        return []
+    marks = ("finger_condition", "stimulus", "session_kind", "session", "block", "repetition")
+    keys = ["participant", *(name for name in marks if name in frame), "trial"]
+    numbered = frame.dropna(subset=["trial"])
+    again = numbered[numbered.duplicated(keys)].drop_duplicates("participant")
+
+    def problem(line: int) -> Problem:
+        who, trial = again.loc[line, ["participant", "trial"]]
+        n = int(numbered[numbered["participant"] == who].duplicated(keys).sum())
+        given = f"trial {trial:g} of {who} again" + (f", and {n - 1} more trials" if n > 1 else "")
+        remedy = "remove copies, number sessions under session, and give two people two names"
+        return table.problem(line, "trial", given, "each trial of a participant once", remedy)
+
+    return list_faults(table.file, [*again.index], "participants with a trial twice", problem)
+
+
+def check_planned(table: Table, frame: pd.DataFrame, table_format: TableFormat) -> list[Problem]:
+    """Report finger conditions, zones and levels that the protocol does not have, such as those of swapped columns."""
+    planned, scale = table_format.planned, scale_of(frame.columns)
+    known = {
+        "finger_condition": [condition for _, condition, *_ in planned],
+        "zone_left": ["-".join(zones) for _, _, zones, *_ in planned],
+        scale.column: [f"{level:g}" for *_, level, _ in planned],
+    }
+    given = {
+        "finger_condition": frame["finger_condition"].astype("str"),
+        "zone_left": label_zones(frame).rename("zone_left"),
+        scale.column: frame[scale.column].map("{:g}".format),
+    }
+    if (table_format.design.get("conditions") or {}).get("sensation_levels"):
+        del given[scale.column]  # levels are each participant's own
+    remedy = "write them as the protocol does, or name the protocol of these answers"
+    problems: list[Problem] = []
+    for name, column in given.items() if planned else ():
+        allowed = ", ".join(dict.fromkeys(known[name]))
+        problems += table.check_words(column, known[name].__contains__, allowed, lambda word: (repr(word), remedy))
+    return problems
