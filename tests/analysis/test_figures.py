@@ -10,7 +10,7 @@ from matplotlib.transforms import Bbox
 
 from modaltouch.analysis.counts import count_answers
 from modaltouch.analysis.crossed import zone_table
-from modaltouch.analysis.figures import draw_counts
+from modaltouch.analysis.figures import draw_bars, draw_counts
 from modaltouch.analysis.report import NOTHING, OTHER_COLOURS, TIED, ZONE_COLOURS, participant_strips
 from modaltouch.protocol import AnswerList
 from modaltouch.report.page import FAINT, INK, PAIR_COLOURS, render
@@ -179,3 +179,12 @@ def test_error_bars_depend_on_the_answers_of_their_cell(table) -> None:
         segments = draw_counts(table, "one_hand", n_participants=10).axes[0].collections[0].get_segments()
     assert segments[0][:, 1] == pytest.approx([7 * 0.003610, 7 * 0.578723], abs=1e-4)
     assert segments[1][:, 1].tolist() == [0, 0]
+
+
+def test_only_the_papers_design_has_the_papers_figure_numbers(build) -> None:
+    """Other levels are another experiment, whose figure is not Fig. 10 of the paper."""
+    frame = build["tidy"](build["paper"](3))
+    captions = [picture.caption for picture in draw_bars(count_answers(frame))]
+    assert [caption[:8] for caption in captions] == ["Fig. 10.", "Fig. 11."]
+    others = draw_bars(count_answers(frame[frame["velocity_mm_s"] > 80]))
+    assert all(picture.caption.startswith("Answers with") for picture in others)

@@ -242,9 +242,9 @@ def test_a_third_interval_is_not_guessed_evenly() -> None:
     frame = TWO.assign(response=pd.Categorical(TWO["response"], ["left", "both", "right"]))
     for number, evenly in ((1, True), (2, True), (3, False)):
         answers = Responses(frame, (), (), SOURCE, design={"intervals": {"number": number}})
-        assert answers.n_intervals == number
+        assert answers.task.n_intervals == number
         assert answers.count().guesses_evenly is evenly
-    assert Responses(frame, (), (), SOURCE).n_intervals == 1
+    assert Responses(frame, (), (), SOURCE).task.n_intervals == 1
 
 
 def test_a_group_lists_crossed_cells_with_few_keys() -> None:

@@ -42,7 +42,7 @@ def test_each_answer_begins_with_its_number(paper_frame) -> None:
     """Each question is answered on average and for some participant; if all lean alike, p is 2/2^10."""
     told = paragraphs(paper_frame)
     assert told["a2"].startswith(
-        "Yes, in 4 of 6 tests: one zone is chosen more than the other on average. Clearest: P(C) - P("
+        "Yes, in 4 of 6 tests: one zone is chosen more than the other on average. Clearest: P(C) − P("
     )
     assert re.search(r"= 1 \[.*\] \(two hands, C and E\), p = 0.002, Holm p = 0.012", told["a2"])
     assert "Yes, in 4 of 6 tests: one zone is chosen more than the other for at least one participant." in told["a2"]
@@ -72,6 +72,16 @@ def test_conditions_and_zones_are_written_out(paper_frame, scope, words) -> None
     """Sentences contain no file or key names."""
     answers = count_answers(paper_frame)
     assert scope_in_words(scope, answers.finger_conditions, answers.pairs) == words
+
+
+def test_differences_have_minus_signs_in_sentences_and_tables(paper_frame) -> None:
+    """A hyphen joins zones, as in A-C; in JSON the quantity keeps it, as programs read it."""
+    answers = count_answers(paper_frame)
+    rows = [row for row in find(answers, paper_frame) if row.question == "a2"]
+    (table,) = list_questions(rows, answers)
+    assert rows[0].quantity == "P(C) - P(A)"
+    assert "P(C) − P(E) = " in table["answer"] and " - " not in table["answer"]
+    assert table["parts"][0]["lines"][0]["quantity"] == "P(C) − P(A)"
 
 
 def test_families_and_their_error_rates_are_stated_once(paper_frame) -> None:

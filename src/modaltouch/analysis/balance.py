@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -142,13 +141,12 @@ def check_doubling(table: Table, frame: pd.DataFrame, most: int | None) -> tuple
     return [Problem(table.file, 1, 1, "", given, allowed, remedy)], []
 
 
-def check_unit(table: Table, frame: pd.DataFrame, design: Mapping[str, Any]) -> list[Problem]:
-    """Report levels below 1 mm/s throughout, presumably given in m/s, unless the protocol has such levels."""
-    planned = (design.get("conditions") or {}).get("peak_velocities_mm_s") or (1.0,)
+def check_unit(table: Table, frame: pd.DataFrame) -> list[Problem]:
+    """Report levels below 1 mm/s throughout, presumably given in m/s; with a protocol, `check_planned` tells more."""
     highest = frame[VELOCITY.column].max() if VELOCITY.column in frame else math.inf
-    if not highest < 1 <= max(planned):
+    if not highest < 1:
         return []
-    remedy = "multiply them by 1000 if they are in m/s" + "; if not, name their protocol with --protocol" * (not design)
+    remedy = "multiply them by 1000 if they are in m/s; if not, name their protocol with --protocol"
     given, allowed = f"levels of at most {highest:g}", "peak velocities in mm/s"
     return [table.problem(int(frame.index[0]), VELOCITY.column, given, allowed, remedy)]
 

@@ -46,8 +46,6 @@ class TableFormat:
         Mapping from words in the file to answers.
     missing : tuple of str
         Words for a missing answer, besides an empty field, ``n/a`` and ``time_out``.
-    margin : float or None
-        Equivalence margin of the finger conditions [1].
     design : dict
         Sections of the protocol; empty if no protocol is given.
     planned : dict of tuple to int
@@ -58,7 +56,6 @@ class TableFormat:
     answers: AnswerList | None = None
     words: Mapping[str, str] = field(default_factory=dict)
     missing: tuple[str, ...] = ()
-    margin: float | None = None
     design: Mapping[str, Any] = field(default_factory=dict)
     planned: Mapping[tuple[Any, ...], int] = field(default_factory=dict)
 
@@ -73,8 +70,7 @@ class TableFormat:
             cells = [(group, name, *cell) for name in own.conditions.finger_conditions for cell in own.cells(name)]
             planned.update(cells * n_times)
         first = findings.experiment().protocol
-        margin, design = first.analysis.equivalence_margin, first.model_dump(mode="json")
-        return cls(first.answers.offered, words or {}, missing, margin, design, planned)
+        return cls(first.answers.offered, words or {}, missing, first.model_dump(mode="json"), planned)
 
     @property
     def most(self) -> int | None:

@@ -44,7 +44,7 @@ def draw_bars(answers: AnswerCounts) -> list[ReportFigure]:
     pictures, n = [], answers.n_participants
     for condition, name in figure_names(answers.finger_conditions if len(answers.answers) > 1 else ()).items():
         figure = draw_counts(zone_table(answers, condition), condition, n if answers.n_repetitions > 1 else None)
-        number = {"fig_10": "Fig. 10. ", "fig_11": "Fig. 11. "}.get(name, "")
+        number = {"fig_10": "Fig. 10. ", "fig_11": "Fig. 11. "}.get(name, "") if answers.is_paper_design else ""
         several = f", {answers.n_repetitions} answers each" if answers.n_repetitions > 1 else ""
         whose = f"{condition.replace('_', ' ')}, {n} participant{'s' * (n != 1)}"
         caption = f"{number}Answers with {whose}{several}. {OF_SEVERAL if several else INTERVALS}"

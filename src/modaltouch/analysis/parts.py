@@ -268,7 +268,7 @@ def render_parts(analysis: PartsAnalysis) -> dict[str, Any]:
         "modaltouch.analysis",
         "parts",
         shown,
-        title=f"Analysis: {responses.design.get('title') or responses.start.get('protocol') or 'answers'}",
+        title=f"Analysis: {responses.title}",
         n_participants=responses.frame["participant"].nunique(),
         n_answers=len(responses.frame),
         counts=analysis.counts.to_dict("records"),

@@ -24,6 +24,7 @@ from modaltouch.analysis.words import (
     condition_in_words,
     format_interval,
     headings,
+    quantity_in_words,
     scope_in_words,
     state_families,
 )
@@ -64,13 +65,13 @@ def report_files(analysis: Analysis, pictures: Sequence[ReportFigure]) -> dict[s
     """Render the report and its figures, by file name."""
     from modaltouch.analysis.provenance import describe_record
 
-    answers = analysis.answers
+    answers, chosen = analysis.answers, analysis.responses.stimulus
     felt = [answers.answers[place].name for place in answers.felt]
     return page_files(
         "modaltouch.analysis",
         "report",
         pictures,
-        title=_title(analysis),
+        title=f"Analysis: {analysis.responses.title}" + f", stimulus {chosen}" * bool(chosen),
         source=analysis.responses.source,
         answers=answers,
         n_answers=int(answers.counts.sum()),
@@ -135,7 +136,7 @@ def design_limits(analysis: Analysis) -> list[str]:
             "unable to tell; the question does not separate them.",
         ),
         (  # With several intervals, the guess rate follows from the design; for numbers, there is none.
-            nothing is None and len(answers.answers) > 1 and analysis.responses.n_intervals == 1,
+            nothing is None and len(answers.answers) > 1 and analysis.responses.task.n_intervals == 1,
             "No answer says that nothing was felt, so a trial without a stimulus cannot be answered correctly: lapses "
             "and guessing stay unknown.",
         ),
@@ -172,13 +173,6 @@ def _aliases(pairs: Sequence[Pair]) -> Iterator[str]:
                 f"same finger, so a preference for {left} cannot be distinguished from one for that side or finger. "
                 "Mirrored placement, or swapped hands in half the participants, would separate them."
             )
-
-
-def _title(analysis: Analysis) -> str:
-    start = analysis.responses.start
-    name = str(start.get("design", {}).get("title") or start.get("protocol", ""))
-    chosen = f", stimulus {analysis.responses.stimulus}" if analysis.responses.stimulus else ""
-    return f"Analysis: {name}{chosen}" if name else "Analysis of answers"
 
 
 def _zone_rows(answers: AnswerCounts, condition: str) -> list[dict[str, Any]]:
@@ -269,7 +263,7 @@ def _part(name: str, rows: Sequence[Finding], answers: AnswerCounts) -> dict[str
         "lines": [
             {
                 "scope": scope_in_words(row.scope, answers.finger_conditions, answers.pairs),
-                "quantity": row.quantity,
+                "quantity": quantity_in_words(row),
                 "estimate": format_interval(row),
                 "p": format_number(row.p, 2),
                 "p_min": format_number(row.p_min, 2),

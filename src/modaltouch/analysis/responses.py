@@ -171,8 +171,6 @@ class Responses:
         Focus of each stimulus, if there are several.
     answers : AnswerList
         The answers offered.
-    margin : float or None
-        Equivalence margin of the finger conditions [1]; for sessions, from the protocol.
     asked : int or None
         Scheduled answers per participant and cell; None to infer them from the table.
     notes : tuple of str
@@ -194,7 +192,6 @@ class Responses:
     stimulus: str = ""
     foci: dict[str, str] = field(default_factory=dict)
     answers: AnswerList = field(default_factory=lambda: AnswerList.of({}))
-    margin: float | None = None
     asked: int | None = None
     notes: tuple[str, ...] = ()
     scheduled: pd.DataFrame | None = None
@@ -208,9 +205,9 @@ class Responses:
         return TrialTask.of(self.design)
 
     @property
-    def n_intervals(self) -> int:
-        """Number of intervals per trial."""
-        return int((self.design.get("intervals") or {}).get("number", 1))
+    def title(self) -> str:
+        """Title or name of the protocol; ``answers`` if it is unknown."""
+        return str(self.design.get("title") or self.start.get("protocol") or "answers")
 
     @property
     def command(self) -> str:
@@ -300,8 +297,9 @@ class Responses:
         ValueError
             If a response is not one of the answers.
         """
-        counts = count_answers(self.frame, self.focus or focus, self.answers, self.margin, self.asked)
-        return replace(counts, guesses_evenly=self.n_intervals < 3)
+        margin = (self.design.get("analysis") or {}).get("equivalence_margin")
+        counts = count_answers(self.frame, self.focus or focus, self.answers, margin, self.asked)
+        return replace(counts, guesses_evenly=self.task.n_intervals < 3)
 
     def by_speed(self, speed: Speed) -> Responses:
         """Replace the levels by the peak speeds predicted or delivered under the faster finger.

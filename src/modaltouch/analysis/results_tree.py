@@ -272,11 +272,10 @@ def read_tree(place: Path, *further: Path, mode: str | None = None, stimulus: st
         stimulus or "",
         foci,
         answers,
-        (design := start.get("design", {})).get("analysis", {}).get("equivalence_margin"),
         asked,
         notes=(*notes, *version_notes(facts)),
         scheduled=None if is_crossed else whole,
-        design=design,
+        design=start.get("design", {}),
     )
 
 

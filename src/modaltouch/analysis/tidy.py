@@ -82,7 +82,7 @@ def read_csv(
     caught, counts = apart[_CAUGHT], ~pd.DataFrame(apart).any(axis=1)
     frame, answers = _frame_of(columns, fields, counts, table_format)
     columns.check_words(counts, table_format.design)
-    columns.problems += check_unit(table, frame[counts], table_format.design)
+    columns.problems += [] if table_format.design else check_unit(table, frame[counts])
     if not columns.problems:
         asked = unmirror(frame[counts], answers)
         columns.problems += check_planned(table, asked, table_format)
@@ -106,7 +106,6 @@ def read_csv(
         foci[0],
         catches=sum_catches(silent.reindex(columns=_CATCH_COLUMNS, fill_value="").itertuples(index=False, name=None)),
         answers=answers,
-        margin=table_format.margin,
         asked=checked[-1][1] or None,
         notes=(*notes, *noted, *(missing_answer_notes(kept, given) if is_crossed else ())),
         scheduled=None if is_crossed else kept,

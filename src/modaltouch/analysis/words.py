@@ -101,6 +101,11 @@ def format_interval(finding: Finding) -> str:
     return estimate if bounds == ["–", "–"] else f"{estimate} [{', '.join(bounds)}]"
 
 
+def quantity_in_words(finding: Finding) -> str:
+    """Return the quantity of a finding with minus signs in place of hyphens, as in ``P(C) − P(A)``."""
+    return finding.quantity.replace(" - ", " − ")
+
+
 def answer_question(own: Sequence[Finding], claim: str, answers: AnswerCounts) -> str:
     """Answer a question in sentences with numbers, first on average, then for individual participants.
 
@@ -193,17 +198,16 @@ def _range(rows: Sequence[Finding], answers: AnswerCounts) -> str:
     in_order = sorted(rows, key=lambda row: row.estimate)
     if len(rows) < 2:
         return _about(rows[0], answers)
-    ends = (_about(row, answers).removeprefix(f"{row.quantity} = ") for row in (in_order[0], in_order[-1]))
-    return f"{rows[0].quantity} from {' to '.join(ends)}"
+    quantity = quantity_in_words(rows[0])
+    ends = (_about(row, answers).removeprefix(f"{quantity} = ") for row in (in_order[0], in_order[-1]))
+    return f"{quantity} from {' to '.join(ends)}"
 
 
 def _about(row: Finding, answers: AnswerCounts) -> str:
     scope = "" if row.scope == "all" else f" ({scope_in_words(row.scope, answers.finger_conditions, answers.pairs)})"
-    return (
-        f"{row.quantity}{scope}"
-        if row.family and row.estimate != row.estimate
-        else (f"{row.quantity} = {format_interval(row)}{scope}")
-    )
+    quantity = quantity_in_words(row)
+    is_estimated = not row.family or row.estimate == row.estimate
+    return f"{quantity} = {format_interval(row)}{scope}" if is_estimated else f"{quantity}{scope}"
 
 
 def state_families(findings: Sequence[Finding]) -> str:
