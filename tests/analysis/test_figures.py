@@ -187,4 +187,4 @@ def test_only_the_papers_design_has_the_papers_figure_numbers(build) -> None:
     captions = [picture.caption for picture in draw_bars(count_answers(frame))]
     assert [caption[:8] for caption in captions] == ["Fig. 10.", "Fig. 11."]
     others = draw_bars(count_answers(frame[frame["velocity_mm_s"] > 80]))
-    assert all(picture.caption.startswith("Answers with") for picture in others)
+    assert all(picture.caption.startswith("Answers: ") for picture in others)

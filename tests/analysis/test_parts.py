@@ -159,7 +159,8 @@ def test_the_caption_of_a_figure_names_its_own_finger_condition() -> None:
     every = [row | {"finger_condition": name} for row in rows() for name in ("one_hand", "two_hands")]
     page = render_parts(analyse_parts(responses(every)))["report.html"]
     for hands in ("one hand", "two hands"):
-        assert f"<figcaption>{hands} B-D at 120 mm/s" in page.replace("\n", "")
+        caption = f"<figcaption>Answers: {hands} B-D at 120 mm/s, 10 participants, 2 answers each. Error bars: "
+        assert caption in page.replace("\n", "")
 
 
 def test_pairs_with_other_levels_are_compared_over_those_of_both_and_say_so() -> None:

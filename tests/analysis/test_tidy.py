@@ -323,8 +323,9 @@ class TestBalance:
     def test_trials_copied_with_their_numbers_are_refused(self, write_csv, paper_rows) -> None:
         """A table pasted below itself would double the answers and lower p; two sessions need session numbers."""
         rows = [{**row, "trial": place} for place, row in enumerate(paper_rows)]
-        said = "trial: given trial 0 of p01 again, and 23 more trials; allowed: each trial of a participant once"
-        assert said in fails(write_csv([*rows, *rows]))[0]
+        problems = fails(write_csv([*rows, *rows]))
+        said = "trial: given participant p01, finger_condition one_hand, trial 0 again (first on line 2); allowed: one"
+        assert "220 more duplicate rows" in problems[0] and said in problems[1]
         sessions = [{**row, "session": number} for number in (1, 2) for row in rows]
         assert len(read_responses(write_csv(sessions)).frame) == 2 * len(rows)
 
@@ -783,7 +784,7 @@ def test_two_people_of_one_name_are_refused(write_csv, build) -> None:
     with pytest.raises(InputError, match="'Oslo' of participant p01, who was in another lab before"):
         read_responses(write_csv(rows))
     bare = [{k: v for k, v in row.items() if k != "lab"} for row in rows]
-    said = "trial: given trial 1 of p01 again, and 23 more trials; .*number sessions under session, and give two people"
+    said = "trial: given participant p01, .*trial 1 again .first on line 2.; .*number .* sessions, and give two people"
     with pytest.raises(InputError, match=said):
         read_responses(write_csv(bare))
     numbered = [row | {"session": place // 72} for place, row in enumerate(bare)]

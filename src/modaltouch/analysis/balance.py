@@ -44,7 +44,7 @@ def check_balance(table: Table, frame: pd.DataFrame, *, is_crossed: bool = True)
     if frame["n"].sum() == 0:
         remedy = "look at the columns excluded, practice, catch and n, as far as there are any"
         return [Problem(table.file, 1, 1, "", "no answers", "at least one answer that is not practice", remedy)], 0
-    again = [*_doubled(table, frame), *_copied(table, frame)]
+    again = _copied(table, frame) or _doubled(table, frame)
     if not is_crossed:
         return again, 0
     answers = answers_per_cell(frame)
@@ -152,24 +152,31 @@ def check_unit(table: Table, frame: pd.DataFrame) -> list[Problem]:
 
 
 def _doubled(table: Table, frame: pd.DataFrame) -> list[Problem]:
-    """Report duplicate rows of a repetition or a count."""
+    """Report rows that repeat a repetition, a count or a trial: copies, sessions, or two people of one name."""
     counted = [name for name, column in (("repetition", "repetition"), ("response", "n")) if column in table.fields]
-    keys = [*keys_of(frame.columns), *counted, *({"session"} & set(frame.columns) if counted else ())]
-    again = frame[frame.duplicated(keys, keep=False)] if counted else frame[:0]
+    marks = ("finger_condition", "stimulus", "session_kind", "session", "block", "repetition")
+    problems: list[Problem] = []
+    if counted:
+        problems += _repeated(table, frame, [*keys_of(frame.columns), *counted, *({"session"} & {*frame.columns})])
+    if "trial" in frame and (frame["n"] == 1).all():
+        keys = ["participant", *(name for name in marks if name in frame and frame[name].nunique() > 1), "trial"]
+        problems += _repeated(table, frame.dropna(subset=["trial"]), keys)
+    return problems
 
-    def problem(lines: pd.Index) -> Problem:
-        row, cell = frame.loc[lines[1]], cell_of(frame.columns)
-        where = describe_cell((row[name] for name in cell), scale_of(frame.columns))
-        given = f"participant {row['participant']}, {where} again (first on line {lines[0]})"
-        return table.problem(
-            int(lines[1]),
-            keys[-1],
-            given,
-            f"one row for each {', '.join(keys)}",
-            "remove one of the rows, or number them",
-        )
 
-    return list_faults(table.file, list(again.groupby(keys, observed=True).groups.values()), "duplicate rows", problem)
+def _repeated(table: Table, frame: pd.DataFrame, keys: list[str]) -> list[Problem]:
+    """Report rows equal to an earlier one in some columns."""
+    words = frame[keys].astype("str")
+    remedy = "remove copies, number repetitions or sessions, and give two people two names"
+
+    def problem(line: int) -> Problem:
+        row = words.loc[line]
+        first = words.index[(words == row).all(axis=1)][0]
+        named = ", ".join(f"{key} {word.removesuffix('.0')}" for key, word in row.items())
+        given = f"{named} again (first on line {first})"
+        return table.problem(line, keys[-1], given, f"one row for each {', '.join(keys)}", remedy)
+
+    return list_faults(table.file, [*words.index[words.duplicated()]], "duplicate rows", problem)
 
 
 def _copied(table: Table, frame: pd.DataFrame) -> list[Problem]:
@@ -190,26 +197,7 @@ def _copied(table: Table, frame: pd.DataFrame) -> list[Problem]:
                 f"{'twice' if twice else f'identical to those of {other}'}"
             )
             problems.append(table.problem(int(own.index[-1]), "participant", given, "each once", "remove the copies"))
-    return problems or _numbered_twice(table, frame)
-
-
-def _numbered_twice(table: Table, frame: pd.DataFrame) -> list[Problem]:
-    """Report participants of whom a trial has several rows: copies, sessions, or two people of one name."""
-    if "trial" not in frame or (frame["n"] != 1).any():
-        return []
-    marks = ("finger_condition", "stimulus", "session_kind", "session", "block", "repetition")
-    keys = ["participant", *(name for name in marks if name in frame), "trial"]
-    numbered = frame.dropna(subset=["trial"])
-    again = numbered[numbered.duplicated(keys)].drop_duplicates("participant")
-
-    def problem(line: int) -> Problem:
-        who, trial = again.loc[line, ["participant", "trial"]]
-        n = int(numbered[numbered["participant"] == who].duplicated(keys).sum())
-        given = f"trial {trial:g} of {who} again" + (f", and {n - 1} more trials" if n > 1 else "")
-        remedy = "remove copies, number sessions under session, and give two people two names"
-        return table.problem(line, "trial", given, "each trial of a participant once", remedy)
-
-    return list_faults(table.file, [*again.index], "participants with a trial twice", problem)
+    return problems
 
 
 def check_planned(table: Table, frame: pd.DataFrame, table_format: TableFormat) -> list[Problem]:

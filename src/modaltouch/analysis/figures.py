@@ -19,6 +19,7 @@ from modaltouch.analysis.columns import scale_of
 from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.crossed import figure_names, zone_table
 from modaltouch.analysis.intervals import clopper_pearson
+from modaltouch.analysis.preregistration import name_part
 from modaltouch.report import CONDITION_COLOURS, FAINT, INK, PAIR_COLOURS, ReportFigure, house_style, quiet_grid
 
 FINGERS = {"one_hand": "index and middle finger of one hand", "two_hands": "index fingers of both hands"}
@@ -39,16 +40,18 @@ INTERVALS = "Error bars: exact 95 % intervals (Clopper-Pearson) over participant
 OF_SEVERAL = "Error bars: Clopper and Pearson's 95 % intervals, as if each participant had given one answer."
 
 
-def draw_bars(answers: AnswerCounts) -> list[ReportFigure]:
-    """Draw Fig. 10 and Fig. 11, or the like for other finger conditions."""
+def draw_bars(answers: AnswerCounts, part: str = "", number: int = 0) -> list[ReportFigure]:
+    """Draw Fig. 10 and Fig. 11, or the like for other finger conditions, or for a numbered part of a design."""
     pictures, n = [], answers.n_participants
     for condition, name in figure_names(answers.finger_conditions if len(answers.answers) > 1 else ()).items():
-        figure = draw_counts(zone_table(answers, condition), condition, n if answers.n_repetitions > 1 else None)
-        number = {"fig_10": "Fig. 10. ", "fig_11": "Fig. 11. "}.get(name, "") if answers.is_paper_design else ""
+        figure = draw_counts(zone_table(answers, condition), condition, n if answers.n_repetitions > 1 else None, part)
+        papers = {"fig_10": "Fig. 10. ", "fig_11": "Fig. 11. "} if answers.is_paper_design and not number else {}
         several = f", {answers.n_repetitions} answers each" if answers.n_repetitions > 1 else ""
-        whose = f"{condition.replace('_', ' ')}, {n} participant{'s' * (n != 1)}"
-        caption = f"{number}Answers with {whose}{several}. {OF_SEVERAL if several else INTERVALS}"
-        pictures.append(ReportFigure(name, figure, caption, "answers", condition))
+        whose = name_part(replace(answers, finger_conditions=(condition,)), part) if number else condition
+        whose = f"{whose.replace('_', ' ')}, {n} participant{'s' * (n != 1)}"
+        caption = f"{papers.get(name, '')}Answers: {whose}{several}. {OF_SEVERAL if several else INTERVALS}"
+        file = f"part_{number}_{condition}" if number else name
+        pictures.append(ReportFigure(file, figure, caption, "answers", condition))
     return pictures
 
 

@@ -11,16 +11,16 @@ from typing import TYPE_CHECKING, Any
 import pandas as pd
 
 from modaltouch.analysis.counts import AnswerCounts
-from modaltouch.analysis.crossed import tabulate, zone_table
+from modaltouch.analysis.crossed import tabulate
 from modaltouch.analysis.findings import ALPHA, Finding, correct, grouped, plain_row, test_files, to_frame
 from modaltouch.analysis.models import model_files
 from modaltouch.analysis.preregistration import ALL_PARTS, PARTS, RegisteredAnalysis, name_part, terms_of_tests
 from modaltouch.analysis.provenance import describe_record
 from modaltouch.analysis.responses import Responses, cell_of
 from modaltouch.analysis.statistics import uncorrected
-from modaltouch.analysis.words import condition_in_words, state_families
+from modaltouch.analysis.words import state_families
 from modaltouch.protocol import InputError
-from modaltouch.report import ReportFigure, page_files
+from modaltouch.report import page_files
 
 if TYPE_CHECKING:
     from modaltouch.analysis.designs import DesignAnalysis
@@ -239,23 +239,14 @@ def _part(
 
 def render_parts(analysis: PartsAnalysis) -> dict[str, Any]:
     """Render all files of the analysis, by name, for `write_files`."""
-    from modaltouch.analysis.figures import draw_counts
+    from modaltouch.analysis.figures import draw_bars
     from modaltouch.analysis.report import list_questions
 
     pictures = [
-        ReportFigure(
-            f"part_{number}_{condition}",
-            draw_counts(
-                zone_table(part.counts, condition),
-                condition,
-                part.counts.n_participants if part.counts.n_repetitions > 1 else None,
-                " ".join(filter(None, part.factors.values())),
-            ),
-            condition_in_words(part.name.replace(" and ".join(part.counts.finger_conditions), condition)),
-        )
+        picture
         for number, part in enumerate(analysis.parts, start=1)
-        for condition in part.counts.finger_conditions
-        if len(part.counts.answers) > 1 and not part.frame.empty
+        if not part.frame.empty
+        for picture in draw_bars(part.counts, " ".join(filter(None, part.factors.values())), number)
     ]
     shown, values = pictures[:MOST_FIGURES], analysis.design.rows if analysis.design else []
     if analysis.design:

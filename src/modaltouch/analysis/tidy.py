@@ -13,7 +13,7 @@ import pandas as pd
 
 from modaltouch.analysis.balance import check_balance, check_doubling, check_planned, check_unit
 from modaltouch.analysis.columns import OWN_THRESHOLD, VELOCITY, zones_of
-from modaltouch.analysis.csv_table import Table, TableFormat, list_faults, read_table
+from modaltouch.analysis.csv_table import Table, TableFormat, read_table
 from modaltouch.analysis.responses import (
     CHOOSE_STIMULUS,
     MODES,
@@ -377,18 +377,11 @@ class _Columns:
 
     def check_zones(self) -> None:
         """Refuse the same zone under both fingers."""
-        zones = self._table.fields[["zone_left", "zone_right"]].astype("str")
-        allowed, remedy = "two different zones", "correct zone_left or zone_right"
-
-        def problem(fault: tuple[Any, str]) -> Problem:
-            line, zone = fault
-            return self._table.problem(line, "zone_right", f"zone {zone!r} under both fingers", allowed, remedy)
-
-        is_same = (zones["zone_left"] == zones["zone_right"]) & (zones["zone_left"] != "")
-        same = zones.loc[is_same, "zone_right"]
-        self.problems += list_faults(
-            self._table.file, list(same.items()), "rows with a zone under both fingers", problem
-        )
+        left, right = (self._table.fields[name].astype("str") for name in ("zone_left", "zone_right"))
+        self.problems += self._table.check_words(
+            right[(left == right) & (left != "")], lambda word: False, "two different zones",
+            lambda word: (f"zone {word!r} under both fingers", "correct zone_left or zone_right"),
+        )  # fmt: skip
 
     def check_stimuli(self, where: pd.Series) -> None:
         """Refuse rows without a stimulus, or a kind of session, if other rows have one."""
@@ -415,14 +408,11 @@ class _Columns:
     def check_one(self, own: pd.DataFrame, column: str) -> None:
         """Refuse participants in several groups or labs."""
         odd = own[own[column] != own.groupby("participant")[column].transform("first")]
-        allowed, remedy = f"one {column} of each participant", "correct one of them, or give two people two names"
-
-        def problem(row: tuple[Any, ...]) -> Problem:
-            given = f"{row[2]!r} of participant {row[1]}, who was in another {column} before"
-            return self._table.problem(row[0], column, given, allowed, remedy)
-
-        rows = list(odd.drop_duplicates().itertuples(name=None))
-        self.problems += list_faults(self._table.file, rows, f"rows of another {column}", problem)
+        self.problems += self._table.check_words(
+            (odd[column].map(repr) + " of participant " + odd["participant"]).rename(column), lambda word: False,
+            f"one {column} of each participant", lambda word: (
+                f"{word}, who was in another {column} before", "correct one of them, or give two people two names"),
+        )  # fmt: skip
 
     def _values(self, name: str, read: Callable[[str], float]) -> pd.Series:
         column = self._table.fields[name]
