@@ -241,7 +241,8 @@ def test_a_third_interval_is_not_guessed_evenly() -> None:
     """Of two alternatives either is as likely by chance."""
     frame = TWO.assign(response=pd.Categorical(TWO["response"], ["left", "both", "right"]))
     for number, evenly in ((1, True), (2, True), (3, False)):
-        answers = Responses(frame, (), (), SOURCE, design={"intervals": {"number": number}})
+        design = {"intervals": {"number": number, "standard": {"velocity_mm_s": 100}}}
+        answers = Responses(frame, (), (), SOURCE, design=design)
         assert answers.task.n_intervals == number
         assert answers.count().guesses_evenly is evenly
     assert Responses(frame, (), (), SOURCE).task.n_intervals == 1
