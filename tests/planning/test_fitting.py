@@ -145,7 +145,7 @@ def test_the_words_of_a_table_are_mapped_as_by_analyse(tmp_path: Path, preflight
 
 
 def test_answers_about_another_beam_are_refused(tmp_path: Path, preflight: Preflight) -> None:
-    """Expected: the zone, the zones of the beam, and what to do."""
+    """Expected: the zones in the table, those of the protocol, and what to do."""
     (tmp_path / "a.csv").write_text(f"{HEADER}\np1,one_hand,A,Z,80,left,1\n", encoding="utf-8")
-    with pytest.raises(InputError, match="the zone 'Z'; allowed: A, B, C, D, E; give the protocol that"):
+    with pytest.raises(InputError, match="given 'A-Z'; allowed: A-C, B-D, C-E; .* name the protocol"):
         fit_answers(preflight, tmp_path / "a.csv", Observer())
