@@ -34,6 +34,18 @@ def test_a_failed_write_is_reported_and_leaves_the_old_entry(tmp_path):
     assert list(tmp_path.iterdir()) == [tmp_path / "table.tsv"]
 
 
+def test_a_disk_that_becomes_read_only_is_reported(tmp_path, monkeypatch):
+    """Linux remounts a failing disk read-only (ext4: errors=remount-ro): nothing is written, and nothing removed."""
+
+    def refuse(*_, **__):
+        raise OSError(errno.EROFS, "Read-only file system")
+
+    monkeypatch.setattr(os, "open", refuse)
+    monkeypatch.setattr(Path, "unlink", refuse)
+    with pytest.raises(RecordError, match=r"table.tsv: cannot be written \(Read-only file system\); free the place"):
+        replace_file(tmp_path / "table.tsv", b"new\n", "free the place")
+
+
 def test_content_is_synced_before_the_rename(tmp_path, monkeypatch, rules):
     """Content, rename, then the folder (not on Windows): after a crash the old or the new file is whole."""
     done = []

@@ -6,7 +6,7 @@ import os
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from modaltouch.record.chain import RecordError
@@ -71,7 +71,8 @@ def replace_file(path: Path, content: bytes, remedy: str, mode: int = 0o666) -> 
         move(temporary.replace, path)
         sync_folder(path.parent)
     except OSError as error:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):  # a disk that has become read-only lets nothing be removed either
+            temporary.unlink()
         raise RecordError(f"{path}: cannot be written ({error.strerror}); {remedy}") from error
 
 
