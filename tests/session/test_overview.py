@@ -207,6 +207,20 @@ def test_a_log_without_a_valid_line_is_damaged(tmp_path: Path, demo: Preflight, 
     scribe(demo, tmp_path, "p01").write_bytes(b"x\ny\n")
     (found,) = survey_results(tmp_path)
     assert [(row["state"], row["n_sittings"]) for row in found["sessions"]] == [("damaged", 0)]
+    reason = "the start record of the latest session is missing or incomplete"
+    assert found["notes"] == [f"orders and next sessions are not known: {reason}"]
+
+
+def test_sessions_of_two_modes_in_one_folder_are_told(
+    tmp_path: Path, demo: Preflight, scribe: Callable[..., Path]
+) -> None:
+    """A pilot that was copied into the study would be counted in the balance of its orders."""
+    scribe(demo, tmp_path, "p01")
+    copied = scribe(demo, tmp_path, "p02", mode="pilot").parents[2]
+    copied.rename(tmp_path / "demo" / copied.name)
+    (found,) = survey_results(tmp_path / "demo")
+    kinds = "pilot sessions of demo and real sessions of demo"
+    assert found["notes"] == [f"holds {kinds}, which are counted together here: move them to folders of their own"]
 
 
 def test_a_complete_session_with_a_torn_log_is_for_resume(

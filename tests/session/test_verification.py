@@ -53,6 +53,33 @@ def test_a_valid_session_passes(folder):
     assert verdict.lines[-1] == "complete"
 
 
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"Mode": "real"}, "says Mode: real, but its log says simulated"),
+        ({"TaskName": "threshold"}, "says TaskName: threshold, but its log says demo"),
+        ({"response": None}, "does not describe the column response"),
+        ({"velocity_mm_s": {"Description": "Level", "Units": "m/s"}}, "the column velocity_mm_s, whose unit is mm/s"),
+    ],
+)
+def test_a_side_file_that_misleads_about_its_table_is_detected(folder, change, words):
+    """BIDS 1.10, tabular files: the side file gives the meaning and unit of each column."""
+    (side,) = folder.glob("*_beh.json")
+    side.write_text(json.dumps(json.loads(side.read_text()) | change))
+    (problem,) = audit_session(Session.find(folder)).problems
+    assert problem.startswith(f"{side}: ")
+    assert words in problem
+
+
+def test_the_words_of_a_side_file_are_the_labs(folder):
+    """A lab may translate the descriptions and add keys before it shares them."""
+    (side,) = folder.glob("*_beh.json")
+    about = json.loads(side.read_text())
+    about["response"]["Description"] = "Wo die Vibration war"
+    side.write_text(json.dumps(about | {"InstitutionName": "A lab"}))
+    assert audit_session(Session.find(folder)).problems == ()
+
+
 def test_a_session_with_the_former_key_speech_is_readable(edit, tmp_path):
     """The key is ignored, also with its former additions in the record; only the view differs."""
     protocol = edit("demo.yaml", ("answers:\n  given_by", "speech: {voice: en}\nanswers:\n  given_by"))

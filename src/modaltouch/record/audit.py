@@ -15,7 +15,7 @@ from modaltouch.record.expectation import MALFORMED, SPEED, Expectation, restore
 from modaltouch.record.folders import SessionFolder
 from modaltouch.record.sequence import EventSequence
 from modaltouch.record.session import Session
-from modaltouch.record.view import form_text, table_text
+from modaltouch.record.view import columns_of, form_text, table_text
 
 
 @dataclass(frozen=True)
@@ -62,16 +62,15 @@ class Audit:
             )
 
 
-def audit_session(session: Session, *, probes: bool = True) -> Audit:
+def audit_session(session: Session) -> Audit:
     """Check a session against its start record.
+
+    Drives for measured fingers are designed again, which takes a tenth of a second for each placement.
 
     Parameters
     ----------
     session : Session
         The session, as read from its log.
-    probes : bool
-        Whether to design the drives for measured fingers again, a tenth of a second each, and to check the lines that
-        depend on them.
     """
     path, chain, start = session.path, session.chain, session.start
     if session.faults:
@@ -87,7 +86,7 @@ def audit_session(session: Session, *, probes: bool = True) -> Audit:
             if sentence:
                 (lines if holds else problems).append(sentence)
         sequence = EventSequence(session, given, schedule)
-        sequence.walk(probes=probes)
+        sequence.walk()
         problems += sequence.problems
         lines += sequence.lines
         agrees, differs, is_mendable = check_view(session)
@@ -264,11 +263,11 @@ def check_view(session: Session) -> tuple[str, str, bool]:
     table, side = tables[0], tables[0].with_suffix(".json")
     # The table is written before its sidecar: a session killed between the two the first time has no sidecar.
     is_described = side.exists()
-    head: dict[str, Any] = {"lines": 0, "check": ""}
+    about: dict[str, Any] = {"SessionLog": {"lines": 0, "check": ""}}
     try:
-        if is_described:
-            head = json.loads(side.read_text(encoding="utf-8"))["SessionLog"]
-        text, n_lines, check = table.read_text(encoding="utf-8"), int(head["lines"]), head["check"]
+        about = json.loads(side.read_text(encoding="utf-8")) if is_described else about
+        n_lines, check = int(about["SessionLog"]["lines"]), about["SessionLog"]["check"]
+        text = table.read_text(encoding="utf-8")
         form = "".join(path.read_text(encoding="utf-8") for path in forms.values())
     except (OSError, ValueError, LookupError, TypeError, RecursionError) as error:
         return "", f"{table}: the BIDS view cannot be read ({error}); move it away, and {_REMAKE}", False
@@ -295,10 +294,25 @@ def check_view(session: Session) -> tuple[str, str, bool]:
         return "", f"{table}: differs from the log, which is the original: move the table away, and {_REMAKE}", False
     if not is_described:
         return "", f"{side}: is missing; `modaltouch resume` writes it", True
+    if unlike := _misdescribed(session, about, text):
+        return "", f"{side}: {unlike}; move it away, and {_REMAKE}", False
     if session.trials != shown.trials:
         behind = len(checks) - len(shown.events)
         return f"BIDS view agrees, {behind} lines behind the log: `modaltouch resume` brings it up to date", "", False
     return f"BIDS view agrees: {len(session.trials)} answers, practice included", "", False
+
+
+def _misdescribed(session: Session, about: dict[str, Any], table: str) -> str:
+    """Say what a sidecar file gets wrong about its table; its words may be changed, such as translated."""
+    for name, recorded in (("Mode", session.mode), ("TaskName", session.protocol)):
+        if about.get(name) != recorded:
+            return f"says {name}: {about.get(name)}, but its log says {recorded}"
+    columns = columns_of(session)
+    for name in table.partition("\n")[0].split("\t"):
+        said, units = about.get(name), columns[name].get("Units")
+        if not isinstance(said, dict) or said.get("Units") != units:
+            return f"does not describe the column {name}" + f", whose unit is {units}" * bool(units)
+    return ""
 
 
 _REMAKE = "`modaltouch resume` writes it again"

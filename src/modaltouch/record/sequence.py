@@ -61,8 +61,8 @@ class EventSequence:
         self._passed, self._filled = False, set[str]()
         self._boot, self._clock, self._before = "", float("-inf"), ""
 
-    def walk(self, *, probes: bool) -> None:
-        """Check all lines, or those before the first probe, and collect the faults in `problems`."""
+    def walk(self) -> None:
+        """Check all lines, and collect the faults in `problems`."""
         ways = {
             "fired": self._fired,
             "answered": self._answered,
@@ -76,8 +76,6 @@ class EventSequence:
             "stop": self._stopped,
         }
         for number, event in enumerate(self._session.events, 1):
-            if event["event"] == "probe" and not probes:
-                break
             try:
                 faults = [*self._stamped(number, event)]
                 faults += ways[event["event"]](number, event) if event["event"] in ways else []

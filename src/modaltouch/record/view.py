@@ -155,7 +155,7 @@ def write_view(
     side = {
         "TaskName": place.protocol,
         **{key: words for key, words in about.items() if words},
-        **_columns(session),
+        **columns_of(session),
         "Mode": session.mode,
         "SessionLog": {"File": LOG_NAME, **head},
     }
@@ -176,7 +176,7 @@ def table_text(session: Session, before: tuple[tuple[Any, ...], str] = ((), ""))
     If the answers of an earlier table, `before`, are unchanged, rows are only appended, so that the time per answer
     does not grow.
     """
-    columns, (done, text) = _columns(session), before
+    columns, (done, text) = columns_of(session), before
     if not text or session.trials[: len(done)] != done:
         done, text = (), "\t".join(columns) + "\n"
     rows = map(session.row, session.trials[len(done) :])
@@ -192,7 +192,7 @@ def form_text(session: Session) -> str:
     return "\t".join(given) + "\n" + "\t".join(row) + "\n"
 
 
-def _columns(session: Session) -> dict[str, dict[str, Any]]:
+def columns_of(session: Session) -> dict[str, dict[str, Any]]:
     """Return the columns of a session's table with their descriptions, according to its protocol."""
     design = session.start.get("design", {})
     finger_conditions = COLUMNS["finger_condition"]

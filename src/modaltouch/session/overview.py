@@ -61,7 +61,9 @@ def _survey_dataset(dataset: Path, logs: list[Path]) -> dict[str, Any]:
         survey["title"] = str(latest.start.get("design", {}).get("title", ""))
         return survey | _plan(dataset, rows, begun, latest) | {"notes": _notes(begun, rows)}
     except (InputError, RecordError, LookupError, AttributeError, TypeError, ValueError) as error:
-        return survey | {"notes": [f"orders and next sessions are not known: {error or type(error).__name__}"]}
+        is_told = isinstance(error, (InputError, RecordError))
+        why = error if is_told else "the start record of the latest session is missing or incomplete"
+        return survey | {"notes": [f"orders and next sessions are not known: {why}"]}
 
 
 def _plan(dataset: Path, rows: list[dict[str, Any]], begun: dict[str, Session], latest: Session) -> dict[str, Any]:
@@ -124,7 +126,7 @@ def _survey_session(log: Path) -> tuple[dict[str, Any], Session]:
     """Return the row of a session and the session, without events if its log cannot be read."""
     try:
         session = read_session(log)
-        audit = audit_session(session, probes=False)
+        audit = audit_session(session)
         problems, damage = audit.problems, [each for each in audit.problems if each not in audit.to_mend]
     except RecordError as error:
         session, problems, damage = Session(log, ()), (str(error),), [str(error)]
@@ -234,4 +236,7 @@ def _notes(begun: dict[str, Session], rows: list[dict[str, Any]]) -> list[str]:
     ahead = [f"{row['participant']} session {row['session']}" for row in rows if str(row["begun"] or "") > now]
     who = ", ".join(ahead) if len(ahead) < 4 else f"{len(ahead)} sessions"
     wrong = f"{who}: begun later than now, so this computer's clock is wrong, or was then"
-    return [*([several] if len(texts) > 1 else []), *([wrong] if ahead else [])]
+    kinds = sorted({f"{session.mode} sessions of {session.protocol}" for session in begun.values()})
+    mixed = f"holds {' and '.join(kinds)}, which are counted together here: move them to folders of their own"
+    found = (mixed, len(kinds) > 1), (several, len(texts) > 1), (wrong, ahead)
+    return [note for note, holds in found if holds]
