@@ -8,6 +8,7 @@ import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 import pytest
@@ -24,6 +25,7 @@ from modaltouch.record.audit import audit_session
 from modaltouch.record.chain import GENESIS, encode_line, read_chain
 from modaltouch.record.folders import SessionFolder
 from modaltouch.record.session import Session, read_session
+from modaltouch.session.console import Console, Request
 from modaltouch.session.resumption import resume, wire_resume
 from modaltouch.session.setup import begin
 from modaltouch.session.wiring import wire_run
@@ -179,11 +181,17 @@ def test_a_restarted_session_keeps_the_levels(preflight: Preflight, tmp_path: Pa
 def _stopped_after(setup, n_trials: int):
     """Return a setup whose session is stopped after some answers."""
 
-    def stop(answered: int, total: int) -> None:
-        if answered >= n_trials:
-            raise SessionStopped("experimenter")
+    class Experimenter(Console):
+        def __init__(self) -> None:
+            self.n_answered = 0
 
-    return replace(setup, on_progress=stop)
+        def show(self, facts: dict[str, Any]) -> None:
+            self.n_answered = facts["n_answered"]
+
+        def requests(self) -> list[Request]:
+            return [Request("stop")] * (self.n_answered >= n_trials)
+
+    return replace(setup, console=Experimenter())
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,6 @@ import itertools
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -24,7 +23,6 @@ from modaltouch.cli import (
     WITH_MARKED,
     leave,
     print_json,
-    progress,
     reporting,
 )
 
@@ -233,6 +231,9 @@ def resume(
         _conduct(sessions.resume, setup, events, plain=plain, json_output=json_output)
 
 
+DEMO_PARTICIPANT = "demo"
+
+
 def demo(
     results: RESULTS = Path("results"),
     size: SIZE = None,
@@ -245,55 +246,33 @@ def demo(
     A simulated participant answers by typing into the window. Without a screen, a virtual one is started.
     """
     with reporting(json_output=json_output):
-        window_options = window.WindowOptions(**_chosen(size, theme))
-        with progress("trials answered") as on_progress:
-            places = demonstrate(
-                results,
-                seed=seed,
-                window_options=window_options,
-                tell=partial(typer.echo, err=json_output),
-                on_progress=on_progress,
+        chosen = _chosen(size, theme)
+        checked = preflight.examine(protocol.Source.shipped("protocol")["demo"]).require()
+        design = checked.experiment.protocol
+        with window.some_display() as display:
+            places = (
+                record.SessionFolder(results, "simulated", design.protocol, DEMO_PARTICIPANT, n)
+                for n in itertools.count(1)
             )
+            place = next(place for place in places if not place.log.exists())
+            traces = place.dataset / "derivatives" / f"sub-{DEMO_PARTICIPANT}_ses-{place.session}"
+            options = window.WindowOptions(**chosen, screenshots=traces / "screenshots")
+            what = "a simulated participant answers in the window, about a minute"
+            typer.echo(f"Session {place.session} on {display}: {what}.", err=json_output)
+            setup = sessions.wire_run(
+                checked, DEMO_PARTICIPANT, session=place.session, answers="robot", seed=seed, results=results,
+                window_options=options,
+            )  # fmt: skip
+            with sessions.open_console(None, design.answers.emergency_keys, plain=False) as console:
+                session = sessions.begin(replace(setup, console=console))
+        typer.echo(f"{session.n_answered} answers recorded; now the analysis.", err=json_output)
+        report = analysis.analyse(session.path.parent, traces / "analysis", mode="simulated").files["report.html"]
+        found = {"session": session.path.parent, "screenshots": traces / "screenshots", "report": report}
         if json_output:
-            print_json({name: str(path) for name, path in places.items()})
+            print_json({name: str(path) for name, path in found.items()})
         else:
-            for name, path in places.items():
+            for name, path in found.items():
                 print(f"{name.capitalize():12} {path}")
-
-
-DEMO_PARTICIPANT = "demo"
-
-
-def demonstrate(
-    results: Path,
-    *,
-    seed: int,
-    window_options: window.WindowOptions,
-    tell: Callable[[str], None],
-    on_progress: Callable[[int, int], None],
-) -> dict[str, Path]:
-    """Run the demonstration as a new simulated session, and return the paths of its files."""
-    checked = preflight.examine(protocol.Source.shipped("protocol")["demo"]).require()
-    name = checked.experiment.protocol.protocol
-    with window.some_display() as display:
-        places = (record.SessionFolder(results, "simulated", name, DEMO_PARTICIPANT, n) for n in itertools.count(1))
-        place = next(place for place in places if not place.log.exists())
-        traces = place.dataset / "derivatives" / f"sub-{DEMO_PARTICIPANT}_ses-{place.session}"
-        screenshots = window_options.screenshots or traces / "screenshots"
-        tell(f"Session {place.session} on {display}: a simulated participant answers in the window, about a minute.")
-        setup = sessions.wire_run(
-            checked,
-            DEMO_PARTICIPANT,
-            session=place.session,
-            answers="robot",
-            seed=seed,
-            results=results,
-            window_options=replace(window_options, screenshots=screenshots),
-        )
-        session = sessions.begin(replace(setup, on_progress=on_progress))
-    tell(f"{session.n_answered} answers recorded; now the analysis.")
-    report = analysis.analyse(session.path.parent, traces / "analysis", mode="simulated")
-    return {"session": session.path.parent, "screenshots": screenshots, "report": report.files["report.html"]}
 
 
 def _chosen(

@@ -58,8 +58,6 @@ class Setup:
     drawn_as : int or None
         Number of the session without restarted ones, if the records on disk decide the participant's turn
         (`schedule.balance`); `schedule` is then redrawn when the log is created.
-    on_progress : callable, optional
-        Called with (answered, total) after each trial.
     console : Console
         Shows the experimenter the state of the session and takes requests; closed by the caller.
     clock : Clock
@@ -80,7 +78,6 @@ class Setup:
     replaces: SessionFolder | None = None
     n_answered: int = 0
     drawn_as: int | None = None
-    on_progress: Callable[[int, int], None] | None = None
     console: Console = field(default_factory=Console)
     clock: Clock = SYSTEM_CLOCK
     open_prober: Callable[[Rig], AbstractContextManager[Prober]] | None = None
@@ -280,13 +277,10 @@ def _session_run(
     prober: Prober | None,
 ) -> SessionRun:
     done, schedule, preflight = log.session.answered, setup.schedule, setup.preflight
-    total = len(schedule.trials)
 
     def save_view() -> None:
         buffer.flush()
         log.write_view(setup.place)
-        if setup.on_progress is not None:
-            setup.on_progress(log.session.n_answered, total)
 
     save_view()
     own, designs, probing = preflight.experiment.protocol, tuple(preflight.designs), None
@@ -299,7 +293,7 @@ def _session_run(
     return SessionRun(
         protocol=own,
         trials=tuple(t for t in (*schedule.practice, *schedule.trials) if (t.practice, t.index) not in done),
-        total=total,
+        total=len(schedule.trials),
         levels=None if own.adaptive is None else protocol.Levels(own),
         speeds=lambda trial: latest.preflight.speeds(trial),
         which=probing.which if probing else lambda trial: designs.index(preflight.design_of(trial.condition)),
