@@ -21,6 +21,7 @@ from modaltouch.record.audit import audit_session
 from modaltouch.record.chain import GENESIS, encode_line, read_chain
 from modaltouch.record.session import Session
 from modaltouch.rig import RigError, Simulator
+from modaltouch.session import survey_results
 from modaltouch.session.resumption import resume, wire_resume
 from modaltouch.session.setup import begin
 from modaltouch.session.wiring import simulate_session, wire_run
@@ -212,6 +213,8 @@ def test_other_levels_in_the_record_are_noticed(session: Session, tmp_path: Path
     for place in [each["levels"][0]["design"] for each in placements(session)][:2]:
         assert any(f"under the fingers that were measured ({place}) the level is " in each for each in problems)
     assert any("give a delivered drifted of False, not True" in each for each in problems)
+    (found,) = survey_results(tmp_path / "copy")
+    assert [row["excluded"] for row in found["sessions"]] == [f"damaged: {problems[0]}"], "as the analysis, and verify"
 
 
 def test_other_fingers_in_the_record_are_noticed(session: Session, tmp_path: Path) -> None:
