@@ -360,7 +360,7 @@ def _write_down(
         response,
         firings,
         masked=sitting.masking.is_on,
-        events=sitting.log.events_of(trial.as_dict()),
+        events=sitting.log.events,
     )
     return int(sitting.log.append(event, **facts, **further)["n"])
 
