@@ -289,5 +289,4 @@ def _refuse(
     *,
     path: tuple[str | int, ...] = (*_SECTION, "thresholds_from"),
 ) -> NoReturn:
-    reading = preflight.findings.protocol
-    raise InputError([] if reading is None else [reading.problem(path, given, allowed, remedy)])
+    raise InputError([preflight.findings.problem(path, given, allowed, remedy)])

@@ -130,9 +130,8 @@ def _survey_session(log: Path) -> tuple[dict[str, Any], Session]:
         problems, damage = audit.problems, [each for each in audit.problems if each not in audit.to_mend]
     except RecordError as error:
         session, problems, damage = Session(log, ()), (str(error),), [str(error)]
-    is_readable = not damage
-    state, why = _state(session) if is_readable else ("damaged", damage[0])
-    schedule = session.start["schedule"] if is_readable else {}
+    state, why = ("damaged", damage[0]) if damage else _state(session)
+    schedule = {} if damage else session.start["schedule"]
     sittings = _sittings(session)
     row = {
         "participant": log.parts[-4:][0].removeprefix("sub-"),
@@ -142,7 +141,7 @@ def _survey_session(log: Path) -> tuple[dict[str, Any], Session]:
         "ended": session.ended,
         "duration_min": round(sum(sittings) / 60, 1),
         "n_sittings": len(sittings),
-        "n_answered": session.n_answered if is_readable else None,
+        "n_answered": None if damage else session.n_answered,
         "n_trials": schedule.get("n_trials"),
         "state": state,
         "why": why,

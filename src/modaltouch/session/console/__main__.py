@@ -35,7 +35,7 @@ from rich.rule import Rule
 from rich.text import Text
 
 from modaltouch.session.console import AT_ONCE, Command, Request, SessionState, describe_last, describe_time
-from modaltouch.session.console.consoles import restore_terminal, save_terminal
+from modaltouch.session.console.consoles import restore_terminal
 from modaltouch.system import SYSTEM_CLOCK
 
 STATES = {
@@ -216,7 +216,7 @@ def open_keyboard(descriptor: int) -> Iterator[Callable[[float], list[str]]]:
 
     Ctrl-C remains a signal, but Ctrl-Z and Ctrl-S do not stop the session. The descriptor is that of the terminal.
     """
-    before, settings = save_terminal(descriptor), termios.tcgetattr(descriptor)
+    before, settings = termios.tcgetattr(descriptor), termios.tcgetattr(descriptor)
     settings[0] &= ~(termios.IXON | termios.ICRNL)
     settings[3] &= ~(termios.ICANON | termios.ECHO)
     for name in ("VSUSP", "VQUIT"):

@@ -174,20 +174,11 @@ def as_line(facts: SessionState) -> bytes:
     return line
 
 
-def save_terminal(descriptor: int) -> list[Any] | None:
-    """Return the settings of a terminal; None if not available."""
-    try:
-        return termios.tcgetattr(descriptor)
-    except termios.error:
-        return None
-
-
-def restore_terminal(descriptor: int, before: list[Any] | None) -> None:
+def restore_terminal(descriptor: int, before: list[Any]) -> None:
     """Restore the settings of a terminal, unless it is gone."""
     # TCSANOW: waiting for output to drain would block forever on a stopped terminal.
     with contextlib.suppress(termios.error):
-        if before is not None:
-            termios.tcsetattr(descriptor, termios.TCSANOW, before)
+        termios.tcsetattr(descriptor, termios.TCSANOW, before)
 
 
 class TerminalConsole(Console):
@@ -204,7 +195,7 @@ class TerminalConsole(Console):
         self._is_given_back = False
         self._terminal = keys
         self._screen = screen
-        self._before = save_terminal(keys)
+        self._before = termios.tcgetattr(keys)
         # Pass separate descriptors, since the process's standard input and output are pipes.
         passed = os.dup(keys), os.dup(screen)
         self._process = subprocess.Popen(
