@@ -3,6 +3,8 @@
 import hashlib
 import json
 import random
+import shutil
+from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
@@ -242,6 +244,19 @@ def test_a_replaced_answer_stays_replaced_under_its_new_number(tmp_path, damaged
     assert last["left_out"] == [{"line": 2, "reason": unproved}]
     assert last["missing"] == [2, 3]
     assert log.with_name("left_out.txt").stat().st_mode & 0o777 == 0o600
+
+
+def test_a_recovered_adaptive_session_is_valid(tmp_path):
+    """The levels after a lost answer do not follow from those that are left, which is no fault of theirs."""
+    place = "simulated/threshold/sub-sim01/ses-1/beh"
+    folder = shutil.copytree(Path(__file__).parent / "format_1" / place, tmp_path / "damaged" / place)
+    log = folder / "session.jsonl"
+    lines = log.read_bytes().splitlines(keepends=True)
+    lost = next(n for n, line in enumerate(lines) if b'"event":"trial"' in line and b'"practice":false' in line)
+    log.write_bytes(b"".join(lines[:lost] + lines[lost + 1 :]))
+    recovered = Session.find(survey(log).write(tmp_path / "recovered"))
+    assert recovered.n_answered > 0
+    assert audit_session(recovered).problems == ()
 
 
 def test_a_withdrawn_answer_stays_withdrawn_under_its_new_number(tmp_path):

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import replace
 from datetime import datetime
 
 from modaltouch import preflight, protocol
@@ -127,6 +128,10 @@ class EventSequence:
         is_adaptive = self._given.protocol.adaptive is not None
         if is_adaptive and number > self._whole_from:
             planned = self._settle(planned)
+        elif is_adaptive and not planned.condition.is_catch:
+            # The level followed from answers of which some are lost.
+            level = trial.condition.velocity_mm_s
+            planned = replace(planned, condition=replace(planned.condition, velocity_mm_s=level))
         if trial == planned:
             return
         there, here = ({**t.as_dict(), **t.as_dict()["condition"]} for t in (planned, trial))
