@@ -377,6 +377,22 @@ def test_a_round_is_judged_by_the_repeated_answer(sit: Callable[..., SessionRun]
     assert judged["n_agreed"] == judged["n_judged"]
 
 
+def test_practice_is_judged_by_confirmed_stimuli_only(sit: Callable[..., SessionRun]) -> None:
+    """Killed after the answer, before the end of its stimulus was confirmed: the trial is presented again."""
+
+    def end(response: Response) -> None:
+        raise SessionStopped("killed")
+
+    sitting = sit(practice_trials=1, practice_criterion=1.0)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sitting.window, "confirm", end)
+        with pytest.raises(SessionStopped, match="killed"):
+            conduct(sitting)
+    assert [event["trial"]["practice"] for event in events(sitting, "answered")] == [True]
+    conduct(sitting)
+    assert asked(sitting)[:3] == ["practice 1", "practice 1", "trial 1"]
+
+
 def test_finished_practice_is_not_repeated() -> None:
     """R between practice and the first main trial has no effect, and the console says so."""
     console, status = Keys(), Status()

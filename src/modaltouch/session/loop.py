@@ -163,7 +163,8 @@ def _settle(sitting: SessionRun, trial: Trial) -> Trial:
 def _close_rounds(sitting: SessionRun) -> None:
     """Judge and record all completed practice rounds not judged yet, including one completed before a kill."""
     schedule, events = sitting.protocol.schedule, sitting.log.events
-    counted = [event for event in sitting.log.session.trials if event["trial"]["practice"]]
+    confirmed = (event for event in sitting.log.session.trials if event["confirmed"]["confirmed"])
+    counted = [event for event in confirmed if event["trial"]["practice"]]
     if schedule.practice_criterion is None or not schedule.practice_trials:
         return
     done = {event["trial"]["index"] for event in counted}
