@@ -223,6 +223,18 @@ def test_every_picture_fits_its_terminal() -> None:
             assert "right middle on A, right index on C (mirrored swapped)" in told
 
 
+@pytest.mark.parametrize("interval", [{}, {"interval": 1}])
+def test_a_replayed_stimulus_is_drawn(interval: dict[str, int]) -> None:
+    """`resume` replays the record, which does not announce trials; the console must not end, and its keys with it."""
+    status = Status()
+    status.take(start(), replayed=True)
+    fired = {"event": "fired", "confirmed": {"commanded_amplitude": [5.9, 0.97], "confirmed": False}, **interval}
+    status.take(fired, replayed=True)
+    shown = StringIO()
+    Console(file=shown, width=80).print(draw_session(status.facts(), "", width=80))
+    assert "trial on" in shown.getvalue()
+
+
 def test_the_trial_is_described_with_stimulus_and_small_speeds() -> None:
     """Threshold runs go down to 2 mm/s, which needs decimals; a catch trial has no level."""
     facts = {

@@ -162,6 +162,7 @@ def test_a_session_survives_its_console(run: Callable[..., Any]) -> None:
     assert console.finish() == 0
     assert "Done: 180 answers" in console.text
     assert "180 of 180 answered" in console.text
+    assert "its keys do nothing now; Ctrl-C stops the session" in console.text
     assert console.is_restored
 
 

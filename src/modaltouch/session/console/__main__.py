@@ -143,7 +143,7 @@ def _describe_cause(facts: SessionState) -> str:
         return ": the window lost the keyboard focus; click in it"
     if facts["state"] == "paused":
         return f" by the {facts['paused_by']}"
-    if facts["state"] == "trial" and facts["trial"].get("plays"):
+    if facts["state"] == "trial" and (facts["trial"] or {}).get("plays"):
         return f": interval {facts['trial']['plays']}"
     return f": {facts['stopped_by']}" if facts["stopped_by"] else ""
 

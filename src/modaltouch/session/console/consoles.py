@@ -25,6 +25,8 @@ _OPENING = b'{"time": "'
 """Beginning of each line."""
 LONGEST_LINE = 4096
 """Maximum length of a line that a pipe accepts atomically (POSIX PIPE_BUF on Linux) [bytes]."""
+_KEYS_GONE = b"The console has ended, so its keys do nothing now; Ctrl-C stops the session.\r\n"
+"""Text for the experimenter if the process ends before the session does."""
 _PATIENCE = 2.0
 """Maximum time for the process to restore the terminal [s]."""
 
@@ -217,7 +219,7 @@ class TerminalConsole(Console):
     def show(self, facts: SessionState) -> None:
         """Show the state of the session; only the newest is kept for a stopped terminal."""
         if self._process.poll() is not None:
-            self._give_back()
+            self._give_back(_KEYS_GONE)
             self._instead.show(facts)
             return
         self._unsent = as_line(facts)
@@ -243,15 +245,15 @@ class TerminalConsole(Console):
         self._give_back()
         self._heard.close()
 
-    def _give_back(self) -> None:
-        """Restore the terminal, whether or not the process did."""
+    def _give_back(self, message: bytes = b"") -> None:
+        """Restore the terminal, whether or not the process did, and show a message there."""
         if self._is_given_back:
             return
         self._is_given_back = True
         if self._process.returncode != 0:
             with contextlib.suppress(OSError):
                 # Leave the alternate screen and show the cursor.
-                os.write(self._screen, b"\x1b[?1049l\x1b[?25h")
+                os.write(self._screen, b"\x1b[?1049l\x1b[?25h" + message)
         restore_terminal(self._terminal, self._before)
 
     def _send(self) -> None:

@@ -257,9 +257,9 @@ class Status:
     def _on_fired(self, event: dict[str, Any]) -> None:
         firing = event["confirmed"]
         self._facts["state"] = "trial"
-        if "interval" in event:
-            self._facts["trial"] = {**(self._facts["trial"] or {}), "plays": event["interval"]}
-        self._ask(on=(self._facts["trial"] or {}).get("way") == "experimenter")
+        if (trial := self._facts["trial"]) is not None and "interval" in event:  # no trial is announced in a replay
+            self._facts["trial"] = {**trial, "plays": event["interval"]}
+        self._ask(on=(trial or {}).get("way") == "experimenter")
         self._facts["generator"] |= {
             "outputs": "on",
             "amplitude_Vpp": list(firing["commanded_amplitude"]),
