@@ -250,17 +250,18 @@ def test_a_restarted_session_counts_once(tmp_path: Path) -> None:
     assert (following.session, drawn_as) == (3, 2)
 
 
-def test_completeness_is_read_from_the_last_line_or_from_all(tmp_path: Path) -> None:
-    """A complete stop, an incomplete stop, a kill after the last answer, and a torn last line."""
+def test_completeness_follows_from_the_record_as_in_the_study(tmp_path: Path) -> None:
+    """A complete stop, an incomplete one, a kill after the last answer, a torn last line, and a changed line."""
     logs = {}
-    for name, complete in (("done", False), ("left", False), ("killed", True), ("torn", True)):
+    for name, complete in (("done", True), ("left", False), ("killed", True), ("torn", True), ("spoilt", True)):
         _, log = sit(place_of(tmp_path, name), FOUR, complete=complete)
-        if name in ("done", "left"):
-            log.append("stop", reason="finished", complete=name == "done")
+        if name in ("done", "left", "spoilt"):
+            log.append("stop", reason="finished", complete=complete)
         log.close()
         logs[name] = log.path
     with logs["torn"].open("ab") as file:
         file.write(b'{"n":2,"event":"st')
+    logs["spoilt"].write_bytes(logs["spoilt"].read_bytes().replace(b'"session":1', b'"session": 1', 1))
     _, seen = assign_turn(place_of(tmp_path, "new"), FOUR, 1)
     assert sum(seen["filled"].values()) == 3
-    assert sum(seen["left_incomplete"].values()) == 1
+    assert sum(seen["left_incomplete"].values()) == 2

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,9 +11,6 @@ from typing import Any, ClassVar, Self
 from modaltouch.record.chain import Chain, UnreadableLineError, read_chain, read_object
 from modaltouch.record.files import is_locked
 from modaltouch.record.folders import find_log
-
-_TAIL = 4096
-"""Bytes at the end of a log that contain its last line if that is a stop event."""
 
 SCHEMA = 2
 """Version of the log format, stated in the first line. Since version 2, bursts are counted, and an answer is written
@@ -99,18 +95,6 @@ class Session:
                 return cls(log, (read_object(file.readline()),))
         except (OSError, UnreadableLineError):
             return cls(log, ())
-
-    @staticmethod
-    def is_complete_or_running(log: Path) -> bool:
-        """Return whether a log is complete or being recorded; usually its last line suffices."""
-        try:
-            with log.open("rb") as file:
-                file.seek(max(file.seek(0, os.SEEK_END) - _TAIL, 0))
-                last = read_object(file.read().rstrip(b"\n").rsplit(b"\n", 1)[-1])
-        except (OSError, UnreadableLineError):
-            last = {}
-        says_so = bool(last.get("event") == "stop" and last.get("complete"))
-        return says_so or read_session(log).complete or is_locked(log)
 
     @property
     def problems(self) -> tuple[str, ...]:

@@ -168,7 +168,7 @@ def _tally(place: SessionFolder, kind_of: Callable[[Session], Any]) -> tuple[Any
     """Return the kind of a participant, and the numbers of others of each kind, with and without a complete session.
 
     The kind follows from the start record of the first session; those of kind None are left out. The latest session
-    counts, also if it is running. Only one line per participant is read, since the dataset is locked meanwhile.
+    counts, also if it is running; a damaged one is not complete.
     """
     own, filled, left = None, Counter[Any](), Counter[Any]()
     for folder in sorted(place.dataset.glob("sub-*")):
@@ -178,7 +178,8 @@ def _tally(place: SessionFolder, kind_of: Callable[[Session], Any]) -> tuple[Any
         if kind is not None and folder.name == f"sub-{place.participant}":
             own = kind
         elif kind is not None:
-            (filled if Session.is_complete_or_running(logs[-1]) else left)[kind] += 1
+            latest = read_session(logs[-1])
+            (filled if latest.complete or latest.is_running else left)[kind] += 1
     return own, filled, left
 
 
