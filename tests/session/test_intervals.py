@@ -262,8 +262,9 @@ def test_markers_of_a_further_question_count_from_the_last_interval(recorded: Se
 
 
 def test_the_console_tells_which_interval_plays(recorded: Session) -> None:
-    """From the events of the session alone."""
+    """From the events of a session whose trials are announced."""
     status, plays = Status(), list[int]()
+    status.take({"event": "trial_next", "trial": {"way": "free_hand"}})
     for event in recorded.events:
         status.take(event)
         if event["event"] == "fired":
