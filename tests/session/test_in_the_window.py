@@ -115,7 +115,7 @@ def n_answers(log):
 
 @pytest.mark.window
 def test_a_session_survives_the_death_of_its_display(tmp_path, protocol, rig, outputs):
-    """Xlib ends the process without any ``finally``; the watchdog switches off, and another display resumes."""
+    """Xlib would end the process (status 1); the session stops as at any lost window, and another display resumes."""
     log = tmp_path / "simulated" / "demo" / "sub-p01" / "ses-1" / "beh" / "session.jsonl"
     with (
         virtual_display((1280, 800)) as name,
@@ -127,9 +127,13 @@ def test_a_session_survives_the_death_of_its_display(tmp_path, protocol, rig, ou
         wait_until(lambda: (hands.press("space"), outputs())[1] == ("1", "1"), "a stimulus")
         # The newest server that this process started; another test may keep an older one.
         subprocess.run(["pkill", "-KILL", "-n", "-P", str(os.getpid()), "Xvfb"], check=True)
-        assert run.wait(20) == 1
+        assert run.wait(20) == 3
+        said = run.stderr.read()
+        assert f"the display {name!r} is gone" in said
+        assert "continue with `modaltouch resume" in said
+        assert "Traceback" not in said
         wait_until(lambda: outputs() == ("0", "0"), "both outputs off", timeout=5)
-    assert not any(event["event"] == "stop" for event in read_session(log).events)
+    assert [event["reason"] for event in read_session(log).events if event["event"] == "stop"] == ["window lost"]
     kept = n_answers(log)
     assert kept >= 3
     with (

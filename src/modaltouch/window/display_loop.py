@@ -13,7 +13,7 @@ from modaltouch.system import SYSTEM_CLOCK, Clock
 from modaltouch.window.controls import Entry, as_read
 from modaltouch.window.interface import POLL_INTERVAL, Event, Log, SessionStopped, Tick, WindowError
 from modaltouch.window.layout import Picture
-from modaltouch.window.screen import Screen, canonical_key
+from modaltouch.window.screen import Screen, canonical_key, display_lost
 from modaltouch.window.simulated import Answerer
 
 
@@ -75,7 +75,7 @@ class DisplayLoop:
         self._screenshots = screenshots
         self._robot = robot
         self._emergency_keys = emergency_keys
-        self._is_emergency = False
+        self._is_emergency = self._is_lost = False
         self._kept: set[str] = set()
         self._unread: deque[Event] = deque()
         self._picture: Picture | None = None
@@ -130,6 +130,8 @@ class DisplayLoop:
         ------
         SessionStopped
             At an emergency key, including one read by `poll_quietly`.
+        WindowError
+            If the display is lost.
         """
         asked = self._tick()
         if self._robot is not None:
@@ -137,6 +139,8 @@ class DisplayLoop:
         events = self.poll_quietly()
         if self._is_emergency:
             raise SessionStopped("emergency stop")
+        if self._is_lost:
+            raise display_lost()
         if asked is not None:
             # Only the keys of answers are time-stamped where they are read.
             events.append(asked if asked.kind == "answer" else replace(asked, time=self.clock.now()))
@@ -154,6 +158,7 @@ class DisplayLoop:
         events = self._display.poll()
         self.poll_gap, self._last_poll = self.clock.now() - self._last_poll, self.clock.now()
         self._is_stale = self._is_stale or any(event.kind == "expose" for event in events)
+        self._is_lost |= any(event.kind == "lost" for event in events)
         self._is_emergency |= any(event.kind == "key" and event.key in self._emergency_keys for event in events)
         unread = list(self._unread)
         self._unread.clear()

@@ -11,7 +11,9 @@ from typing import Any
 
 from modaltouch.protocol import AnswersSection, Response, Trial
 
-EventKind = typing.Literal["key", "release", "click", "close", "focus", "blur", "expose", "pause", "continue", "answer"]
+EventKind = typing.Literal[
+    "key", "release", "click", "close", "focus", "blur", "expose", "lost", "pause", "continue", "answer"
+]
 
 
 class WindowError(Exception):
@@ -62,8 +64,8 @@ class Event:
     time : float
         Time of receipt, by the window's clock [s].
     kind : str
-        ``key``, ``release``, ``click``, ``close``, ``focus``, ``blur`` or ``expose``; or from the console ``pause``,
-        ``continue`` or ``answer``.
+        ``key``, ``release``, ``click``, ``close``, ``focus``, ``blur``, ``expose`` or ``lost`` (the display is gone);
+        or from the console ``pause``, ``continue`` or ``answer``.
     key : str
         Name of the key, for ``key``, ``release`` and ``answer``.
     digit : str

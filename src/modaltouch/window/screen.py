@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
@@ -60,6 +63,9 @@ class EventTap:
         self._left_button = mouse.LEFT
         self._digits = _engraved_digits(window)
         self.repeats_are_detectable = _report_releases_once(window)
+        self.is_lost = False
+        """Whether the X server is gone; nothing may be drawn any more."""
+        self._on_loss = _report_loss(window, self._lose)
         window.push_handlers(
             on_key_press=partial(self._on_key, "key"),
             on_key_release=partial(self._on_key, "release"),
@@ -106,6 +112,11 @@ class EventTap:
         width, height = self._window.get_size()
         return self._add("click", "", (x - width / 2) / height, (y - height / 2) / height)
 
+    def _lose(self, *_: object) -> int:
+        self.is_lost = True
+        self._add("lost")
+        return 0
+
     def _ignore_text(self, *_: object) -> bool:
         """Keep PsychoPy's buffers empty."""
         return True
@@ -126,6 +137,27 @@ def _report_releases_once(window: Any) -> bool:
     agreed = c_int()
     XkbSetDetectableAutoRepeat(window.display._display, 1, byref(agreed))
     return bool(agreed.value)
+
+
+def _report_loss(window: Any, on_loss: Callable[..., int]) -> Any:
+    """Have Xlib call a function when the X server is gone, where it would end the process; keep what is returned.
+
+    Versions of libX11 before 1.7 end the process all the same.
+    """
+    if not sys.platform.startswith("linux"):
+        return None
+    from ctypes import CDLL, CFUNCTYPE, c_int, c_void_p
+
+    from pyglet import gl
+
+    xlib = CDLL("libX11.so.6")
+    at_error, at_exit = CFUNCTYPE(c_int, c_void_p)(on_loss), CFUNCTYPE(c_int, c_void_p, c_void_p)(on_loss)
+    if hasattr(xlib, "XSetIOErrorExitHandler"):
+        xlib.XSetIOErrorHandler(at_error)
+        # pyglet's hidden window has a connection of its own.
+        for display in (window.display, gl._shadow_window.display):
+            xlib.XSetIOErrorExitHandler(display._display, at_exit, None)
+    return at_error, at_exit
 
 
 def _engraved_digits(window: Any) -> dict[str, str]:
@@ -240,11 +272,12 @@ class Screen:
         """Draw the picture to the back buffer, until `flip` shows it."""
         from pyglet.gl import glFinish
 
-        self._window.clearBuffer()
-        for mark in picture.marks:
-            self._stimulus(mark).draw()
-        # Otherwise OpenGL would defer the work to the flip.
-        glFinish()
+        with self._on_display():
+            self._window.clearBuffer()
+            for mark in picture.marks:
+                self._stimulus(mark).draw()
+            # Otherwise OpenGL would defer the work to the flip.
+            glFinish()
 
     def flip(self, screenshot: Path | None = None) -> float:
         """Show the back buffer, and return the time of its appearance, by the window's clock [s].
@@ -257,10 +290,11 @@ class Screen:
         Raises
         ------
         WindowError
-            If the screenshot cannot be written.
+            If the screenshot cannot be written, or the display is lost.
         """
-        image = self._window._getFrame(buffer="back") if screenshot is not None else None
-        self._window.flip()
+        with self._on_display():
+            image = self._window._getFrame(buffer="back") if screenshot is not None else None
+            self._window.flip()
         shown = self._clock.now()
         if image is not None and screenshot is not None:
             try:
@@ -285,11 +319,26 @@ class Screen:
 
     def close(self) -> None:
         """Close the window; never raises."""
+        if self._tap.is_lost:
+            # At exit PsychoPy closes what is still open, which crashes on a lost display.
+            self._window._closed = True
+            return
         try:
             self._window.close()
         # The session must be concluded whatever the display raises.
         except Exception as error:
             sys.stderr.write(f"the answer window did not close cleanly: {error}\n")
+
+    @contextmanager
+    def _on_display(self) -> Iterator[None]:
+        """Raise `WindowError` if the display is lost, or is lost meanwhile."""
+        try:
+            if not self._tap.is_lost:
+                yield
+        finally:
+            # OpenGL raises errors of any kind on a lost display.
+            if self._tap.is_lost:
+                raise display_lost()
 
     def _image(self, mark: Mark) -> Any:
         """Return the mark as an image in the pixel grid of the window."""
@@ -312,6 +361,14 @@ class Screen:
             interpolate=False,
             autoLog=False,
         )
+
+
+def display_lost() -> WindowError:
+    """Return the error for an X server that ended while the window was open."""
+    return WindowError(
+        f"the display {os.environ.get('DISPLAY', '')!r} is gone: its X server ended or closed the connection; start it "
+        "again, or log in again"
+    )
 
 
 def _import_psychopy() -> tuple[Any, Any]:
