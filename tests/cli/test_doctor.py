@@ -79,6 +79,14 @@ def test_a_user_without_realtime_priority_is_warned(monkeypatch: pytest.MonkeyPa
     assert machine._precedence().state == state
 
 
+def test_a_file_in_place_of_the_results_folder_is_a_fault(tmp_path: Path) -> None:
+    """It was passed over for the folder above it, and `run` then failed."""
+    (tmp_path / "results").write_text("")
+    found = machine._disk(tmp_path / "results")
+    assert (found.state, found.remedy) == ("fault", "give a folder you may write to with --results")
+    assert machine._disk(tmp_path / "new" / "results").state == "ok"
+
+
 def test_the_makefile_takes_its_packages_from_doctor() -> None:
     """There is one list of packages; the Makefile does not repeat any."""
     makefile = (Path(__file__).parents[2] / "Makefile").read_text(encoding="utf-8")

@@ -324,7 +324,7 @@ def test_several_designs_are_exported_under_their_names(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "status", "said"),
     [
-        (("--export", "drive.csv"), 2, "--export is drive.csv; allowed: a file whose name ends with .npz"),
+        (("--export", "drive.csv"), 2, "given --export drive.csv; allowed: a file whose name ends with .npz"),
         (
             ("--export", "nowhere/drive.npz"),
             4,

@@ -9,7 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from modaltouch.protocol import AnswerList
-from modaltouch.window.layout import Box, Layout, lay_out
+from modaltouch.window.layout import Box, Layout, Words, lay_out
+from modaltouch.window.typesetting import Typesetter
 
 SIZES = [(800, 600), (1280, 800), (1920, 1080), (768, 1024), (3840, 2160)]
 
@@ -58,7 +59,11 @@ def test_everything_lies_inside_any_window(width_px: int, height_px: int, n_zone
         assert box.top <= 0.5
 
 
-@pytest.mark.parametrize("answers", [PAPER, WITH_NONE, GRADES], ids=len)
+@pytest.mark.parametrize(
+    "answers",
+    [PAPER, WITH_NONE, GRADES, AnswerList.of({"keys": list("abcdefg")})],
+    ids=["paper", "none", "grades", "seven"],
+)
 @pytest.mark.parametrize("size", [*SIZES, (1080, 1920)])
 def test_nothing_on_the_question_screen_overlaps(size: tuple[int, int], answers: AnswerList) -> None:
     """At all sizes of the list, each part has its own place."""
@@ -92,6 +97,15 @@ def test_buttons_are_large(size: tuple[int, int]) -> None:
     """Over twice the 44 pixels of touch guidelines at every size."""
     for box in lay_out(*size, ZONES, PAPER).buttons.values():
         assert min(box.width, box.height) * size[1] > 88
+
+
+def test_seven_words_of_nine_letters_are_legible_in_a_small_window() -> None:
+    """At 800 x 600 pixels, capitals of 10 pixels: 20 arcmin on a screen of 300 mm at 640 mm."""
+    seven = AnswerList.of({"keys": list("abcdefg")})
+    button = min(lay_out(800, 600, ZONES, seven).buttons.values(), key=lambda box: box.x)
+    assert button.left == pytest.approx(0.025 - 800 / 600 / 2)
+    label = Words("Hammering", Box(0, 0, 0.91 * button.width, 0.1), 0.062, "", bold=True)
+    assert 0.714 * Typesetter().set_type(label, 600).size > 10
 
 
 @pytest.mark.parametrize("size", SIZES)

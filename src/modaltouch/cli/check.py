@@ -103,7 +103,7 @@ def _export(checked: preflight.Preflight, file: Path) -> None:
     import numpy as np
 
     if file.suffix != ".npz":
-        raise typer.BadParameter(f"--export is {file}; allowed: a file whose name ends with .npz, such as drive.npz")
+        raise typer.BadParameter(f"given --export {file}; allowed: a file whose name ends with .npz, such as drive.npz")
     np.savez_compressed(contents := BytesIO(), **checked.drive_arrays())
     record.replace_file(file, contents.getvalue(), "give another file with --export")
 

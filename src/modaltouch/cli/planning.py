@@ -95,12 +95,13 @@ def power(
         folders = {name: out / name for name in designs} if out is not None else {}
         for folder in folders.values():
             report.refuse_other(folder, "power")
+        families = {name: _families(questions, design.tests, null=null) for name, design in designs.items()}
         found: list[planning.Power] = []
         with system.Interruption() as interruption:
             for name, design in designs.items():
                 with progress(f"{name}: experiments" if name else "experiments") as on_progress:
                     planned = planning.plan(
-                        planning.Study(design, model, _families(questions, design.tests, null=null), null, seed),
+                        planning.Study(design, model, families[name], null, seed),
                         [(n, r) for r in repetitions for n in sizes_n],
                         experiments,
                         n_processes=jobs,

@@ -28,7 +28,7 @@ def draw_buttons(
     for is_below in (False, True):
         row = [answer for answer in answers.offered if answer.is_below is is_below]
         # Between arrows if answers name fingers.
-        share = 0.5 if is_below else 0.68 if any(answer.fingers for answer in row) else 0.86
+        share = 0.5 if is_below else 0.68 if any(answer.fingers for answer in row) else 0.91
         boxes = [_divide(layout.buttons[each.name], share, is_below=is_below, with_keys=with_keys) for each in row]
         labels = [texts.label(answer.name) for answer in row]
         if row:

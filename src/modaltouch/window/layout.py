@@ -265,7 +265,7 @@ def lay_out(
             name: replace(beam, x=(left + right) / 2 * beam.width, width=(right - left) * beam.width)
             for name, (left, right) in zones.items()
         },
-        buttons=_scale_parts(scale, across, unit) if scale else _answer_buttons(answers, across, unit, from_right),
+        buttons=_scale_parts(scale, across, unit) if scale else _answer_buttons(answers, width, unit, from_right),
         headline=Box(0, 0.405, 1.24 * unit, 0.14),
         body=Box(0, 0.24 - 0.06 * (1 - unit), 1.18 * unit, 0.21),
         page=Box(0, 0.06, 1.14 * unit, 0.6),
@@ -276,13 +276,17 @@ def lay_out(
     )
 
 
-def _answer_buttons(answers: AnswerList, across: float, unit: float, from_right: bool) -> dict[str, Box]:
-    """Return the answer buttons: a row, high enough for two lines of text, and those below it."""
+def _answer_buttons(answers: AnswerList, width: float, unit: float, from_right: bool) -> dict[str, Box]:
+    """Return the answer buttons: a row, high enough for two lines of text, and those below it.
+
+    From six answers on, the row is wider than the beam, as far as the window allows.
+    """
     step = -1 if from_right else 1
-    row, below = ([each.name for each in answers if each.is_below is lower][::step] for lower in (False, True))
+    row, below = ([answer.name for answer in answers if answer.is_below is lower][::step] for lower in (False, True))
     gap, high = min(0.045, 0.16 / max(len(row), 1)) * unit, max(unit, 0.8)
-    width, low = ((across - gap * (len(names) - 1)) / max(len(names), 1) for names in (row, below))
-    middle = Box(0, -0.21, min(0.56 * unit, width), 0.14 * high)
+    across = max(1.2 * unit, min(0.24 * unit * len(row), width - 0.05))
+    each, low = ((across - gap * (len(names) - 1)) / max(len(names), 1) for names in (row, below))
+    middle = Box(0, -0.21, min(0.56 * unit, each), 0.14 * high)
     if not below:
         middle = replace(middle, y=-0.2575, height=0.21 * high)
     return {**_row(row, middle, gap), **_row(below, Box(0, -0.3285, low, 0.075), gap)}

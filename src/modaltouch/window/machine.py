@@ -324,7 +324,7 @@ def _precedence() -> MachineCheck:
 
 
 def _disk(results: Path) -> MachineCheck:
-    folder = next(path for path in (results, *results.resolve().parents) if path.is_dir())
+    folder = next(path for path in (results, *results.resolve().parents) if path.exists())
     try:
         with tempfile.NamedTemporaryFile(dir=folder, buffering=0) as file:
             start = time.perf_counter()
