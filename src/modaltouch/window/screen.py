@@ -61,11 +61,13 @@ class EventTap:
         self._held: set[str] = set()
         self._symbol_name = key.symbol_string
         self._left_button = mouse.LEFT
-        self._digits = _engraved_digits(window)
-        self.repeats_are_detectable = _report_releases_once(window)
+        on_x = sys.platform.startswith("linux")
+        # Elsewhere the keys are already named after their digits.
+        self._digits = _engraved_digits(window) if on_x else {}
+        self.repeats_are_detectable = not on_x or _report_releases_once(window)
         self.is_lost = False
         """Whether the X server is gone; nothing may be drawn any more."""
-        self._on_loss = _report_loss(window, self._lose)
+        self._on_loss = _report_loss(window, self._lose) if on_x else None
         window.push_handlers(
             on_key_press=partial(self._on_key, "key"),
             on_key_release=partial(self._on_key, "release"),
@@ -128,8 +130,6 @@ def _report_releases_once(window: Any) -> bool:
     pyglet requests it only on the connection of its hidden window, but PsychoPy opens the visible one on a separate
     connection. A release followed by a press is then always a real one, however short the time between.
     """
-    if not sys.platform.startswith("linux"):
-        return True
     from ctypes import byref, c_int
 
     from pyglet.window.xlib import XkbSetDetectableAutoRepeat
@@ -144,8 +144,6 @@ def _report_loss(window: Any, on_loss: Callable[..., int]) -> Any:
 
     Versions of libX11 before 1.7 end the process all the same.
     """
-    if not sys.platform.startswith("linux"):
-        return None
     from ctypes import CDLL, CFUNCTYPE, c_int, c_void_p
 
     from pyglet import gl
@@ -161,12 +159,7 @@ def _report_loss(window: Any, on_loss: Callable[..., int]) -> Any:
 
 
 def _engraved_digits(window: Any) -> dict[str, str]:
-    """Return the digits typed only with Shift, as in the French layout, by the names of their keys.
-
-    On systems without X, the keys are already named after their digits.
-    """
-    if not sys.platform.startswith("linux"):
-        return {}
+    """Return the digits typed only with Shift, as in the French layout, by the names of their keys."""
     from pyglet.libs.x11.xlib import XKeycodeToKeysym
     from pyglet.window import key
 
