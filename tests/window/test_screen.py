@@ -40,11 +40,38 @@ except WindowError as error:
 """
 
 
-def open_in_a_process(**environment: str) -> subprocess.CompletedProcess[str]:
+LOSE = """
+import os, subprocess
+from modaltouch.window.interface import WindowError
+from modaltouch.window.layout import Picture
+from modaltouch.window.machine import virtual_display
+from modaltouch.window.screen import Screen
+with virtual_display((640, 480)) as name:
+    os.environ["DISPLAY"] = name
+    screen = Screen(size=(400, 300))
+    subprocess.run(["pkill", "-KILL", "-P", str(os.getpid()), "Xvfb"], check=True)
+    kinds = []
+    while "lost" not in kinds:
+        kinds += [event.kind for event in screen.poll()]
+    for use in (lambda: screen.draw(Picture("any", ())), screen.flip):
+        try:
+            use()
+        except WindowError as error:
+            print(error)
+    screen.close()
+"""
+
+
+def open_in_a_process(program: str = OPEN, **environment: str) -> subprocess.CompletedProcess[str]:
     """Open a window in a new interpreter and return its output and exit status."""
     plain = {name: value for name, value in os.environ.items() if name != "DISPLAY"}
     return subprocess.run(
-        [sys.executable, "-c", OPEN], env=plain | environment, capture_output=True, text=True, timeout=120, check=False
+        [sys.executable, "-c", program],
+        env=plain | environment,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
     )
 
 
@@ -93,6 +120,13 @@ def test_a_display_with_few_colours_is_reported() -> None:
         done = open_in_a_process(DISPLAY=name)
     assert done.returncode == 1
     assert f"WindowError: the display '{name}' has colours of 16 bits, but 24 are needed" in done.stderr
+
+
+def test_a_lost_display_is_an_error_and_does_not_end_the_process() -> None:
+    """Xlib's own handler ends it with status 1; PsychoPy's, at exit, with a segmentation fault."""
+    done = open_in_a_process(LOSE)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("is gone: its X server ended or closed the connection; start it again") == 2
 
 
 def test_an_unwritable_home_causes_no_error_or_output(display: str) -> None:
