@@ -67,7 +67,6 @@ class EventTap:
         self.repeats_are_detectable = not on_x or _report_releases_once(window)
         self.is_lost = False
         """Whether the X server is gone; nothing may be drawn any more."""
-        self._on_loss = _report_loss(window, self._lose) if on_x else None
         window.push_handlers(
             on_key_press=partial(self._on_key, "key"),
             on_key_release=partial(self._on_key, "release"),
@@ -114,7 +113,8 @@ class EventTap:
         width, height = self._window.get_size()
         return self._add("click", "", (x - width / 2) / height, (y - height / 2) / height)
 
-    def _lose(self, *_: object) -> int:
+    def lose(self, *_: object) -> int:
+        """Queue the loss of the X server; called by Xlib."""
         self.is_lost = True
         self._add("lost")
         return 0
@@ -139,8 +139,12 @@ def _report_releases_once(window: Any) -> bool:
     return bool(agreed.value)
 
 
-def _report_loss(window: Any, on_loss: Callable[..., int]) -> Any:
-    """Have Xlib call a function when the X server is gone, where it would end the process; keep what is returned.
+_HANDLERS: list[Any] = []
+"""Functions given to Xlib, which may call them as long as the process lives."""
+
+
+def _report_loss(window: Any, on_loss: Callable[..., int]) -> None:
+    """Have Xlib call a function when the X server is gone, where it would end the process.
 
     Versions of libX11 before 1.7 end the process all the same.
     """
@@ -155,7 +159,7 @@ def _report_loss(window: Any, on_loss: Callable[..., int]) -> Any:
         # pyglet's hidden window has a connection of its own.
         for display in (window.display, gl._shadow_window.display):
             xlib.XSetIOErrorExitHandler(display._display, at_exit, None)
-    return at_error, at_exit
+    _HANDLERS.extend((at_error, at_exit))
 
 
 def _engraved_digits(window: Any) -> dict[str, str]:
@@ -238,6 +242,8 @@ class Screen:
             raise WindowError(explain(error)) from error
         self._window.mouseVisible = True
         self._tap = EventTap(self._window.winHandle, clock)
+        if sys.platform.startswith("linux"):
+            _report_loss(self._window.winHandle, self._tap.lose)
 
     @property
     def size(self) -> tuple[int, int]:
