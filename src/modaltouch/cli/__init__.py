@@ -95,6 +95,7 @@ def progress(what: str) -> Iterator[Callable[[int, int], None]]:
         yield lambda done, total: bars.update(task, completed=done, total=total)
 
 
+DONE = 0
 BAD_INPUT = 2
 RIG_FAILED = 3
 RECORD_AT_RISK = 4
