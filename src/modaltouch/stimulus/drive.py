@@ -49,10 +49,7 @@ FALL = 0.4e-3
 
 _REFINEMENTS = 8
 _POLISHED = 9e-13
-"""Residual of coupled modes, relative to the largest target, above which a second correction is made [1]."""
-
-_NEARLY = 1e-6
-"""The same for ill-conditioned eigenvectors, for which the residual is corrected separately [1]."""
+"""Residual of coupled modes, relative to the largest target, above which a further correction is made [1]."""
 
 _ROUNDING = 16 * float(np.finfo(float).eps)
 """Rounding error of the residual, relative to the largest target; refinement cannot reduce it further [1]."""
@@ -223,53 +220,39 @@ class Steering:
 
 
 def exact_drive(steering: Steering) -> Drive:
-    """Return the least-energy voltages that meet every condition, from rest.
-
-    The residual is computed by forward simulation of these voltages on the true clock, and corrected. This removes the
-    rounding error of the closed-form Gramian and the unevenness of the clock from the result.
-    """
-    reach, solver, goal = steering.reach, steering.solver, steering.goal
-    voltage = np.zeros((steering.model.n_channels, steering.timing.n_samples))
-    before = voltage[:, : reach.taper.n_samples]
-    weight = np.zeros_like(goal)
-    best, kept, kept_state = np.inf, weight, np.zeros(reach.exponent.size, dtype=complex)
-    short = goal
-    enough = _ROUNDING if not steering.system.coupled else _POLISHED if steering.system.real is None else _NEARLY
-    for _ in range(_REFINEMENTS):
-        weight = weight + solver.solve(short)
-        reach.write(weight, before)
-        short, state = steering.short(before)
-        residual = float(np.abs(short).max())
-        if residual >= 0.5 * best:
-            break
-        best, kept, kept_state = residual, weight, state
-        if residual <= enough * float(np.abs(goal).max()):
-            break
-    if kept is not weight:
-        reach.write(kept, before)
-    if steering.system.coupled and best > _POLISHED * float(np.abs(goal).max()):
-        # Exponentials that nearly cancel would swamp the small residual, so it is corrected separately.
-        return polished(steering, before, _POLISHED)
-    steering.end(voltage, kept_state)
-    return Drive(voltage, solver.condition_number, best, reach.taper.n_samples)
+    """Return the least-energy voltages that meet every condition, from rest."""
+    nothing = np.zeros((steering.model.n_channels, steering.reach.taper.n_samples))
+    rest = np.zeros(steering.system.exponent.size, dtype=complex)
+    enough = _POLISHED if steering.system.coupled else _ROUNDING
+    return _corrected(steering, nothing, steering.goal, rest, np.inf, enough)
 
 
-def polished(steering: Steering, voltage: FloatArray, enough: float = 0.0) -> Drive:
-    """Return the drive after a least-energy correction of the residual of voltages up to the focusing instant.
-
-    A residual up to `enough`, relative to the largest target, is not corrected.
-    """
-    change, residual = np.empty_like(voltage), np.inf
-    for _ in range(3):
-        short, state = steering.short(voltage)
-        now = float(np.abs(short).max())
-        if now >= residual or now <= enough * float(np.abs(steering.goal).max()):
-            break
-        residual = now
-        steering.reach.write(steering.solver.solve(short), change)
-        voltage = voltage + change
+def polished(steering: Steering, voltage: FloatArray) -> Drive:
+    """Return the drive after least-energy corrections of the residual of voltages up to the focusing instant."""
     short, state = steering.short(voltage)
+    return _corrected(steering, voltage, short, state, float(np.abs(short).max()), 0.0)
+
+
+def _corrected(
+    steering: Steering, voltage: FloatArray, short: FloatArray, state: ComplexArray, residual: float, enough: float
+) -> Drive:
+    """Correct voltages, given their shortfall and state, until the residual over the largest target is `enough`.
+
+    The residual is computed by forward simulation of the voltages on the true clock. This removes the rounding error of
+    the closed-form Gramian and the unevenness of the clock from the result.
+    """
+    change = np.empty_like(voltage)
+    enough *= float(np.abs(steering.goal).max())
+    for _ in range(_REFINEMENTS):
+        if residual <= enough:
+            break
+        steering.reach.write(steering.solver.solve(short), change)
+        tried = voltage + change
+        short, tried_state = steering.short(tried)
+        if not (now := float(np.abs(short).max())) < 0.5 * residual:
+            break
+        voltage, state, residual = tried, tried_state, now
     whole = np.zeros((len(voltage), steering.timing.n_samples))
     whole[:, : voltage.shape[1]] = voltage
     steering.end(whole, state)
-    return Drive(whole, steering.solver.condition_number, float(np.abs(short).max()), voltage.shape[1])
+    return Drive(whole, steering.solver.condition_number, residual, voltage.shape[1])
