@@ -40,7 +40,7 @@ def characteristic_root(bending: int) -> float:
     return middle + deviation
 
 
-def mode_shapes(label: ArrayLike, position: ArrayLike, length: float, derivative: int = 0) -> FloatArray:
+def mode_shapes(label: ArrayLike, position: ArrayLike, length: float) -> FloatArray:
     r"""Return the mode shapes of a uniform free-free Euler-Bernoulli beam [1].
 
     Label 1 is the rigid translation, 2 the rigid rotation, k >= 3 the bending mode n = k - 2. Each has unit
@@ -60,13 +60,11 @@ def mode_shapes(label: ArrayLike, position: ArrayLike, length: float, derivative
         Coordinate along the beam, origin at its middle [m].
     length : float
         Length of the beam [m].
-    derivative : int
-        0 or above: 0 for the shapes, 1 for their slopes, 2 for their curvatures, and so on.
 
     Returns
     -------
     (n_modes, n_points) array
-        Mode shapes [1], or their derivatives along the beam [1/m to that order].
+        Mode shapes [1].
 
     Raises
     ------
@@ -80,15 +78,11 @@ def mode_shapes(label: ArrayLike, position: ArrayLike, length: float, derivative
     labels = np.atleast_1d(np.asarray(label))
     y = scaled_position(position, length)
     shapes = np.empty((labels.size, y.size))
-    for kind in range(4):
-        # Rigid translation, rigid rotation, symmetric and antisymmetric bending modes.
-        rows = np.flatnonzero(labels == kind + 1 if kind < 2 else (labels > 2) & (labels % 2 == 1 - kind % 2))
-        if kind < 2:
-            size = (1.0, math.sqrt(12.0))[kind]
-            shapes[rows] = size * y if kind > derivative else size * (kind == derivative)
-        elif rows.size:
-            shapes[rows] = _bending(labels[rows].tolist(), y, derivative)
-    return shapes / length**derivative
+    shapes[labels == 1], shapes[labels == 2] = 1.0, math.sqrt(12.0) * y
+    for parity in (0, 1):
+        rows = np.flatnonzero((labels > 2) & (labels % 2 == parity))
+        shapes[rows] = _bending(labels[rows].tolist(), y, symmetric=parity == 1)
+    return shapes
 
 
 def scaled_position(position: ArrayLike, length: float) -> FloatArray:
@@ -116,18 +110,11 @@ def gauss_legendre(n: int) -> tuple[FloatArray, FloatArray]:
     return nodes, 2 * vectors[0] ** 2
 
 
-def _bending(labels: list[int], y: FloatArray, derivative: int) -> FloatArray:
-    """Return bending modes of one symmetry at y = x/L, or their derivatives along y, (n_modes, n_points) array."""
-    symmetric = labels[0] % 2 == 1
-    root = np.array([[characteristic_root(label - 2)] for label in labels])
-    side = np.where(y < 0, -1.0, 1.0)
-    size = np.abs(y)
-    near = np.exp(-root * (0.5 - size)) * side**derivative
-    far = np.exp(-root * (0.5 + size)) * (-side) ** derivative
-    # The derivatives of a cosine are -sine, -cosine, sine; those of a sine lag by a quarter turn.
-    turn = (derivative if symmetric else derivative + 3) % 4
-    wave = (np.cos(root * y) if turn % 2 == 0 else np.sin(root * y)) * (1, -1, -1, 1)[turn]
-    decay = np.exp(-root)
+def _bending(labels: list[int], y: FloatArray, *, symmetric: bool) -> FloatArray:
+    """Return bending modes of one symmetry at y = x/L, (n_modes, n_points) array."""
+    root = np.array([characteristic_root(label - 2) for label in labels]).reshape(-1, 1)
+    near, far, decay = np.exp(-root * (0.5 - np.abs(y))), np.exp(-root * (0.5 + np.abs(y))), np.exp(-root)
     if symmetric:
-        return np.asarray(root**derivative * (wave / np.cos(root / 2) + (near + far) / (1 + decay)))
-    return np.asarray(root**derivative * (wave / np.sin(root / 2) + side * (near - far) / (1 - decay)))
+        return np.asarray(np.cos(root * y) / np.cos(root / 2) + (near + far) / (1 + decay))
+    side = np.where(y < 0, -1.0, 1.0)
+    return np.asarray(np.sin(root * y) / np.sin(root / 2) + side * (near - far) / (1 - decay))
