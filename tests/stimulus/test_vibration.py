@@ -269,14 +269,6 @@ def test_peaks_follow_an_uneven_clock(crossed_model, rng):
     assert np.abs(even / peak - 1).max() > 1e-5
 
 
-def test_passes_agrees_with_the_peak(shipped, zones):
-    """`passes` compares the peak with a limit without computing the history."""
-    peak = shipped.peak_velocity(zones, 0.2).max()
-    assert shipped.passes(zones, 0.2, 0.999999 * peak)
-    assert not shipped.passes(zones, 0.2, 1.000001 * peak)
-    assert not shipped.passes(zones, 0.2, 10 * peak)
-
-
 def test_memory_is_bounded_for_many_points(shipped):
     """The field at 100,001 points needs less than four times its own memory and equals that at a few points."""
     many = np.linspace(-0.05, 0.05, 100_001)

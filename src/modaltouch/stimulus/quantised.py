@@ -103,13 +103,6 @@ class QuantisedStimulus:
         """
         return self.model.field(self.system.read(self.states_at_focus(unit))[0], positions)
 
-    def passes(self, positions: ArrayLike, unit: FloatArray, limit: float) -> bool:
-        """Test whether the speed at any of the points exceeds a limit [m/s]; most blocks need not be computed."""
-        response, _, scale = self._response(unit)
-        floor = limit / scale
-        # Compared unscaled: with rounding, `floor` times `scale` might exceed the limit.
-        return bool((response.peak(self.model.shapes(positions).T @ self.system.velocity, floor) > floor).any())
-
     def peak_velocity(self, positions: ArrayLike, unit: FloatArray) -> FloatArray:
         """Return the highest speed at points of the beam until the next burst, (n_positions,) array [m/s]."""
         place = np.atleast_1d(np.asarray(positions, dtype=float)).tolist()

@@ -249,20 +249,6 @@ class Stimulus:
         """Return the velocity at points [m] at the focusing instant for a level [m/s], (n_positions,) array [m/s]."""
         return self._played.velocity_at_focus(positions, self.volts_per_code(velocity))
 
-    def passes(self, positions: ArrayLike, velocity: float, limit: float) -> bool:
-        """Test whether the speed at any of the points exceeds a limit.
-
-        Far below the limit, only an upper bound is computed.
-
-        Parameters
-        ----------
-        positions, velocity
-            As in `velocity_at_focus`.
-        limit : float
-            Speed [m/s].
-        """
-        return self._played.passes(positions, self.volts_per_code(velocity), limit)
-
     def velocity_history(self, positions: ArrayLike, velocity: float, *, whole_period: bool = False) -> FloatArray:
         """Return the velocity at points of the beam during the first burst as played, (n_positions, n_samples) array.
 

@@ -344,32 +344,30 @@ class BlockStates:
         size, mean, deviation = self._magnitudes
         return np.asarray(np.abs(kernel.output) @ size + steady @ mean + worst @ deviation)
 
-    def peak(self, output: ComplexArray, floor: float = 0.0, at_once: FloatArray | None = None) -> FloatArray:
+    def peak(self, output: ComplexArray, at_once: FloatArray | None = None) -> FloatArray:
         """Return the largest magnitude of each output until the start of the next burst, (n_outputs,) array.
 
         Parameters
         ----------
         output : (n_outputs, n_states) complex array
             The outputs are ``Re(output @ state)``.
-        floor : float
-            Smallest value returned; a higher floor means fewer blocks to compute.
         at_once : (n_outputs, n_inputs) array, optional
             Further contribution of each input to the outputs while it lasts.
         """
         if at_once is not None:
-            return self._different_peaks(output, at_once, floor)
+            return self._different_peaks(output, at_once)
         if len(output) > _OUTPUTS:
             starts = range(0, len(output), _OUTPUTS)
-            return np.concatenate([self.peak(output[start : start + _OUTPUTS], floor) for start in starts])
+            return np.concatenate([self.peak(output[start : start + _OUTPUTS]) for start in starts])
         some, places = self._different(output)
-        return self._different_peaks(some, np.zeros((len(some), self.push.shape[1])), floor)[places]
+        return self._different_peaks(some, np.zeros((len(some), self.push.shape[1])))[places]
 
-    def _different_peaks(self, output: ComplexArray, at_once: FloatArray, floor: float) -> FloatArray:
+    def _different_peaks(self, output: ComplexArray, at_once: FloatArray) -> FloatArray:
         """Return the peaks of different outputs, at the starts of the samples and at instants between them."""
         # The outputs at the starts of the blocks are lower bounds of the peaks, which rule out most blocks.
         starts = (output @ self.begin).real
         starts[:, :-1] += at_once @ self.blocks[:, :, 0]
-        peak = np.maximum(np.abs(starts).max(axis=1), floor)
+        peak = np.abs(starts).max(axis=1)
         for late in search_instants(self.system, self.timing, jumps=bool(at_once.any())).tolist():
             peak = self._peak_of_instants(BlockKernel.within(self.system, output, self.timing, late, at_once), peak)
         return np.asarray(peak + 0.0)  # not -0, the peak of a point that does not move
