@@ -73,11 +73,17 @@ class TouchedStimulus(QuantisedStimulus):
         `left` is the same burst on the beam with the remaining fingers. Peaks below `floor` are not resolved [m/s].
         """
         times = max(1, round(self.timing.hold / FINE))
-        systems = self.system, left.system, DiagonalSystem.of(left.model)
-        voltage = np.repeat(self.codes * unit[:, None], times, axis=1)
+        voltage, hold = np.repeat(self.codes * unit[:, None], times, axis=1), self.timing.hold / times
+        shapes, beam = left.model.shapes(positions), DiagonalSystem.of(left.model)
         known = np.stack([each.peak_velocity(positions, unit) for each in (self, left)])
-        shapes = left.model.shapes(positions)
-        return peaks_when_lifted(systems, voltage, self.timing.hold / times, shapes, known, floor)
+        peak: FloatArray = np.maximum(known.max(axis=0), floor)
+        output, difference = shapes.T @ beam.velocity, _difference((self.system, left.system), beam, voltage, hold)
+        if (known[1] + _BETWEEN * np.abs(output) @ np.abs(difference).max(axis=1) <= peak).all():
+            return peak
+        speed = np.empty((len(output), voltage.shape[1]))
+        kernel = BlockKernel.of(left.system, shapes.T @ left.system.velocity, hold)
+        kernel.write(lambda start, stop: voltage[:, start:stop], speed)
+        return _raised(speed, output, difference, peak, beam.exponent * hold)
 
     def highest_contrast(self, focus: float, points: FloatArray, level: float) -> tuple[QuantisedStimulus, float]:
         """Return the beam under the drive of highest contrast, its codes in volts, and `contrast_drive`'s bound [1].
@@ -110,47 +116,14 @@ class TouchedStimulus(QuantisedStimulus):
         return np.array([known[finger] for finger in fingers]) * scale
 
 
-def peaks_when_lifted(
-    systems: tuple[DiagonalSystem, DiagonalSystem, DiagonalSystem],
-    voltage: FloatArray,
-    hold: float,
-    shapes: FloatArray,
-    known: FloatArray,
-    floor: float,
-) -> FloatArray:
-    """Return the highest speed at each point for the worst instant of lifting, (n_points,) array [m/s].
-
-    Parameters
-    ----------
-    systems : (DiagonalSystem, DiagonalSystem, DiagonalSystem)
-        The beam with all fingers, and with the remaining ones, behind the amplifier; the latter without the amplifier.
-    voltage : (n_channels, n_instants) array
-        Voltages, held between instants about `FINE` apart [V].
-    hold : float
-        Time between instants [s].
-    shapes : (n_modes, n_points) array
-        Mode shapes at the points [1].
-    known : (2, n_points) array
-        Peaks with all fingers, and with the remaining ones [m/s].
-    floor : float
-        Smallest value returned; lower peaks are not resolved [m/s].
-    """
-    _, left, beam = systems
-    peak: FloatArray = np.maximum(known.max(axis=0), floor)
-    output, difference = shapes.T @ beam.velocity, _difference(systems, voltage, hold)
-    if (known[1] + _BETWEEN * np.abs(output) @ np.abs(difference).max(axis=1) <= peak).all():
-        return peak
-    speed = np.empty((len(output), voltage.shape[1]))
-    kernel = BlockKernel.of(left, shapes.T @ left.velocity, hold)
-    kernel.write(lambda start, stop: voltage[:, start:stop], speed)
-    return _raised(speed, output, difference, peak, beam.exponent * hold)
-
-
 def _difference(
-    systems: tuple[DiagonalSystem, DiagonalSystem, DiagonalSystem], voltage: FloatArray, hold: float
+    both: tuple[DiagonalSystem, DiagonalSystem], beam: DiagonalSystem, voltage: FloatArray, hold: float
 ) -> ComplexArray:
-    """Return the difference of the states at every `SHORT`-th instant, (n_states, n_instants / SHORT) array."""
-    *both, beam = systems
+    """Return the difference of the motions of two systems, as states of a beam, at every `SHORT`-th instant.
+
+    The voltages, (n_channels, n_instants) array [V], are held between instants [s]. The systems include the amplifier,
+    the beam does not; the result is a (n_states, n_instants / SHORT) array.
+    """
     blocks, motion = BlockKernel.blocks(voltage), []
     for system in both:
         rest = np.zeros(system.exponent.size, dtype=complex)
