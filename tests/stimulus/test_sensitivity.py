@@ -28,10 +28,10 @@ def test_errors_of_five_per_cent_move_the_field_by_millimetres_per_second(shippe
 def test_scatter_agrees_with_the_derivatives(shipped):
     """First-order propagation of independent deviations agrees with 400 drawn beams within 12 %."""
     spread = {"natural_frequency": 1e-4, "damping_ratio": 5e-3, "modal_gain": 5e-3}
-    drawn = scatter(shipped, [0.0, 0.02], n_draws=400, **spread)
+    field, modal_error = scatter(shipped, [0.0, 0.02], n_draws=400, **spread)
     shapes = shipped.model.shapes([0.0, 0.02])
     variance = sum(
         (derivative(shipped, name, mode)[0] @ shapes * spread[name]) ** 2 for name in PARAMETERS for mode in range(9)
     )
-    assert drawn.deviation == pytest.approx(np.sqrt(variance), rel=0.12)
-    assert (drawn.modal_error > 0).all()
+    assert field.std(axis=0, ddof=1) == pytest.approx(np.sqrt(variance), rel=0.12)
+    assert (modal_error > 0).all()

@@ -102,27 +102,6 @@ def _reached(stimulus: Stimulus, beam: ModalModel) -> FloatArray:
     return np.stack(system.read(system.state_at(stimulus.voltage, timing, timing.focusing_instant)))
 
 
-@dataclass(frozen=True, eq=False)
-class Scatter:
-    """Response of randomly drawn beams to a design.
-
-    Attributes
-    ----------
-    field : (n_draws, n_points) array
-        Velocity at the points at the focusing instant [m/s].
-    modal_error : (n_draws,) array
-        Largest of |velocity - target| and |w eta| over the modes [m/s].
-    """
-
-    field: FloatArray
-    modal_error: FloatArray
-
-    @property
-    def deviation(self) -> FloatArray:
-        """Standard deviation of the velocity at each point, (n_points,) array [m/s]."""
-        return np.asarray(self.field.std(axis=0, ddof=1))
-
-
 def scatter(
     stimulus: Stimulus,
     positions: ArrayLike,
@@ -132,7 +111,7 @@ def scatter(
     modal_gain: float = 0.02,
     n_draws: int = 200,
     seed: int = 0,
-) -> Scatter:
+) -> tuple[FloatArray, FloatArray]:
     """Return the motion of beams drawn at random around the identified one under the designed voltages.
 
     Parameters
@@ -147,6 +126,13 @@ def scatter(
         Number of beams drawn, at least 2.
     seed : int
         Seed of the random numbers.
+
+    Returns
+    -------
+    field : (n_draws, n_points) array
+        Velocity at the points at the focusing instant [m/s].
+    modal_error : (n_draws,) array
+        Largest of |velocity - target| and |w eta| over the modes [m/s].
     """
     rng = np.random.default_rng(seed)
     model = stimulus.model
@@ -163,7 +149,7 @@ def scatter(
         velocity, displacement = _reached(stimulus, beam)
         field[draw] = velocity @ shapes
         worst[draw] = max(np.abs(velocity - stimulus.target).max(), np.abs(displacement).max())
-    return Scatter(field, worst)
+    return field, worst
 
 
 @dataclass(frozen=True)
