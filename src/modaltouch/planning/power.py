@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from modaltouch import report
 from modaltouch.analysis import ALPHA, STATISTICS, wilson
 from modaltouch.planning.design import Design
-from modaltouch.planning.experiments import Job, Study, Tallies, divide, run_job
+from modaltouch.planning.experiments import Study, Tallies, divide, run_job
 from modaltouch.system import version
 
 if TYPE_CHECKING:
@@ -223,31 +223,23 @@ def plan(
     Power
         Not `complete` if stopped early.
     """
-    jobs = divide(study.design, sizes, n_experiments)
-    should_stop = should_stop or (lambda: False)
-    done: dict[Job, Tallies] = {}
-    for job, tallies in _run_all(study, jobs, should_stop, min(n_processes, len(jobs))):
-        done[job] = tallies
-        if on_progress is not None:
-            on_progress(len(done), len(jobs))
-    added: dict[Size, Tallies] = {}
-    # Add in the order of the jobs, not of completion: floating-point sums depend on the order.
-    for job in (job for job in jobs if job in done):
-        size = (job.n_participants, job.n_repetitions)
-        before = added.get(size)
-        added[size] = done[job] if before is None else {name: before[name] + done[job][name] for name in before}
-    return Power(study, tuple(sizes), n_experiments, added)
-
-
-def _run_all(
-    study: Study, jobs: Sequence[Job], should_stop: Callable[[], bool], n_processes: int
-) -> Iterator[tuple[Job, Tallies]]:
     import joblib
 
-    with processes(n_processes):
-        # Queue only a few jobs per process: with thousands, progress reports and stopping would lag.
-        parallel = joblib.Parallel(return_as="generator_unordered", batch_size=1, pre_dispatch="2 * n_jobs")
-        yield from parallel(joblib.delayed(_run)(study, job) for job in takewhile(lambda _: not should_stop(), jobs))
+    jobs = divide(study.design, sizes, n_experiments)
+    asked = jobs if should_stop is None else takewhile(lambda _: not should_stop(), jobs)
+    added: dict[Size, Tallies] = {}
+    with processes(min(n_processes, len(jobs))):
+        # Queue only a few jobs per process: with thousands, progress reports and stopping would lag. Tallies come in
+        # the order of the jobs, on which their floating-point sums depend.
+        parallel = joblib.Parallel(return_as="generator", batch_size=1, pre_dispatch="2 * n_jobs")
+        tallied = parallel(joblib.delayed(run_job)(study, job) for job in asked)
+        for n_done, (tallies, job) in enumerate(zip(tallied, jobs, strict=False), start=1):
+            size = (job.n_participants, job.n_repetitions)
+            before = added.get(size)
+            added[size] = tallies if before is None else {name: before[name] + tallies[name] for name in before}
+            if on_progress is not None:
+                on_progress(n_done, len(jobs))
+    return Power(study, tuple(sizes), n_experiments, added)
 
 
 def processes(number: int) -> Any:
@@ -255,10 +247,6 @@ def processes(number: int) -> Any:
     import joblib
 
     return joblib.parallel_config("loky", n_jobs=number, inner_max_num_threads=1, initializer=_ignore_interrupts)
-
-
-def _run(study: Study, job: Job) -> tuple[Job, Tallies]:
-    return job, run_job(study, job)
 
 
 def _ignore_interrupts() -> None:
