@@ -14,7 +14,7 @@ from modaltouch.system import lazily
 if TYPE_CHECKING:
     from modaltouch.planning.design import designs_for
     from modaltouch.planning.experiments import Study
-    from modaltouch.planning.felt import FeltSpeeds
+    from modaltouch.planning.felt import felt_per_level
     from modaltouch.planning.fitting import fit_answers
     from modaltouch.planning.observer import Observer
     from modaltouch.planning.power import Power, plan, write_power
@@ -26,7 +26,7 @@ else:
             "design": "designs_for",
             "experiments": "Study",
             "fitting": "fit_answers",
-            "felt": "FeltSpeeds",
+            "felt": "felt_per_level",
             "observer": "Observer",
             "power": "Power plan write_power",
             "preregistration": "preregister",
@@ -34,11 +34,11 @@ else:
     )
 
 __all__ = [
-    "FeltSpeeds",
     "Observer",
     "Power",
     "Study",
     "designs_for",
+    "felt_per_level",
     "fit_answers",
     "plan",
     "preregister",

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.analysis import STATISTICS, AnswerCounts, Pair
-from modaltouch.planning.felt import FeltSpeeds
+from modaltouch.planning.felt import felt_per_level
 from modaltouch.planning.observer import FloatArray, FrontEnd, Observer
 from modaltouch.preflight import Preflight
 from modaltouch.protocol import AnswerList, InputError, Protocol, Turn
@@ -279,12 +279,12 @@ def felt_speeds(preflight: Preflight, front_end: FrontEnd) -> Callable[[str, str
     """Return a function that computes the speeds felt by two fingers."""
     zones = {name: zone.centre_mm * 1e-3 for name, zone in preflight.experiment.apparatus.zones.items()}
     placed = preflight.placed or {"": preflight}
-    speeds = {name: FeltSpeeds(part.stimulus, zones, front_end) for name, part in placed.items()}
+    shares = {name: felt_per_level(part.stimulus, zones, front_end) for name, part in placed.items()}
 
     def felt(finger_condition: str, left: str, right: str, velocity: float) -> tuple[float, float]:
         place = preflight.findings.placement_of(finger_condition, left, right) if preflight.placed else ""
         played = velocity * placed[place].sound[0].share
-        return speeds[place].at(left, played), speeds[place].at(right, played)
+        return shares[place][left] * played, shares[place][right] * played
 
     return felt
 

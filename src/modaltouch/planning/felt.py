@@ -10,7 +10,6 @@ Bolanowski et al., J. Acoust. Soc. Am. 84 (1988) 1680-1694: thresholds up to 500
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -62,11 +61,10 @@ def smooth(velocity: FloatArray, sampling_rate: float) -> FloatArray:
     return np.asarray(np.fft.irfft(np.fft.rfft(velocity, length) * gain, length)[:, :n_samples])
 
 
-class FeltSpeeds:
-    """Felt speeds at the zones.
+def felt_per_level(stimulus: Stimulus, zones: Mapping[str, float], front_end: FrontEnd) -> dict[str, float]:
+    """Return the speed felt at each zone per unit of level [1].
 
-    Speeds are computed lazily at the reference level and scaled to other levels, since the beam and every front end
-    are linear in the level. The generator's amplitude grid (four digits) is neglected.
+    The beam and every front end are linear in the level. The generator's amplitude grid (four digits) is neglected.
 
     Parameters
     ----------
@@ -77,42 +75,13 @@ class FeltSpeeds:
     front_end : str
         Front end of the fingers.
     """
-
-    def __init__(self, stimulus: Stimulus, zones: Mapping[str, float], front_end: FrontEnd) -> None:
-        self._stimulus = stimulus
-        self._zones = dict(zones)
-        self._front_end = front_end
-
-    def at(self, zone: str, velocity: float) -> float:
-        """Return the speed felt at the centre of a zone at a level [m/s].
-
-        Parameters
-        ----------
-        zone : str
-            Name of the zone.
-        velocity : float
-            Peak velocity at the focus [m/s].
-
-        Raises
-        ------
-        ValueError
-            If there is no such zone.
-        """
-        if zone not in self._zones:
-            raise ValueError(f"given the zone {zone!r}; allowed: {', '.join(self._zones)}")
-        return self._per_velocity[zone] * velocity
-
-    @cached_property
-    def _per_velocity(self) -> dict[str, float]:
-        """Felt speed at each zone per unit of level [1]."""
-        stimulus, places = self._stimulus, np.array(list(self._zones.values()))
-        level = stimulus.target_field.velocity
-        if self._front_end == "peak":
-            values = stimulus.peak_velocity(places, level)
-        elif self._front_end == "peak_at_focus":
-            values = np.abs(stimulus.velocity_at_focus(places, level))
-        else:
-            # Use a whole repetition: a beam that is not actively stopped keeps vibrating after the burst.
-            history = stimulus.velocity_history(places, level, whole_period=True)
-            values = sense(self._front_end, history, stimulus.timing.sampling_rate)
-        return {name: float(value) / level for name, value in zip(self._zones, values, strict=True)}
+    places, level = np.array(list(zones.values())), stimulus.target_field.velocity
+    if front_end == "peak":
+        values = stimulus.peak_velocity(places, level)
+    elif front_end == "peak_at_focus":
+        values = np.abs(stimulus.velocity_at_focus(places, level))
+    else:
+        # Use a whole repetition: a beam that is not actively stopped keeps vibrating after the burst.
+        history = stimulus.velocity_history(places, level, whole_period=True)
+        values = sense(front_end, history, stimulus.timing.sampling_rate)
+    return dict(zip(zones, (values / level).tolist(), strict=True))

@@ -63,7 +63,7 @@ class Observer:
         Standard deviation, over participants, of the logarithm of the noise, the criterion, one plus the
         suppression, and the decision time [1].
     front_end : str
-        Definition of the felt speed; see `FeltSpeeds`.
+        Definition of the felt speed; see `FrontEnd`.
     name : str
         Name in reports; empty for an observer created in code.
 

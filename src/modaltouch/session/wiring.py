@@ -293,18 +293,18 @@ class SessionParts:
             return peaks
         # The twin only provides peaks; other front ends use the predicted history, scaled to the twin's peak.
         level = self.preflight.played(trial.condition, trial.condition.velocity_mm_s) * 1e-3
-        sense = self._senses[self.preflight.design_of(trial.condition)]
+        felt = self._felt_per_level[self.preflight.design_of(trial.condition)]
         return tuple(
-            sense.at(zone, level) * peak / expected
+            felt[zone] * level * peak / expected
             for zone, peak, expected in zip(trial.condition.zones, peaks, predicted, strict=True)
         )
 
     @cached_property
-    def _senses(self) -> dict[str, planning.FeltSpeeds]:
-        """Felt speeds of each design, from the observer's front end and the predicted velocities."""
+    def _felt_per_level(self) -> dict[str, dict[str, float]]:
+        """Speed felt at each zone per unit of level, for each design, from the observer's front end [1]."""
         centres = {name: zone.centre_mm * 1e-3 for name, zone in self.preflight.experiment.apparatus.zones.items()}
         return {
-            name: planning.FeltSpeeds(part.stimulus, centres, self.observer.front_end)
+            name: planning.felt_per_level(part.stimulus, centres, self.observer.front_end)
             for name, part in self.preflight.designs.items()
         }
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from forward import velocity_history
 
-from modaltouch.planning.felt import FeltSpeeds, sense
+from modaltouch.planning.felt import felt_per_level, sense
 from modaltouch.preflight import Preflight, examine
 from modaltouch.protocol.trial import Condition, Trial
 
@@ -24,18 +24,18 @@ def preflight() -> Preflight:
 
 def test_the_peak_agrees_with_the_preflight(preflight: Preflight) -> None:
     """It agrees within 1e-3; the difference is the generator's amplitude resolution of four digits."""
-    felt = FeltSpeeds(preflight.stimulus, ZONES, "peak")
+    felt = felt_per_level(preflight.stimulus, ZONES, "peak")
     for level in (80.0, 200.0):
         left, right = preflight.speeds(Trial(1, 1, Condition("one_hand", "A", "C", level)))
-        assert felt.at("A", level * 1e-3) == pytest.approx(left, rel=1e-3)
-        assert felt.at("C", level * 1e-3) == pytest.approx(right, rel=1e-3)
+        assert felt["A"] * level * 1e-3 == pytest.approx(left, rel=1e-3)
+        assert felt["C"] * level * 1e-3 == pytest.approx(right, rel=1e-3)
 
 
 def test_only_the_focus_moves_at_the_focusing_instant(preflight: Preflight) -> None:
     """C moves at the level, A less than 1 % of it, since A and E lie outside the triangle of 56 mm."""
-    felt = FeltSpeeds(preflight.stimulus, ZONES, "peak_at_focus")
-    assert felt.at("C", 0.15) == pytest.approx(0.15, rel=1e-3)
-    assert felt.at("A", 0.15) < 0.01 * felt.at("C", 0.15)
+    felt = felt_per_level(preflight.stimulus, ZONES, "peak_at_focus")
+    assert felt["C"] == pytest.approx(1.0, rel=1e-3)
+    assert felt["A"] < 0.01 * felt["C"]
 
 
 def test_other_front_ends_use_a_whole_repetition(preflight: Preflight) -> None:
@@ -46,10 +46,4 @@ def test_other_front_ends_use_a_whole_repetition(preflight: Preflight) -> None:
     voltage[:, : timing.n_samples] = stimulus.voltage_played(level)
     history = velocity_history(stimulus.model, voltage, timing, [0.0], stimulus.amplifier)
     expected = sense("rms", history, timing.sampling_rate)[0]
-    assert FeltSpeeds(stimulus, {"C": 0.0}, "rms").at("C", level) == pytest.approx(expected, rel=1e-3)
-
-
-def test_an_unknown_zone_is_refused(preflight: Preflight) -> None:
-    """The message lists the zones."""
-    with pytest.raises(ValueError, match="given the zone 'F'; allowed: A, B, C, D, E"):
-        FeltSpeeds(preflight.stimulus, ZONES, "peak").at("F", 0.1)
+    assert felt_per_level(stimulus, {"C": 0.0}, "rms")["C"] * level == pytest.approx(expected, rel=1e-3)
