@@ -32,33 +32,21 @@ def sense(front_end: FrontEnd, history: ArrayLike, sampling_rate: float) -> Floa
     front_end : {"rms", "below_1_khz", "envelope"}
         A front end that needs the whole history.
     history : (n_places, n_samples) array
-        Velocity over one repetition of the burst [m/s].
+        Velocity over one repetition of the burst, from rest to rest [m/s].
     sampling_rate : float
         Samples per second [Hz].
     """
     velocity = np.atleast_2d(np.asarray(history, dtype=float))
     if front_end == "rms":
         return np.asarray(np.sqrt((velocity**2).mean(axis=1)))
-    low = front_end == "below_1_khz"
-    felt = np.abs(smooth(velocity, sampling_rate)) if low else smooth(np.abs(velocity), sampling_rate)
-    return np.asarray(felt.max(axis=1))
-
-
-def smooth(velocity: FloatArray, sampling_rate: float) -> FloatArray:
-    """Low-pass filter histories at `CUT_OFF` with zero phase, (n_places, n_samples) array [m/s].
-
-    Parameters
-    ----------
-    velocity : (n_places, n_samples) array
-        Histories that begin and end at rest [m/s].
-    sampling_rate : float
-        Samples per second [Hz].
-    """
+    if front_end == "envelope":
+        velocity = np.abs(velocity)
     n_samples = velocity.shape[1]
     # Zero-pad to twice the length, so that the end does not wrap around to the beginning.
     length = 1 << (2 * n_samples - 1).bit_length()
     gain = 1 / np.sqrt(1 + (np.fft.rfftfreq(length, 1 / sampling_rate) / CUT_OFF) ** (2 * ORDER))
-    return np.asarray(np.fft.irfft(np.fft.rfft(velocity, length) * gain, length)[:, :n_samples])
+    smooth = np.fft.irfft(np.fft.rfft(velocity, length) * gain, length)[:, :n_samples]
+    return np.asarray((smooth if front_end == "envelope" else np.abs(smooth)).max(axis=1))
 
 
 def felt_per_level(stimulus: Stimulus, zones: Mapping[str, float], front_end: FrontEnd) -> dict[str, float]:

@@ -201,7 +201,7 @@ def placement_warnings(designs: Mapping[str, DesignInputs]) -> list[str]:
 
 def stimulus_warnings(inputs: DesignInputs, stimulus: Stimulus, figures: list[dict[str, Any]]) -> Iterator[str]:
     """Yield warnings about clock jitter, unmeasured gains, ill-conditioned modes and modal errors."""
-    clocks = stimulus.timing.duration * stimulus.timing.clock_rate / stimulus.timing.n_samples
+    clocks = stimulus.timing.duration * stimulus.timing.converter.clock_rate / stimulus.timing.n_samples
     if not stimulus.timing.converter.any_rate and not math.isclose(clocks, round(clocks), rel_tol=1e-9):
         yield (
             f"{stimulus.timing.n_samples} samples are held {clocks:.2f} clocks each, so their edges jitter; "

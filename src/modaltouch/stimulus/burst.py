@@ -173,11 +173,6 @@ class Timing:
     at_samples: bool = False
 
     @property
-    def clock_rate(self) -> float:
-        """Clock of the generator [Hz]."""
-        return self.converter.clock_rate
-
-    @property
     def hold(self) -> float:
         """Duration of each sample [s]."""
         return self.duration / self.n_samples
@@ -217,12 +212,12 @@ class Timing:
         ``floor(clock * n_samples / n_clocks)``: if the number of clock cycles in a burst is not a multiple of the
         number of samples, sample n begins at the first clock edge at or after ``n * hold``.
         """
-        clocks = self.duration * self.clock_rate / self.n_samples
+        clocks = self.duration * self.converter.clock_rate / self.n_samples
         if self.converter.any_rate or abs(clocks - round(clocks)) < 1e-9 * clocks:
             return None
         ideal = np.arange(self.n_samples + 1) * clocks
         late = np.ceil(ideal - 1e-6) - ideal
-        return np.asarray(np.maximum(late, 0.0) / self.clock_rate)
+        return np.asarray(np.maximum(late, 0.0) / self.converter.clock_rate)
 
     def late_steps(self, voltage: FloatArray, start: int, stop: int) -> Iterator[FloatArray]:
         """Yield the steps of samples times their delay [s], times its square, and so on, each in the same array."""

@@ -123,20 +123,14 @@ class TimoshenkoBeam:
 
         symmetric, wanted = bool(bending % 2), (bending + 1) // 2
         # The phase b beta of the n-th mode of one symmetry is about 2 pi n, less where both branches are trigonometric.
-        phase = np.arange(1.0, (2 * wanted + 3) * math.pi, _STEP)
-        grid = self._parameter(phase)
+        q = np.arange(1.0, (2 * wanted + 3) * math.pi, _STEP) ** 2
+        # b^2 beta^2 = q: r^2 s^2 B^2 - (1 + (r^2 + s^2) q) B + q^2 = 0 for B = b^2, the lower branch.
+        middle = 1 + (self.rotary + self.shear) * q
+        grid = np.sqrt(2 * q**2 / (middle + np.sqrt(middle**2 - 4 * self.rotary * self.shear * q**2)))
         value = self._determinant(grid, symmetric)
         change = np.flatnonzero(np.sign(value[1:]) != np.sign(value[:-1]))
         ends = grid[change[wanted - 1]], grid[change[wanted - 1] + 1]
         return float(brentq(lambda b: self._determinant(np.array([b]), symmetric)[0], *ends, xtol=1e-300))
-
-    def _parameter(self, phase: FloatArray) -> FloatArray:
-        """Return the frequency parameters for given phases b beta [1]."""
-        # b^2 beta^2 = q: r^2 s^2 B^2 - (1 + (r^2 + s^2) q) B + q^2 = 0 for B = b^2, the lower branch.
-        q = phase**2
-        r2, s2 = self.rotary, self.shear
-        middle = 1 + (r2 + s2) * q
-        return np.asarray(np.sqrt(2 * q**2 / (middle + np.sqrt(middle**2 - 4 * r2 * s2 * q**2))))
 
 
 @dataclass(frozen=True, eq=False)
