@@ -249,7 +249,8 @@ def _corrected(
         steering.reach.write(steering.solver.solve(short), change)
         tried = voltage + change
         short, tried_state = steering.short(tried)
-        if not (now := float(np.abs(short).max())) < 0.5 * residual:
+        now = float(np.abs(short).max())
+        if now >= 0.5 * residual:
             break
         voltage, state, residual = tried, tried_state, now
     whole = np.zeros((len(voltage), steering.timing.n_samples))
