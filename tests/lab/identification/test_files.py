@@ -144,6 +144,29 @@ def test_every_format_gives_the_modes(tmp_path: Path, frequency: np.ndarray, nam
     assert highest == pytest.approx(1.0 / (2 * 0.012 * 2 * np.pi * 120), rel=0.01)
 
 
+@pytest.mark.parametrize("separator", [";", "\t"])
+def test_spreadsheets_with_decimal_commas_are_read(tmp_path: Path, frequency: np.ndarray, separator: str) -> None:
+    """A German spreadsheet writes semicolons, or tabs, where another writes commas, and commas for points."""
+    plain = write_csv(tmp_path / "plain.csv", frequency)
+    other = tmp_path / "other.csv"
+    other.write_text(plain.read_text().replace(",", separator).replace(".", ","), encoding="utf-8-sig")
+    how = ResponseFormat("acceleration")
+    assert np.array_equal(*(read_responses([path], how).response for path in (plain, other)))
+
+
+def test_data_sets_that_are_not_needed_are_not_read(
+    tmp_path: Path, frequency: np.ndarray, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The library prints groups of elements (2467), in the middle of the output of --json, while it reads them."""
+    path = write_uff(tmp_path / "modes.uff", frequency)
+    numbers = [[1, 0, 0, 0, 0, 0, 0, 1], [8, 110, 0, 0]]
+    head, entity = ("".join(f"{number:10}" for number in row) for row in numbers)
+    group = f"    -1\n  2467\n{head}\nLeft\n{entity}\n    -1\n"
+    path.write_text(path.read_text() + group)
+    assert read_responses([path]).n_points == 2
+    assert capsys.readouterr().out == ""
+
+
 def test_positions_of_a_universal_file_are_from_the_middle(tmp_path: Path, frequency: np.ndarray) -> None:
     """Nodes 0.3 m apart are at -0.15 and 0.15 m; the reference gives a valid name of an actuator set."""
     responses = read_responses([write_uff(tmp_path / "modes.uff", frequency)])

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -43,10 +42,8 @@ def _read_universal(path: Path, how: ResponseFormat) -> Part:
     sets = _read_sets(path)
     functions = [each for each in sets if each["type"] == _FUNCTION and each["func_type"] in (_TIME, _RESPONSE)]
     if not functions:
-        held = ", ".join(sorted({str(each["type"]) for each in sets})) or "none"
         raise ValueError(
-            f"{path}: there is no frequency response or time record among the data sets ({held}); export data set 58 "
-            "of type 4 or 1"
+            f"{path}: it contains no frequency response and no time record; export data set 58 of type 4 or 1"
         )
     responses = [each for each in functions if each["func_type"] == _RESPONSE]
     moved = responses or [each for each in functions if _kind(each) in _QUANTITIES]
@@ -114,7 +111,11 @@ def _read_sets(path: Path) -> list[dict[str, Any]]:
     if b"    -1" in map(bytes.rstrip, lines) and not lines[-1].endswith(b"    -1"):
         raise ValueError(f"{path}: it ends within a data set: it was cut off; export or copy it again")
     try:
-        read = pyuff.UFF(str(path)).read_sets()
+        file = pyuff.UFF(str(path))
+        # Sets that are not needed may be large, or of a type that the library prints or cannot read.
+        kinds = file.get_set_types()
+        needed = np.flatnonzero(np.isin(kinds, (_FUNCTION, *_NODES, _UNITS)))
+        read = file.read_sets(needed.tolist()) if needed.size else []
     # The library raises bare exceptions and any error of its parser.
     except Exception as error:
         raise ValueError(f"{path}: cannot be read as a universal file ({error}); export it again") from error
@@ -143,6 +144,9 @@ def _size(sets: list[dict[str, Any]]) -> float:
     factors = [float(each["length"]) for each in sets if each["type"] == _UNITS]
     return factors[0] if factors and factors[0] > 0 else 1.0
 
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 CSV_COLUMNS = ("frequency_Hz", "set", "position_mm", "real", "imag")
 """Columns of responses in a CSV file; ``coherence`` and ``across_mm``, from the mid-line, may follow. Repeats follow
@@ -326,63 +330,72 @@ def _read(path: Path, how: ResponseFormat) -> Part:
         return reader(path, how)
     except UnicodeDecodeError as error:
         raise ValueError(f"{path}: is not text in UTF-8 (byte {error.start}); export it again") from None
-    except (csv.Error, IndexError, KeyError) as error:
+    except (IndexError, KeyError) as error:
         raise ValueError(f"{path}: is damaged or incomplete ({error}); export it again") from None
 
 
 def _read_csv(path: Path, how: ResponseFormat) -> Part:
-    with path.open(encoding="utf-8-sig", newline="") as file:
-        rows = list(csv.reader(file))
-    header = [cell.strip() for cell in rows[0]] if rows else []
-    needed = TIME_COLUMNS if TIME_COLUMNS[0] in header else CSV_COLUMNS
-    missing = [name for name in needed if name not in header]
+    table = _table(path)
+    over_time, known = TIME_COLUMNS[0] in table, "coherence" in table
+    axis, *_, first_part, second_part = TIME_COLUMNS if over_time else CSV_COLUMNS
+    repeats: list[tuple[Key, FloatArray]] = []
+    for (name, along, across), lines in table.groupby(["set", "position_mm", "across_mm"], sort=False, dropna=False):
+        key = (name, None if math.isnan(along) else Place(along * 1e-3, across * 1e-3))
+        numbers = lines[[axis, first_part, second_part, *["coherence"] * known]].to_numpy().T
+        # A repeat begins where the frequency returns to its first value.
+        back = np.flatnonzero(np.diff(numbers[0]) < -np.ptp(numbers[0]) / 2) + 1
+        repeats += [(key, each) for each in np.split(numbers, back, axis=1)]
+    first = repeats[0][1][0]
+    odd = next((key for key, numbers in repeats if not np.array_equal(numbers[0], first)), None)
+    if odd is not None:
+        what = "times" if over_time else "frequencies"
+        raise ValueError(f"{path}: the set {odd[0]} at {odd[1]} does not have the {what} of the first response")
+    if over_time:
+        step = step_of(path, first)
+        return part_of(path, [TimeRecord(key, *numbers[1:3], step) for key, numbers in repeats], None, how)
+    responses = [
+        MeasuredResponse(key, numbers[1] + 1j * numbers[2], numbers[3] if known else None) for key, numbers in repeats
+    ]
+    return Part(first, responses, None)
+
+
+def _table(path: Path) -> DataFrame:
+    """Read a CSV file, also with semicolons or tabs and decimal commas; an unknown position is NaN."""
+    import pandas as pd
+
+    with path.open(encoding="utf-8-sig") as file:
+        heading = file.readline()
+    separator = max(",;\t", key=heading.count)
+    names = [name.strip(' "\n') for name in heading.split(separator)]
+    needed = TIME_COLUMNS if TIME_COLUMNS[0] in names else CSV_COLUMNS
+    missing = [name for name in needed if name not in names]
     if missing:
         raise ValueError(f"{path}:1: the column {missing[0]} is missing; it needs {', '.join(needed)}")
-    if len(set(header)) < len(header):
-        raise ValueError(f"{path}:1: a column appears twice in {', '.join(header)}; export each once")
-    read: dict[Key, list[tuple[float, complex, float]]] = {}
-    for line, row in enumerate(rows[1:], start=2):
-        if not row:
-            continue
-        try:
-            cells = {name: row[index].strip() for index, name in enumerate(header)}
-            place = [float(cells.get(name) or 0) * 1e-3 for name in ("position_mm", "across_mm")]
-            key = (cells["set"], Place(*place) if cells["position_mm"] else None)
-            number = complex(float(cells[needed[3]]), float(cells[needed[4]]))
-            certain = float(cells["coherence"]) if "coherence" in cells else math.nan
-            at = float(cells[needed[0]])
-            if not math.isfinite(at):
-                raise ValueError
-            read.setdefault(key, []).append((at, number, certain))
-        except (ValueError, IndexError):
-            raise ValueError(
-                f"{path}:{line}: {','.join(row)!r} does not give a number for each column of the header"
-            ) from None
-    if not read:
+    if len(set(names)) < len(names):
+        raise ValueError(f"{path}:1: a column appears twice in {', '.join(names)}; export each once")
+    try:
+        given = pd.read_csv(
+            path, sep=separator, names=names, header=0, index_col=False, dtype=str, keep_default_na=False,
+            skip_blank_lines=False, encoding="utf-8-sig",
+        ).fillna("")  # fmt: skip
+    except pd.errors.ParserError as error:
+        raise ValueError(f"{path}: is damaged or incomplete ({error}); export it again") from None
+    given = given[(given != "").any(axis=1)]
+    if given.empty:
         raise ValueError(f"{path}: there is no line below the header")
-    # A repeat begins where the frequency returns to its first value.
-    repeats = [
-        (key, *each)
-        for key, lines in read.items()
-        for axis, numbers, certain in [[np.array(column) for column in zip(*lines, strict=True)]]
-        for each in zip(
-            *(
-                np.split(column, np.flatnonzero(np.diff(axis) < -np.ptp(axis) / 2) + 1)
-                for column in (axis, numbers, certain)
-            ),
-            strict=True,
+    used = [name for name in names if name in {*needed, "across_mm", "coherence"} - {"set"}]
+    comma = "." if separator == "," else ","
+    table = given[used].apply(lambda cells: pd.to_numeric(cells.str.replace(comma, "."), errors="coerce"))
+    # A place may be empty if it is unknown.
+    faulty = ~(np.isfinite(table) | (given[used] == "") & [name.endswith("_mm") for name in used]).all(axis=1)
+    if faulty.any():
+        line = faulty.idxmax()
+        raise ValueError(
+            f"{path}:{line + 2}: {separator.join(given.loc[line])[:80]!r} does not give a number for each column of "
+            "the header"
         )
-    ]
-    first = repeats[0][1]
-    odd = next((key for key, axis, *_ in repeats if not np.array_equal(axis, first, equal_nan=True)), None)
-    if odd is not None:
-        what = "times" if needed is TIME_COLUMNS else "frequencies"
-        raise ValueError(f"{path}: the set {odd[0]} at {odd[1]} does not have the {what} of the first response")
-    if needed is TIME_COLUMNS:
-        step = step_of(path, first)
-        return part_of(path, [TimeRecord(key, n.real, n.imag, step) for key, _, n, _ in repeats], None, how)
-    known = "coherence" in header
-    return Part(first, [MeasuredResponse(key, n, certain if known else None) for key, _, n, certain in repeats], None)
+    across = table["across_mm"].fillna(0.0) if "across_mm" in table else 0.0
+    return table.assign(set=given["set"].str.strip(), across_mm=across)
 
 
 def _read_npz(path: Path, how: ResponseFormat) -> Part:
