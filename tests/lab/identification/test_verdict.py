@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from modaltouch.lab.identification.files import ResponseFormat, read_responses
 from modaltouch.lab.identification.joint_fit import axis_error, identify
 from modaltouch.lab.identification.responses import FrequencyResponses, Place
 from modaltouch.lab.identification.shapes import in_two_units
-from modaltouch.lab.identification.verdict import check_modes, misfit_verdict, probable_cause, warnings
+from modaltouch.lab.identification.verdict import _hum, check_modes, misfit_verdict, probable_cause, warnings
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig.simulator.true_beam import TrueBeam, true_beam
 from modaltouch.stimulus import mode_shapes
@@ -278,6 +279,15 @@ def test_an_axis_that_is_a_bin_off_is_marked(
     )
 
 
+@pytest.mark.parametrize(("row", "n_bins", "message"), [(1, 1, "of side.*too high"), (0, -1, "of centre.*too low")])
+def test_one_set_that_is_a_bin_off_is_named(beam: TrueBeam, row: int, n_bins: int, message: str) -> None:
+    """The axis of one actuator set is a bin off, which a beam that drifted between the sets resembles."""
+    frequency, response = spoilt.response_of(beam)
+    response[row] = np.roll(response[row], n_bins, axis=-1)
+    found = identify(spoilt.measured(frequency, response, seed=0).between(100, 9400), 0.1)
+    assert re.search(message, axis_error(found))
+
+
 def test_exchanged_sets_are_not_called_wrong_units(clean: FrequencyResponses, apparatus: Apparatus) -> None:
     """The gains of centre are then a tenth, as with a 10 : 1 probe."""
     found = identify(replace(clean, response=clean.response[::-1]), 0.1, most=0)
@@ -327,6 +337,12 @@ def test_mains_hum_is_reported(clean: FrequencyResponses) -> None:
     response[:, :, at] += 3 * np.median(np.abs(response)) * turned
     with pytest.raises(ValueError, match="most probable cause is mains hum: .* multiples of 50 Hz"):
         check_modes(identify(replace(clean, response=response), 0.1), spoilt.LABELS)
+
+
+def test_noise_alone_is_not_called_hum(beam: TrueBeam) -> None:
+    """Far below the noise, the excess at multiples of 50 Hz is chance."""
+    found = identify(spoilt.measured(*spoilt.response_of(beam), seed=0, noise=60.0).between(1200, 9400), 0.1)
+    assert _hum(found) == ""
 
 
 @pytest.mark.parametrize(("factor", "message"), [(-1.0, "-1 times"), (9.81, "9.81 times")])
@@ -410,6 +426,23 @@ def test_a_point_of_another_beam_is_not_called_drift(clean: FrequencyResponses, 
     marks = warnings(identify(replace(clean, response=response), 0.1))
     assert "most of the residual is at -45 mm: check that it is of the same beam" in " ".join(marks)
     assert "drift" not in " ".join(marks)
+
+
+def test_a_point_of_a_beam_almost_alike_is_named(beam: TrueBeam) -> None:
+    """Its lowest mode is one width away: the two resonances are not one that drifted, since one is at one point."""
+    frequency, response = spoilt.response_of(beam)
+    lower = SimpleNamespace(
+        natural_frequency=0.96 * beam.natural_frequency,
+        damping_ratio=beam.damping_ratio,
+        modal_gain=beam.modal_gain,
+        shapes=beam.shapes,
+    )
+    _, other = spoilt.response_of(lower)
+    response[:, 6] = other[:, 6]
+    found = identify(spoilt.measured(frequency, response, seed=0).between(100, 9400), 0.1)
+    said = " ".join(warnings(found))
+    assert "only the point at -20 mm shows the resonance at" in said
+    assert "drift" not in said
 
 
 def test_a_tone_at_a_resonance_is_not_called_noise(clean: FrequencyResponses, beam: TrueBeam) -> None:

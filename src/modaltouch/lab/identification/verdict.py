@@ -72,6 +72,8 @@ def _split(identification: Identification, missing: Sequence[int] | None = None,
     it. Neither is true of bending and torsion with close natural frequencies. If missing or faulty labels are given,
     only resonances of these modes are considered.
     """
+    if at_one_point := _at_one_point(identification):
+        return at_one_point
     # A mode that moved far has a pole for each of its places, which fit well: the causes of what is left are others.
     unclear = f"the most probable cause is drift or nonlinearity: {REMEDIES['drift']}, or {REMEDIES['nonlinearity']}"
     for one, other in itertools.pairwise(identification.modes):
@@ -84,6 +86,19 @@ def _split(identification: Identification, missing: Sequence[int] | None = None,
                 f"the resonances at {one.natural_frequency.value:.6g} and {other.natural_frequency.value:.6g} Hz are "
                 "within one width of each other, like a single mode that moved: "
                 f"{probable_cause(identification) or unclear}"
+            )
+    return ""
+
+
+def _at_one_point(identification: Identification) -> str:
+    """Describe a resonance that only one point shows, such as one of another beam; empty if there is none."""
+    places = identification.responses.places
+    for mode in identification.modes if len(places) >= FEWEST_PLACES else ():
+        power = np.abs(mode.residue) ** 2
+        if not (mode.label or mode.torsion) and power.max() > ALONE * power.sum():
+            return (
+                f"only the point at {places[int(power.argmax())]} shows the resonance at "
+                f"{mode.natural_frequency.value:.6g} Hz: {REMEDIES['a strange point']}"
             )
     return ""
 
@@ -161,8 +176,9 @@ def _faults(name: str, mode: IdentifiedMode) -> list[str]:
     return lines
 
 
-MAINS, FEW = (50.0, 60.0), 0.4
-"""Mains frequencies [Hz], and the largest fraction of bins near their multiples at which hum is detectable [1]."""
+MAINS, FEW, CERTAINLY = (50.0, 60.0), 0.4, 10.0
+"""Mains frequencies [Hz], the largest fraction of bins near their multiples at which hum is detectable [1], and its
+minimum there in standard deviations of noise [1]."""
 
 
 def _hum(identification: Identification) -> str:
@@ -172,7 +188,9 @@ def _hum(identification: Identification) -> str:
     for mains in MAINS:
         off = np.abs(responses.frequency - mains * np.round(responses.frequency / mains))
         on = off <= 0.51 * responses.spacing
-        if on.mean() < FEW and left[on].sum() > 0.5 * left.sum():
+        # The sum over so many values is far from zero by chance alone.
+        chance = CERTAINLY * (on.sum() * responses.response[..., 0].size) ** 0.5
+        if on.mean() < FEW and left[on].sum() > max(chance, OF_ALL * left.sum()):
             return (
                 f"the most probable cause is mains hum: most of the residual lies at multiples of {mains:g} Hz; "
                 "connect all instruments to one earth, keep cables away from transformers, and measure again"
@@ -187,7 +205,10 @@ def _hum(identification: Identification) -> str:
 
 
 FEWEST_PLACES = 6
-"""Minimum number of points for most of the residual at one of them to be remarkable."""
+"""Minimum number of points for most of the residual, or of a resonance, at one of them to be remarkable."""
+
+ALONE = 0.8
+"""Share of a resonance's power from which it is that of a single point [1]."""
 
 OF_ALL, STRAY = 0.5, 100.0
 """Minimum fraction of the residual in excess of the noise for a single value to explain it, and its minimum square in
