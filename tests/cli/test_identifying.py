@@ -46,7 +46,7 @@ def test_a_file_of_responses_gives_a_table_and_figures(tmp_path: Path) -> None:
     result = json.loads(done.stdout)
     assert [mode["natural_frequency_Hz"]["value"] for mode in result["modes"]] == pytest.approx([120, 330], rel=1e-3)
     assert result["apparatus_file"] is None
-    assert {path.name for path in out.iterdir()} >= {"table_1.csv", "identification.json", "responses.png"}
+    assert {path.name for path in out.iterdir()} >= {"table_1.csv", "identification.json", "stability.png"}
 
 
 @pytest.mark.parametrize(

@@ -63,22 +63,10 @@ def test_axes_end_with_the_beam_and_the_band(found: Identification) -> None:
     shapes = figures.draw_shapes(few)
     assert [axes.get_xlim() for axes in shapes.axes] == [pytest.approx((-50, 50))] * 3
     low, high = few.responses.frequency[[0, -1]] / 1e3
-    for draw in (figures.draw_responses, figures.draw_fits):
-        assert all(axes.get_xlim() == pytest.approx((low, high)) for axes in draw(few).axes)
-    higher = figures.from_lowest_mode(replace(few, modes=few.modes[1:]))
-    assert figures.draw_responses(higher).axes[0].get_xlim() == pytest.approx((0.51, high), rel=0.01)
-    assert [each.get_text() for each in figures.draw_responses(few).axes[0].texts] == ["1", "3", "5"]
-
-
-@pytest.mark.parametrize("n_bins", [16, 19])
-def test_a_narrow_band_is_drawn_as_a_whole(found: Identification, n_bins: int) -> None:
-    """Sixteen bins are the fewest, even if some lie far below the lowest mode."""
-    few = replace(
-        found, responses=replace(found.responses, frequency=100.0 * np.arange(1, 1 + len(found.fitted[0, 0])))
-    )
-    few = replace(few, responses=few.responses.between(0, 100 * n_bins), fitted=few.fitted[..., :n_bins])
-    few = replace(few, modes=tuple(mode for mode in few.modes if mode.label == 5))
-    assert figures.from_lowest_mode(few).responses.frequency.size == 16
+    assert all(axes.get_xlim() == pytest.approx((low, high)) for axes in figures.draw_fits(few).axes)
+    higher = replace(few, modes=few.modes[1:])
+    assert figures.draw_fits(higher).axes[0].get_xlim() == pytest.approx((0.51, high), rel=0.01)
+    assert [each.get_text() for each in figures.draw_stability(few).axes[0].texts] == ["1", "3", "5"]
 
 
 def test_the_worst_fit_is_shown_with_its_residual(found: Identification) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import replace
 from itertools import zip_longest
 from typing import Any
 
@@ -16,16 +15,13 @@ from numpy.typing import NDArray
 
 from modaltouch.lab.common import DARK, LIGHT, MIDDLE, ComplexArray, FloatArray, draw_map
 from modaltouch.lab.identification.modal_parameters import Identification
-from modaltouch.lab.identification.responses import FEWEST_BINS, FrequencyResponses
+from modaltouch.lab.identification.responses import FrequencyResponses
 from modaltouch.lab.identification.shapes import phase_collinearity, straightened
-from modaltouch.report import CONDITION_COLOURS, FAINT, INK, house_style, quiet_grid
+from modaltouch.report import FAINT, INK, house_style, quiet_grid
 from modaltouch.stimulus import mode_shapes
 
 FROM = 0.2
-"""Lowest drawn frequency, relative to that of the lowest mode [1]."""
-
-DRAWN_BINS = 1500
-"""Maximum number of bins per curve, limited by the resolution of a figure."""
+"""Lowest drawn frequency, relative to that of the lowest mode: the responses below would fill half of the axis [1]."""
 
 STABILITIES: tuple[tuple[str, dict[str, Any]], ...] = (
     ("new", {"marker": "x", "ms": 3, "color": FAINT}),
@@ -37,9 +33,7 @@ STABILITIES: tuple[tuple[str, dict[str, Any]], ...] = (
 
 def draw_all(identification: Identification) -> dict[str, Figure]:
     """Draw all figures for which the responses suffice, by file name."""
-    identification = from_lowest_mode(identification)
     drawn = {
-        "responses": draw_responses(identification),
         "fits": draw_fits(identification),
         "stability": draw_stability(identification),
     }
@@ -50,40 +44,6 @@ def draw_all(identification: Identification) -> dict[str, Figure]:
     if identification.shaped and np.any(identification.responses.across):
         drawn["fig_4_map"] = draw_shape_maps(identification)
     return drawn
-
-
-def from_lowest_mode(identification: Identification) -> Identification:
-    """Leave out the responses far below the lowest mode, which would fill half of a logarithmic axis."""
-    frequency = identification.responses.frequency
-    lowest = FROM * min(mode.natural_frequency.value for mode in identification.modes)
-    kept = frequency >= min(lowest, frequency[-FEWEST_BINS])
-    responses = identification.responses.between(frequency[kept][0], math.inf)
-    return replace(identification, responses=responses, fitted=identification.fitted[..., kept])
-
-
-def draw_responses(identification: Identification) -> Figure:
-    """Draw the root mean square of the responses over the points, with the fit and the residual."""
-    responses = identification.responses
-    curves = (
-        (responses.response, "measured", {"lw": 2.4, "alpha": 0.45}),
-        (identification.fitted, "fitted", {"lw": 0.9}),
-        (responses.response - identification.fitted, "measured minus fitted", {"lw": 0.7}),
-    )
-    sets = responses.sets[:6]
-    with house_style(7.6, 1.0 + 2.5 * len(sets), len(sets), sharex=True) as (figure, panels):
-        for row, (axes, name) in enumerate(zip(panels[:, 0], sets, strict=True)):
-            for values, label, look in curves:
-                size = np.sqrt((np.abs(values[row]) ** 2).mean(axis=0)) * 1e3
-                kept = _thinned(responses.frequency, size)
-                colour = INK if label == "fitted" else _colour(row)
-                axes.plot(responses.frequency[kept] / 1e3, size[kept], color=colour, label=label, **look)
-            _velocity_axis(axes)
-            _mark_modes(axes, identification, labelled=row == 0)
-            axes.set_ylabel(f"{name}\n{_unit(identification)}")
-        _frequency_axis(panels[-1, 0], responses.frequency)
-        figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
-        figure.suptitle("Root mean square of the responses over the points", fontsize=10)
-    return figure
 
 
 def draw_fits(identification: Identification) -> Figure:
@@ -104,7 +64,7 @@ def draw_fits(identification: Identification) -> Figure:
             place = f" at {responses.places[p]}" if responses.places else ""
             words = f"{rank}{responses.sets[s]}{place},\n{left[index]:.2%} residual"
             column[0].set_title(words, fontsize=8.5)
-            _frequency_axis(column[1], responses.frequency)
+            _frequency_axis(column[1], identification)
         panels[0, 0].set_ylabel(_unit(identification))
         quiet = float(np.nanmedian(np.abs((flat - fitted)[list(shown)])))
         panels[0, 0].set_ylim(200 * quiet, 2e3 * float(np.abs(flat[list(shown)]).max()))
@@ -120,19 +80,18 @@ def _draw_fit(
     frequency = identification.responses.frequency
     delay = identification.delay.value - identification.responses.offset
     turn = np.exp(2j * np.pi * frequency * (0.0 if math.isnan(delay) else delay))
-    kept = _thinned(frequency, np.abs(measured))
-    place = frequency[kept] / 1e3
+    place = frequency / 1e3
     for values, label, look in (
         (measured - fitted, "measured minus fitted", {"color": FAINT, "lw": 0.4}),
         (measured, "measured", {"color": MIDDLE, "lw": 1.5}),
         (fitted, "fitted", {"color": INK, "lw": 0.8}),
     ):
-        column[0].plot(place, np.abs(values[kept]) * 1e3, label=label, **look)
+        column[0].plot(place, np.abs(values) * 1e3, label=label, **look)
     _velocity_axis(column[0])
-    column[1].plot(place, np.degrees(np.angle(measured * turn))[kept], ".", ms=2, color=MIDDLE)
-    phase = np.degrees(np.angle(fitted * turn))[kept]
-    phase[1:][np.abs(np.diff(phase)) > 180] = np.nan
-    column[1].plot(place, phase, color=INK, lw=0.8)
+    for values, look in ((measured, {"color": MIDDLE, "lw": 1.5}), (fitted, {"color": INK, "lw": 0.8})):
+        phase = np.degrees(np.angle(values * turn))
+        phase[1:][np.abs(np.diff(phase)) > 180] = np.nan
+        column[1].plot(place, phase, **look)
     column[1].set_ylim(-185, 185)
     quiet_grid(column[1])
 
@@ -144,8 +103,7 @@ def draw_stability(identification: Identification) -> Figure:
     order, frequency, _, stability = poles_by_order(responses)
     with house_style(7.6, 4.2) as (figure, [[axes]]):
         behind = axes.twinx()
-        kept = _thinned(responses.frequency, size)
-        behind.plot(responses.frequency[kept] / 1e3, size[kept], color=LIGHT, lw=1.6)
+        behind.plot(responses.frequency / 1e3, size, color=LIGHT, lw=1.6)
         _velocity_axis(behind)
         behind.set_axis_off()
         axes.set_zorder(1)
@@ -155,7 +113,7 @@ def draw_stability(identification: Identification) -> Figure:
             axes.plot(frequency[stability == kind] / 1e3, order[stability == kind], label=label, **given)
         axes.set(ylabel="model order, in each band", ylim=(0, HIGHEST_ORDER + 1))
         _mark_modes(axes, identification)
-        _frequency_axis(axes, responses.frequency)
+        _frequency_axis(axes, identification)
         figure.legend(loc="outside lower center", ncols=3, frameon=False)
         figure.suptitle("Poles of the least squares complex frequency domain; grey line: responses", fontsize=10)
     return figure
@@ -225,20 +183,16 @@ def draw_shape_maps(identification: Identification) -> Figure:
     return figure
 
 
-def _mark_modes(axes: Axes, identification: Identification, *, labelled: bool = True) -> None:
+def _mark_modes(axes: Axes, identification: Identification) -> None:
     """Draw a line at each identified mode, with its label above, in two staggered rows."""
     for mode in identification.modes:
         place = mode.natural_frequency.value / 1e3
         axes.axvline(place, color=FAINT, lw=0.5, alpha=0.5, ls="-" if mode.label else ":", zorder=0.9)
-        if labelled and mode.label:
+        if mode.label:
             axes.annotate(
                 str(mode.label), (place, 1), xytext=(0, 2 + 8 * (mode.label % 2)), xycoords=axes.get_xaxis_transform(),
                 textcoords="offset points", ha="center", fontsize=7.5,
             )  # fmt: skip
-
-
-def _colour(row: int) -> str:
-    return CONDITION_COLOURS[row % len(CONDITION_COLOURS)]
 
 
 def _unit(identification: Identification) -> str:
@@ -250,21 +204,11 @@ def _rounded_down(value: float) -> str:
     return f"{math.floor(value * 1e4) / 1e4:.4f}"
 
 
-def _thinned(frequency: FloatArray, size: FloatArray) -> NDArray[np.intp]:
-    """Return the bins needed for a curve over log frequency: the extremes of each interval."""
-    if frequency.size <= DRAWN_BINS:
-        return np.arange(frequency.size)
-    stretch = np.floor(np.log(frequency / frequency[0]) / np.log(frequency[-1] / frequency[0]) * DRAWN_BINS / 2)
-    edges = np.flatnonzero(np.diff(stretch)) + 1
-    kept = []
-    for part in np.split(np.arange(frequency.size), edges):
-        kept += sorted({int(part[size[part].argmax()]), int(part[size[part].argmin()])})
-    return np.array(kept)
-
-
-def _frequency_axis(axes: Axes, frequency: FloatArray) -> None:
-    """Make the frequency axis logarithmic, with the limits of the measured band."""
-    low, high = float(frequency[0]) / 1e3, float(frequency[-1]) / 1e3
+def _frequency_axis(axes: Axes, identification: Identification) -> None:
+    """Make the frequency axis logarithmic, from a little below the lowest mode to the end of the measured band."""
+    lowest = FROM * min(mode.natural_frequency.value for mode in identification.modes)
+    first, last = identification.responses.frequency[[0, -1]].tolist()
+    low, high = max(first, min(lowest, last / 2)) / 1e3, last / 1e3
     axes.set_xscale("log", subs=(1, 2, 5))
     _plain_ticks(axes.xaxis, (1.0,) if high > 100 * low else (1.0, 2.0, 5.0))
     axes.set(xlabel="frequency [kHz]", xlim=(low, high))
