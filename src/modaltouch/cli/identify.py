@@ -122,8 +122,10 @@ def _show(result: dict[str, Any]) -> None:
     )
     if gains:
         say("Gains in mm/s^2 per V at the beam", dim=True)
-    for reason, names in _unresolved(listed).items():
-        say(f"No half-power damping of {', '.join(names)}: {reason}", fg="yellow")
+    for mode in listed:
+        if reason := mode["half_power"]["warning"]:
+            name = f"mode {mode['label']}" if mode["label"] else f"{mode['natural_frequency_Hz']['value']:.6g} Hz"
+            say(f"No half-power damping of {name}: {reason}", fg="yellow")
     others = [
         f"{mode['natural_frequency_Hz']['value']:.0f}" + (f" (torsion {mode['torsion']})" if mode["torsion"] else "")
         for mode in result["modes"]
@@ -150,16 +152,6 @@ def _row(mode: dict[str, Any], gains: list[str]) -> list[str]:
         _plain(mode["mac"], ".4f"),
         _plain(half["damping_ratio"], ".4f") if half["resolved"] else "-",
     ]
-
-
-def _unresolved(modes: list[dict[str, Any]]) -> dict[str, list[str]]:
-    """Return the modes without half-power damping, by reason."""
-    reasons: dict[str, list[str]] = {}
-    for mode in modes:
-        if reason := mode["half_power"]["warning"]:
-            name = f"mode {mode['label']}" if mode["label"] else f"{mode['natural_frequency_Hz']['value']:.6g} Hz"
-            reasons.setdefault(reason, []).append(name)
-    return reasons
 
 
 def _with_interval(pair: dict[str, float | None] | None) -> str:

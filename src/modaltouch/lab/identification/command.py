@@ -314,6 +314,9 @@ FACTORS = {
 }
 """Factors between units that are often confused, and their meaning."""
 
+POWERS = {0: "", 1: " times 2 pi f", -1: " over 2 pi f"}
+"""Powers of 2 pi f by which the gains of another quantity differ, in words."""
+
 ROUGHLY = 1.0
 """Relative tolerance of gains for a factor of a thousand [1]."""
 
@@ -364,10 +367,11 @@ def check_gains(identification: Identification, apparatus: Apparatus, labels: Se
         for mode in apparatus.modes
         if mode.label in found
     }
-    _refuse_axis([*ratios.values()], apparatus)
+    _refuse_factor("the natural frequencies", [(each, 1.0) for each in ratios.values()], AXES, {0: ""}, apparatus)
     _refuse_exchanged(found, sets, apparatus)
     for chosen in dict.fromkeys((sets, *((name,) for name in sets))):
-        _refuse_factor([each for (name, _), each in listed.items() if name in chosen], chosen, apparatus)
+        of_chosen = [each for (name, _), each in listed.items() if name in chosen]
+        _refuse_factor(f"the gains of {' and '.join(chosen)}", of_chosen, FACTORS, POWERS, apparatus)
     if len(ratios) < FEWEST_GAINS:
         return []
     if mirrored := mirrored_scan({key: each for key, (each, _) in listed.items()}, str(apparatus.apparatus)):
@@ -394,19 +398,6 @@ def check_gains(identification: Identification, apparatus: Apparatus, labels: Se
     ]
 
 
-def _refuse_axis(ratios: Sequence[float], apparatus: Apparatus) -> None:
-    """Refuse ratios of natural frequencies to the listed ones that equal a factor between units."""
-    for factor, meaning in AXES.items():
-        for size in (factor, 1 / factor):
-            near = np.abs(np.array(ratios) / size - 1) < SPREAD
-            if len(ratios) >= FEWEST_GAINS and near.mean() >= MOST_GAINS:
-                raise ValueError(
-                    f"the natural frequencies are {np.median(ratios):.3g} times those of {apparatus.apparatus}: "
-                    f"{meaning}; check the frequencies or times in the files, or give the file of this beam with "
-                    "--apparatus"
-                )
-
-
 def _refuse_exchanged(found: Mapping[int, IdentifiedMode], sets: Sequence[str], apparatus: Apparatus) -> None:
     """Refuse gains of the sets that are the listed ones of other sets."""
     factor, off = np.full((2, len(sets), len(sets)), np.nan)
@@ -427,24 +418,33 @@ def _refuse_exchanged(found: Mapping[int, IdentifiedMode], sets: Sequence[str], 
         raise ValueError(f"the sets are exchanged: the files hold the gains of {pairs}; name each set after its wiring")
 
 
-def _refuse_factor(listed: Sequence[tuple[float, float]], sets: Sequence[str], apparatus: Apparatus) -> None:
-    """Refuse ratios of gains to the listed ones, each with its natural frequency, that equal a factor between units."""
+def _refuse_factor(
+    what: str,
+    listed: Sequence[tuple[float, float]],
+    factors: Mapping[float, str],
+    powers: Mapping[int, str],
+    apparatus: Apparatus,
+) -> None:
+    """Refuse ratios to listed values that equal a factor between units, times a power of 2 pi f.
+
+    Each ratio has its natural frequency.
+    """
     if len(listed) < FEWEST_GAINS:
         return
     ratio, frequency = np.abs(np.array(listed)).T
-    for power, quantity in ((0, ""), (1, " times 2 pi f"), (-1, " over 2 pi f")):
+    for power, quantity in powers.items():
         each = ratio / (2 * np.pi * frequency) ** power
         factor = float(np.median(each))
         meaning, spread = "", SPREAD
         if power and abs(factor - 1) < SPREAD:
             meaning = "the motion is not the quantity given with --quantity"
-        for size, units in FACTORS.items():
+        for size, units in factors.items():
             # An approximately correct table suffices for a factor of a thousand.
             wide = ROUGHLY if size > 1 / SPREAD**2 and not power else SPREAD
             if abs(abs(np.log(factor)) - np.log(size)) < np.log1p(wide):
                 meaning, spread = units, wide
         if meaning and (np.abs(np.log(each / factor)) < np.log1p(spread)).mean() >= MOST_GAINS:
             raise ValueError(
-                f"the gains of {' and '.join(sets)} are {factor:.3g}{quantity} times those of {apparatus.apparatus}: "
-                f"{meaning}; check the units of the measurement, or give the file of this beam with --apparatus"
+                f"{what} are {factor:.3g}{quantity} times those of {apparatus.apparatus}: {meaning}; check the units "
+                "of the measurement, or give the file of this beam with --apparatus"
             )

@@ -6,11 +6,11 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from modaltouch.lab.common import ComplexArray, FloatArray
+from modaltouch.lab.common import FloatArray
 from modaltouch.lab.identification.responses import (
     QUANTITIES,
     FrequencyResponses,
@@ -155,9 +155,6 @@ each other in one file or come in several files."""
 LEAST_DECIBELS, ALIKE = 10.0, 3.0
 """Minimum median magnitude of numbers that may be decibels, and their maximum over it; responses exceed that [1]."""
 
-MOST = 2.5 * np.pi
-"""Largest phase change of a response across its highest peak [rad]; that of a resonance is less than pi."""
-
 FEWEST_SIGNED = 6
 """Number of places from which at least one response of a beam must have a negative real part."""
 
@@ -244,7 +241,6 @@ def _refuse_amplitudes(path: Path, part: Part) -> None:
         "the real part is zero throughout": not values.real.any(),
         "no response has a negative real part: magnitudes were exported in its place": bool((values.real >= 0).all()),
         "the values are large and alike: they are decibels": typical > LEAST_DECIBELS and size.max() < ALIKE * typical,
-        "the phase turns several times within each peak: degrees were taken for radians": _turns(values, size) > MOST,
     }
     fault = next((fault for fault, found in faults.items() if found), None)
     if fault and len(places) >= FEWEST_SIGNED:
@@ -339,7 +335,8 @@ def _read_csv(path: Path, how: ResponseFormat) -> Part:
     over_time, known = TIME_COLUMNS[0] in table, "coherence" in table
     axis, *_, first_part, second_part = TIME_COLUMNS if over_time else CSV_COLUMNS
     repeats: list[tuple[Key, FloatArray]] = []
-    for (name, along, across), lines in table.groupby(["set", "position_mm", "across_mm"], sort=False, dropna=False):
+    for which, lines in table.groupby(["set", "position_mm", "across_mm"], sort=False, dropna=False):
+        name, along, across = cast(tuple[str, float, float], which)
         key = (name, None if math.isnan(along) else Place(along * 1e-3, across * 1e-3))
         numbers = lines[[axis, first_part, second_part, *["coherence"] * known]].to_numpy().T
         # A repeat begins where the frequency returns to its first value.
@@ -350,13 +347,23 @@ def _read_csv(path: Path, how: ResponseFormat) -> Part:
     if odd is not None:
         what = "times" if over_time else "frequencies"
         raise ValueError(f"{path}: the set {odd[0]} at {odd[1]} does not have the {what} of the first response")
+    columns = [(key, numbers[1], numbers[2], numbers[3] if known else None) for key, numbers in repeats]
+    return _part(path, first, columns, over_time, None, how)
+
+
+def _part(
+    path: Path,
+    axis: FloatArray,
+    columns: Sequence[tuple[Key, FloatArray, FloatArray, FloatArray | None]],
+    over_time: bool,
+    quantity: Quantity | None,
+    how: ResponseFormat,
+) -> Part:
+    """Return the responses with these real and imaginary parts and coherences, or of these drives and motions."""
     if over_time:
-        step = step_of(path, first)
-        return part_of(path, [TimeRecord(key, *numbers[1:3], step) for key, numbers in repeats], None, how)
-    responses = [
-        MeasuredResponse(key, numbers[1] + 1j * numbers[2], numbers[3] if known else None) for key, numbers in repeats
-    ]
-    return Part(first, responses, None)
+        step = step_of(path, axis)
+        return part_of(path, [TimeRecord(key, drive, motion, step) for key, drive, motion, _ in columns], quantity, how)
+    return Part(axis, [MeasuredResponse(key, real + 1j * imag, known) for key, real, imag, known in columns], quantity)
 
 
 def _table(path: Path) -> DataFrame:
@@ -385,17 +392,18 @@ def _table(path: Path) -> DataFrame:
         raise ValueError(f"{path}: there is no line below the header")
     used = [name for name in names if name in {*needed, "across_mm", "coherence"} - {"set"}]
     comma = "." if separator == "," else ","
-    table = given[used].apply(lambda cells: pd.to_numeric(cells.str.replace(comma, "."), errors="coerce"))
+    table: DataFrame = given[used].apply(lambda cells: pd.to_numeric(cells.str.replace(comma, "."), errors="coerce"))
     # A place may be empty if it is unknown.
     faulty = ~(np.isfinite(table) | (given[used] == "") & [name.endswith("_mm") for name in used]).all(axis=1)
     if faulty.any():
-        line = faulty.idxmax()
+        line = given.index[np.flatnonzero(faulty)[0]]
         raise ValueError(
             f"{path}:{line + 2}: {separator.join(given.loc[line])[:80]!r} does not give a number for each column of "
             "the header"
         )
-    across = table["across_mm"].fillna(0.0) if "across_mm" in table else 0.0
-    return table.assign(set=given["set"].str.strip(), across_mm=across)
+    table["set"] = given["set"].str.strip()
+    table["across_mm"] = table["across_mm"].fillna(0.0) if "across_mm" in table else 0.0
+    return table
 
 
 def _read_npz(path: Path, how: ResponseFormat) -> Part:
@@ -426,26 +434,15 @@ def _read_npz(path: Path, how: ResponseFormat) -> Part:
     if quantity is not None and quantity not in QUANTITIES:
         raise ValueError(f"{path}: the quantity is '{quantity}'; allowed: {', '.join(QUANTITIES)}")
     # Without positions the points are distinguished by their number.
-    found = [
-        ((name if place is not None else f"{name} {point + 1}", place), each[s, point], certain[s, point])
+    columns = [
+        (
+            (name if place is not None else f"{name} {point + 1}", place),
+            each[s, point].real,
+            each[s, point].imag,
+            certain[s, point] if "coherence" in arrays else None,
+        )
         for each, certain in zip(values, coherence, strict=True)
         for s, name in enumerate(sets)
         for point, place in enumerate(places)
     ]
-    if over_time:
-        step = step_of(path, axis)
-        return part_of(path, [TimeRecord(key, n.real, n.imag, step) for key, n, _ in found], quantity, how)
-    known = "coherence" in arrays
-    return Part(axis, [MeasuredResponse(key, n, certain if known else None) for key, n, certain in found], quantity)
-
-
-def _turns(values: ComplexArray, size: FloatArray) -> float:
-    """Return the median phase change of responses, a row each, across their peaks, excluding a delay [rad]."""
-    turned = []
-    for row, amplitude in zip(values, size, strict=True):
-        turn = np.angle(row[1:] * row[:-1].conj())
-        turn = np.angle(np.exp(1j * (turn - np.median(turn))))
-        top, low = int(amplitude.argmax()), np.flatnonzero(amplitude < amplitude.max() / 2**0.5)
-        first, last = low[low < top].max(initial=0), low[low > top].min(initial=turn.size)
-        turned.append(np.abs(turn[first:last]).sum())
-    return float(np.median(turned))
+    return _part(path, axis, columns, over_time, quantity, how)

@@ -24,7 +24,6 @@ from modaltouch.lab.identification.peaks import (
     MOST_POLES,
     SIGNIFICANT,
     first_poles,
-    half_power,
 )
 from modaltouch.lab.identification.responses import FrequencyResponses
 
@@ -276,14 +275,10 @@ def identify_each(responses: FrequencyResponses) -> Identification:
         # A pole that leaves its window, or whose damping ratio may be zero, is not a resonance.
         if not low <= mode.natural_frequency.value <= high or mode.damping_ratio.low <= 0:
             continue
-        magnitude = np.abs(responses.response).reshape(-1, responses.frequency.size)
-        at_peak = int(np.abs(responses.frequency - own).argmin())
-        strongest = magnitude[int(magnitude[:, at_peak].argmax())]
-        peak = half_power(responses.frequency, strongest, float(own), float(ratio * own))
         # The linear background only approximates the modes outside the window.
         own = mode.natural_frequency.widened(BACKGROUND * mode.damping_ratio.value)
         ratio = mode.damping_ratio.widened(BACKGROUND)
-        modes.append(replace(mode, half_power=peak, natural_frequency=own, damping_ratio=ratio))
+        modes.append(replace(mode, natural_frequency=own, damping_ratio=ratio))
         misfit.append(found.misfit)
         fitted[..., np.isin(responses.frequency, window.frequency)] = found.fitted
     if not modes:
