@@ -367,6 +367,7 @@ def test_an_axis_one_bin_too_high_is_refused(tmp_path: Path, frequency: np.ndarr
     ("made", "said"),
     [
         (lambda h: np.abs(h) + 1j * np.degrees(np.angle(h)), "magnitudes were exported in its place"),
+        (lambda h: np.abs(h) * np.exp(1j * np.degrees(np.angle(h))), "degrees were taken for radians"),
         (lambda h: h.real + 0j, "the imaginary part is zero throughout"),
         (lambda h: 1j * h.imag, "the real part is zero throughout"),
         (
@@ -374,7 +375,7 @@ def test_an_axis_one_bin_too_high_is_refused(tmp_path: Path, frequency: np.ndarr
             "they are decibels",
         ),
     ],
-    ids=["amplitude and phase", "real part", "imaginary part", "decibels"],
+    ids=["amplitude and phase", "degrees", "real part", "imaginary part", "decibels"],
 )
 def test_other_forms_of_a_response_are_refused(
     tmp_path: Path, frequency: np.ndarray, made: Callable, said: str

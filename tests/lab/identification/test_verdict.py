@@ -343,6 +343,7 @@ def test_noise_alone_is_not_called_hum(beam: TrueBeam) -> None:
     """Far below the noise, the excess at multiples of 50 Hz is chance."""
     found = identify(spoilt.measured(*spoilt.response_of(beam), seed=0, noise=60.0).between(1200, 9400), 0.1)
     assert _hum(found) == ""
+    assert not re.search("drift|nonlinearity|phase", " ".join(warnings(found)))
 
 
 @pytest.mark.parametrize(("factor", "message"), [(-1.0, "-1 times"), (9.81, "9.81 times")])

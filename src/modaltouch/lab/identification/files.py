@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from modaltouch.lab.common import FloatArray
+from modaltouch.lab.common import ComplexArray, FloatArray
 from modaltouch.lab.identification.responses import (
     QUANTITIES,
     FrequencyResponses,
@@ -63,11 +63,9 @@ def _read_universal(path: Path, how: ResponseFormat) -> Part:
         )
     quantity = _QUANTITIES.get(next(iter(kinds), 0))
     if responses:
-        frequency = np.asarray(responses[0]["x"], dtype=float)
-        for each in responses:
-            x = np.asarray(each["x"], dtype=float)
-            if x.shape != frequency.shape or not np.allclose(x, frequency):
-                raise ValueError(f"{path}: its responses have different frequencies; export them on the same axis")
+        frequency, *others = (np.asarray(each["x"], dtype=float) for each in responses)
+        if any(other.shape != frequency.shape or not np.allclose(other, frequency) for other in others):
+            raise ValueError(f"{path}: its responses have different frequencies; export them on the same axis")
         keys = [name(each, each["ref_node"]) for each in responses]
         if any(int(each.get("orddenom_spec_data_type", 0)) in _QUANTITIES for each in responses):
             raise ValueError(f"{path}: it contains ratios of two motions; export responses to the excitation")
@@ -155,6 +153,9 @@ each other in one file or come in several files."""
 LEAST_DECIBELS, ALIKE = 10.0, 3.0
 """Minimum median magnitude of numbers that may be decibels, and their maximum over it; responses exceed that [1]."""
 
+MOST = 2.5 * np.pi
+"""Largest phase change of a response across its highest peak [rad]; that of a resonance is less than pi."""
+
 FEWEST_SIGNED = 6
 """Number of places from which at least one response of a beam must have a negative real part."""
 
@@ -241,6 +242,7 @@ def _refuse_amplitudes(path: Path, part: Part) -> None:
         "the real part is zero throughout": not values.real.any(),
         "no response has a negative real part: magnitudes were exported in its place": bool((values.real >= 0).all()),
         "the values are large and alike: they are decibels": typical > LEAST_DECIBELS and size.max() < ALIKE * typical,
+        "the phase turns several times within each peak: degrees were taken for radians": _turns(values, size) > MOST,
     }
     fault = next((fault for fault, found in faults.items() if found), None)
     if fault and len(places) >= FEWEST_SIGNED:
@@ -386,7 +388,7 @@ def _table(path: Path) -> DataFrame:
             skip_blank_lines=False, encoding="utf-8-sig",
         ).fillna("")  # fmt: skip
     except pd.errors.ParserError as error:
-        raise ValueError(f"{path}: is damaged or incomplete ({error}); export it again") from None
+        raise ValueError(f"{path}: is damaged or incomplete ({str(error).strip()}); export it again") from None
     given = given[(given != "").any(axis=1)]
     if given.empty:
         raise ValueError(f"{path}: there is no line below the header")
@@ -446,3 +448,15 @@ def _read_npz(path: Path, how: ResponseFormat) -> Part:
         for point, place in enumerate(places)
     ]
     return _part(path, axis, columns, over_time, quantity, how)
+
+
+def _turns(values: ComplexArray, size: FloatArray) -> float:
+    """Return the median phase change of responses, a row each, across their peaks, excluding a delay [rad]."""
+    turned = []
+    for row, amplitude in zip(values, size, strict=True):
+        turn = np.angle(row[1:] * row[:-1].conj())
+        turn = np.angle(np.exp(1j * (turn - np.median(turn))))
+        top, low = int(amplitude.argmax()), np.flatnonzero(amplitude < amplitude.max() / 2**0.5)
+        first, last = low[low < top].max(initial=0), low[low > top].min(initial=turn.size)
+        turned.append(np.abs(turn[first:last]).sum())
+    return float(np.median(turned))

@@ -226,7 +226,9 @@ class FrequencyResponses:
         squares = self.response**2 / np.maximum(power + self.noise[:, None], 1e-300)
         if self.positions is not None:
             self._refuse_several_delays(squares)
-        offset = self._offset(squares.sum(axis=(0, 1)), 16, CLEAR_LINE, self._resolution)
+        # An offset turns the phase by half a cycle over the band.
+        resolution = float(1 / (2 * (self.frequency[-1] - self.frequency[0])))
+        offset = self._offset(squares.sum(axis=(0, 1)), 16, CLEAR_LINE, resolution)
         if not offset:
             return self
         turned = self.response * np.exp(2j * np.pi * self.frequency * offset)
@@ -247,11 +249,6 @@ class FrequencyResponses:
         if line[at] < least:
             return None
         return float(time[at]) if not near[at] and line[at] >= 1.2 * at_zero else 0.0
-
-    @property
-    def _resolution(self) -> float:
-        """Offset that turns the phase by half a cycle over the band [s]."""
-        return float(1 / (2 * (self.frequency[-1] - self.frequency[0])))
 
     def _refuse_several_delays(self, squares: ComplexArray) -> None:
         """Refuse sets or points whose delays differ from those of the others; a filter common to all cancels."""

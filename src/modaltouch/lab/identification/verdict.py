@@ -249,7 +249,10 @@ def _cause(identification: Identification, split: str = "") -> str:
     name = "nonlinearity or a missing mode" if worst.smooth else "noise"
     is_large = worst.share > MOST_LEFT or worst.smooth > MARKED
     unclear = f"the most probable cause is {name}: {REMEDIES[name]}" if is_large else ""
-    return probable_cause(identification) or unclear
+    # In noise, some pattern explains much of the little that is left.
+    is_noise = identification.misfit <= WELL_FITTED and not worst.smooth
+    pattern = "" if is_noise else probable_cause(identification)
+    return pattern or unclear
 
 
 EXPLAINS = 0.4
