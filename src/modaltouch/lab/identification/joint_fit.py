@@ -325,20 +325,19 @@ def axis_error(found: Identification) -> str:
         return refine(problem, poles, most=10).cost
 
     given, (least, n_bins) = cost(0), min((cost(n_bins), n_bins) for n_bins in (-1, 1))
-    whose = "the frequencies"
+    off = f"the frequencies are at least one bin, {responses.spacing:.4g} Hz, too {'high' if n_bins > 0 else 'low'}"
     if found.misfit > 1 + NEARLY_NOISE and len(responses.sets) > 1:
         of_set = itertools.product((-1, 1), range(len(responses.sets)))
-        own, moved, which = min((cost_of_set(*each), *each) for each in of_set)
+        own, n_bins, which = min((cost_of_set(*each), *each) for each in of_set)
         if own < least:
-            least, n_bins, whose = own, moved, f"the frequencies of {responses.sets[which]}"
+            # Resonances tell only which set is higher than another.
+            least, side = own, "higher than others" if n_bins > 0 else "lower than others"
+            off = f"the frequencies of {responses.sets[which]} are at least one bin, {responses.spacing:.4g} Hz, {side}"
     # Another axis also absorbs a little of any other error, such as of a truncated decay.
     is_wrong = MOSTLY * (1 - least / given) * found.misfit > found.misfit - 1 - NEARLY_NOISE
     if 2 * (given - least) <= CLEARLY * found.misfit or not is_wrong:
         return ""
-    return (
-        f"{whose} are at least one bin, {responses.spacing:.4g} Hz, too {'high' if n_bins > 0 else 'low'}, "
-        f"judging by the values off resonance: {FROM_ZERO}"
-    )
+    return f"{off}, judging by the values off resonance: {FROM_ZERO}"
 
 
 SAME_MODE = 0.005
