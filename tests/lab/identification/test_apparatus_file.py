@@ -106,7 +106,7 @@ def test_the_folder_has_table_shapes_and_figures(found: Identification, tmp_path
     shapes = MeasuredShapes(labels, table["position_mm"] * 1e-3, values, 0.1)
     row = shapes.label.index(13)
     np.testing.assert_allclose(shapes.shape[row], found.by_label[13].shape, rtol=2e-3, atol=2e-3)
-    for picture in ("responses", "fits", "stability", "complexity", "fig_4"):
+    for picture in ("fits", "stability", "complexity", "fig_4"):
         assert files[f"{picture}.svg"].stat().st_size > 10_000
         assert f"{picture}.png" in files
 
