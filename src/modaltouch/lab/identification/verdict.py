@@ -72,7 +72,9 @@ def _split(identification: Identification, missing: Sequence[int] | None = None,
     it. Neither is true of bending and torsion with close natural frequencies. If missing or faulty labels are given,
     only resonances of these modes are considered.
     """
-    if at_one_point := _at_one_point(identification):
+    # Drift that hides modes also leaves resonances at single points.
+    at_one_point = _at_one_point(identification) if missing is None else ""
+    if at_one_point:
         return at_one_point
     # A mode that moved far has a pole for each of its places, which fit well: the causes of what is left are others.
     unclear = f"the most probable cause is drift or nonlinearity: {REMEDIES['drift']}, or {REMEDIES['nonlinearity']}"
