@@ -90,7 +90,7 @@ results: install
 	cp build/analysis/fig_10.csv build/analysis/fig_10.png build/analysis/fig_11.csv build/analysis/fig_11.png results/reference/
 	$(PYTHON) -m modaltouch identify --out build/identification
 	cp build/identification/table_1.csv results/reference/
-	for name in fig_4 responses fits stability complexity; do cp build/identification/$$name.png results/reference/; done
+	for name in fig_4 fits stability complexity; do cp build/identification/$$name.png results/reference/; done
 	$(PYTHON) -m modaltouch validate protocols/differentiated_stimulation.yaml --out build/validation
 	cp build/validation/fig_[25678]*.png build/validation/fig_[25678]*.csv build/validation/validation.json results/reference/
 	$(PYTHON) -m modaltouch compare protocols/differentiated_stimulation.yaml --out build/comparison
