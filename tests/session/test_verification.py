@@ -56,19 +56,26 @@ def test_a_valid_session_passes(folder):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"Mode": "real"}, "says Mode: real, but its log says simulated"),
-        ({"TaskName": "threshold"}, "says TaskName: threshold, but its log says demo"),
+        ({"TaskName": "Threshold"}, "says TaskName: Threshold, where its log says demo"),
         ({"response": None}, "does not describe the column response"),
-        ({"velocity_mm_s": {"Description": "Level", "Units": "m/s"}}, "the column velocity_mm_s, whose unit is mm/s"),
+        ({"velocity_mm_s": {"Units": "mm s-1"}}, "gives the unit mm s-1 for velocity_mm_s, where its log has mm/s"),
     ],
 )
-def test_a_side_file_that_misleads_about_its_table_is_detected(folder, change, words):
-    """BIDS 1.10, tabular files: the side file gives the meaning and unit of each column."""
+def test_a_side_file_that_differs_from_its_log_is_named_and_excludes_no_answer(folder, change, words):
+    """BIDS 1.10, tabular files: it gives the meaning and unit of each column, which a lab may write in its own way."""
     (side,) = folder.glob("*_beh.json")
     side.write_text(json.dumps(json.loads(side.read_text()) | change))
+    audit = audit_session(Session.find(folder))
+    assert f"BIDS view agrees, but {side} {words}" in audit.lines
+    assert audit.problems == ()
+
+
+def test_a_side_file_with_another_mode_is_a_fault(folder):
+    """Simulated answers must not be taken for real ones."""
+    (side,) = folder.glob("*_beh.json")
+    side.write_text(json.dumps(json.loads(side.read_text()) | {"Mode": "real"}))
     (problem,) = audit_session(Session.find(folder)).problems
-    assert problem.startswith(f"{side}: ")
-    assert words in problem
+    assert problem.startswith(f"{side}: says Mode: real, but its log says simulated; move it away")
 
 
 def test_the_words_of_a_side_file_are_the_labs(folder):

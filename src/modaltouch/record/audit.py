@@ -65,7 +65,7 @@ class Audit:
 def audit_session(session: Session) -> Audit:
     """Check a session against its start record.
 
-    Drives for measured fingers are designed again, which takes a tenth of a second for each placement.
+    Drives for measured fingers are designed again, which takes some tenths of a second for each placement.
 
     Parameters
     ----------
@@ -289,8 +289,12 @@ def check_view(session: Session) -> tuple[str, str, bool]:
         return "", f"{table}: differs from the log, which is the original: move the table away, and {_REMAKE}", False
     if not is_described:
         return "", f"{side}: is missing; `modaltouch resume` writes it", True
-    if unlike := _misdescribed(session, about, text):
+    if about.get("Mode") != session.mode:
+        unlike = f"says Mode: {about.get('Mode')}, but its log says {session.mode}"
         return "", f"{side}: {unlike}; move it away, and {_REMAKE}", False
+    if unlike := _misdescribed(session, about, text):
+        # The table is whole, and labs rename tasks and units for others.
+        return f"BIDS view agrees, but {side} {unlike}", "", False
     if session.trials != shown.trials:
         behind = len(checks) - len(shown.events)
         return f"BIDS view agrees, {behind} lines behind the log: `modaltouch resume` brings it up to date", "", False
@@ -298,15 +302,16 @@ def check_view(session: Session) -> tuple[str, str, bool]:
 
 
 def _misdescribed(session: Session, about: dict[str, Any], table: str) -> str:
-    """Say what a sidecar file gets wrong about its table; its words may be changed, such as translated."""
-    for name, recorded in (("Mode", session.mode), ("TaskName", session.protocol)):
-        if about.get(name) != recorded:
-            return f"says {name}: {about.get(name)}, but its log says {recorded}"
+    """Say how a sidecar file differs from its log; descriptions may be changed, such as translated."""
+    if about.get("TaskName") != session.protocol:
+        return f"says TaskName: {about.get('TaskName')}, where its log says {session.protocol}"
     columns = columns_of(session)
     for name in table.partition("\n")[0].split("\t"):
-        said, units = about.get(name), columns[name].get("Units")
-        if not isinstance(said, dict) or said.get("Units") != units:
-            return f"does not describe the column {name}" + f", whose unit is {units}" * bool(units)
+        described, units = about.get(name), columns[name].get("Units")
+        if not isinstance(described, dict):
+            return f"does not describe the column {name}"
+        if described.get("Units") != units:
+            return f"gives the unit {described.get('Units')} for {name}, where its log has {units}"
     return ""
 
 

@@ -17,6 +17,7 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 from datetime import datetime, timedelta
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -178,9 +179,16 @@ def _tally(place: SessionFolder, kind_of: Callable[[Session], Any]) -> tuple[Any
         if kind is not None and folder.name == f"sub-{place.participant}":
             own = kind
         elif kind is not None:
-            latest = read_session(logs[-1])
-            (filled if latest.complete or latest.is_running else left)[kind] += 1
+            state = logs[-1].stat()
+            is_filled = _is_complete(logs[-1], state.st_size, state.st_mtime_ns) or Session.peek(logs[-1]).is_running
+            (filled if is_filled else left)[kind] += 1
     return own, filled, left
+
+
+@lru_cache(maxsize=4096)
+def _is_complete(log: Path, size: int, mtime_ns: int) -> bool:
+    """Test whether a session is complete; a whole cohort asks of each unchanged log only once."""
+    return read_session(log).complete
 
 
 def first_turn(session: Session, protocol: Protocol) -> int:

@@ -142,7 +142,10 @@ def _describe_stimulus(speeds: tuple[float, ...], part: Trial, firing: Firing) -
 
 def _first(part: Trial, firing: Firing) -> dict[str, float] | None:
     """Return the earliest and latest onset of the first burst; None if there is none or its onset is unknown."""
-    if part.condition.is_catch or firing.repetition == "wired":
+    bursts = firing.bursts
+    # Unlike before the end of a stimulus, a fault at its end leaves open whether the first burst played.
+    is_lost = bursts.asked is not None and bursts.played is None and bursts.first_s is None
+    if part.condition.is_catch or firing.repetition == "wired" or is_lost:
         return None
     return _between(firing.onset - firing.onset_uncertainty, firing.onset + firing.onset_uncertainty)
 

@@ -201,8 +201,12 @@ def virtual_display(size: tuple[int, int] = (1920, 1080), *options: str) -> Iter
     reading, writing = os.pipe()
     # -noreset keeps it alive between clients.
     screen = ("-screen", "0", f"{size[0]}x{size[1]}x24", "-nolisten", "tcp", "-noreset")
+    # In a process group of its own, so that Ctrl-C reaches the session but not its display.
     server = subprocess.Popen(
-        [program, "-displayfd", str(writing), *screen, *options], pass_fds=(writing,), stderr=subprocess.DEVNULL
+        [program, "-displayfd", str(writing), *screen, *options],
+        pass_fds=(writing,),
+        stderr=subprocess.DEVNULL,
+        process_group=0,
     )
     os.close(writing)
     try:

@@ -6,7 +6,7 @@ import os
 import sys
 from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
@@ -318,6 +318,8 @@ class Screen:
 
     def close(self) -> None:
         """Close the window; never raises."""
+        with suppress(Exception):
+            self._tap.poll()  # shows whether the display is gone
         if self._tap.is_lost:
             # At exit PsychoPy closes what is still open, which crashes on a lost display.
             self._window._closed = True

@@ -296,7 +296,7 @@ def test_a_burst_that_is_not_simulated_plays_nothing(
     assert bench.error(f"SOUR1:{setting}") == 0
     assert bench.afg.playback(1) is None
     assert bench.error("*TRG") == 0
-    assert "plays no burst of several cycles" in caplog.text
+    assert caplog.text.count("not simulated") == 1
     assert bench.afg.playback(1) is None
     bench.ask("SOUR1:BURS:NCYC 1;TDEL 0;MODE TRIG;:SOUR1:PHAS 0;*TRG")
     assert bench.afg.playback(1) is not None

@@ -1,6 +1,6 @@
 """A simulated AFG3022B: its state, and the SCPI commands of the AFG3000 series.
 
-Not modelled: bursts of several cycles, gated or delayed bursts, and those with a phase. A trigger of one plays nothing
+Not modelled: bursts of several cycles, gated or delayed bursts, and records with a phase. Such a channel plays nothing
 and logs a warning.
 """
 
@@ -49,6 +49,11 @@ class Channel(OutputChannel):
     def cycle(self) -> float:
         """Length of one cycle [s]."""
         return 1 / self.frequency
+
+    @property
+    def is_simulated(self) -> bool:
+        """Whether the channel plays whole cycles, one at once if in burst mode: nothing else is simulated."""
+        return super().is_simulated and self.phase == 0
 
 
 MAX_CODE = 16382  # of a point

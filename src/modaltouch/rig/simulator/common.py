@@ -116,6 +116,7 @@ class GeneratorState(ABC, Generic[C]):
         self.timeline = Timeline(self.delays, self.seed)
         # Executes a message that a fault affects; returns None for one that no fault affects.
         self.intercept: Callable[[bytes, int], Reply | None] = lambda message, link: None
+        self._is_silent = False  # whether an output is on that is not simulated
         self.n_starts = 0  # number of power-ons, each of which ends all connections
         self.power_on()
 
@@ -154,6 +155,11 @@ class GeneratorState(ABC, Generic[C]):
                 yield
             finally:
                 self.timeline.change(self.clock.now(), self._situation())
+                # The instrument would play it, so that there is no error in its queue.
+                silent = any(channel.output and not channel.is_simulated for channel in self.channels.values())
+                if silent and not self._is_silent:
+                    _log.warning("not simulated, so it plays nothing: several cycles, a gate, a delay or a phase")
+                self._is_silent = silent
 
     def settle(self) -> None:
         """Report all bursts that have ended by now."""
@@ -218,9 +224,6 @@ class GeneratorState(ABC, Generic[C]):
         with self.lock:
             if not any(channel.burst for channel in self.channels.values()):
                 raise ScpiError(-211, "no channel is in burst")
-            if any(channel.output and not channel.is_simulated for channel in self.channels.values()):
-                # The instrument would play them, so that there is no error in its queue.
-                _log.warning("the twin plays no burst of several cycles, gated, delayed or with a phase")
             self.timeline.trigger(self.clock.now(), self.link)
 
     def align(self) -> None:

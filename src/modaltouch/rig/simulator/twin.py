@@ -186,7 +186,7 @@ class Twin:
             pressed = PressedBeam.of(self.beam, self.amplifier, fingers, press, stretch)
             return np.asarray(np.abs(shapes.T @ pressed.velocities(*refined(system, parts[0]))).max(axis=1))
         output = shapes.T @ system.velocity
-        # Channels with different clocks drift relative to each other, so that their peaks eventually coincide.
+        # An upper bound for channels with different clocks, which it reaches if they drift relative to each other.
         peaks = (BlockStates.of(system, held.voltage, held.timing).peak(output) for held in parts)
         return sum(peaks, np.zeros(len(positions)))
 

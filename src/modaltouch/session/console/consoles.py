@@ -250,10 +250,10 @@ class TerminalConsole(Console):
         if self._is_given_back:
             return
         self._is_given_back = True
-        if self._process.returncode != 0:
-            with contextlib.suppress(OSError):
-                # Leave the alternate screen and show the cursor.
-                os.write(self._screen, b"\x1b[?1049l\x1b[?25h" + message)
+        # Leave the alternate screen and show the cursor, unless the process did.
+        left = b"" if self._process.returncode == 0 else b"\x1b[?1049l\x1b[?25h"
+        with contextlib.suppress(OSError):
+            os.write(self._screen, left + message)
         restore_terminal(self._terminal, self._before)
 
     def _send(self) -> None:
