@@ -20,6 +20,7 @@ from modaltouch.cli import (
     SHIPPED_APPARATUS,
     print_json,
     print_table,
+    progress,
     reporting,
     say,
 )
@@ -189,7 +190,8 @@ def study(
     This changes nothing. A session that `modaltouch verify` refuses is damaged, with its reason.
     """
     with reporting(json_output=json_output):
-        datasets = session.survey_results(results)
+        with progress("sessions read") as on_progress:
+            datasets = session.survey_results(results, on_progress)
         shown = [_in_words(dataset) for dataset in datasets]
         if html is not None:
             _write_page(html, results, shown)

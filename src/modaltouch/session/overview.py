@@ -6,8 +6,9 @@ Records are checked as by `modaltouch verify`, so that the reasons for exclusion
 from __future__ import annotations
 
 from collections import Counter, defaultdict
+from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
-from itertools import pairwise
+from itertools import count, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +17,15 @@ from modaltouch.record import RecordError, Session, SessionFolder, audit_session
 from modaltouch.session.assignment import assign_group, assign_turn, first_turn, propose_participant
 
 
-def survey_results(place: Path) -> list[dict[str, Any]]:
+def survey_results(place: Path, on_progress: Callable[[int, int], None] | None = None) -> list[dict[str, Any]]:
     """Survey a results tree, and return plain values for each dataset (one protocol in one mode).
 
     Parameters
     ----------
     place : Path
         A results folder, or a folder in it.
+    on_progress : callable, optional
+        Called with the numbers of sessions read and to be read, since checking measured fingers takes seconds each.
 
     Raises
     ------
@@ -33,14 +36,24 @@ def survey_results(place: Path) -> list[dict[str, Any]]:
     datasets: dict[Path, list[Path]] = defaultdict(list)
     for log in (log if len(log.parts) > 4 else log.absolute() for log in logs):
         datasets[Path(*log.parts[:-4])].append(log)
-    return [_survey_dataset(dataset, logs) for dataset, logs in datasets.items()]
+    n_read = count(1)
+
+    def survey_session(log: Path) -> tuple[dict[str, Any], Session]:
+        found = _survey_session(log)
+        if on_progress is not None:
+            on_progress(next(n_read), len(logs))
+        return found
+
+    return [_survey_dataset(dataset, each, survey_session) for dataset, each in datasets.items()]
 
 
-def _survey_dataset(dataset: Path, logs: list[Path]) -> dict[str, Any]:
+def _survey_dataset(
+    dataset: Path, logs: list[Path], survey_session: Callable[[Path], tuple[dict[str, Any], Session]]
+) -> dict[str, Any]:
     rows: list[dict[str, Any]] = []
     begun: dict[str, Session] = {}  # the start of each participant's first session
     for log in sorted(logs, key=lambda log: (log.parts[:-3], SessionFolder.number_of(log))):
-        row, session = _survey_session(log)
+        row, session = survey_session(log)
         rows.append(row)
         if session.start:
             begun.setdefault(row["participant"], Session(log, session.events[:1]))  # lets go of the rest
