@@ -88,10 +88,8 @@ def power(
         repetitions = sizes_r or (first.n_repetitions,)
         n_answers = max(sizes_n) * max(repetitions) * len(first.levels)
         if n_answers > _MOST_ANSWERS:
-            raise typer.BadParameter(
-                f"given {n_answers} answers to each pair (participants x repetitions x levels); allowed: at most "
-                f"{_MOST_ANSWERS}; lower --participants or --reps"
-            )
+            given = f"given {n_answers} answers to each pair (participants x repetitions x levels)"
+            raise typer.BadParameter(f"{given}; allowed: at most {_MOST_ANSWERS}; lower --participants or --reps")
         folders = {name: out / name for name in designs} if out is not None else {}
         for folder in folders.values():
             report.refuse_other(folder, "power")
