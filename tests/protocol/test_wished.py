@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from modaltouch.preflight import examine
-from modaltouch.protocol import Findings, Sources
+from modaltouch.protocol import Findings, Source, Sources
+from modaltouch.protocol.cell_table import read_points
 from modaltouch.record.audit import audit_session
 from modaltouch.record.session import Session
 from modaltouch.session.wiring import simulate_session
@@ -101,15 +102,36 @@ def test_invalid_points_are_refused_with_their_position(edit: Edit, what: str, s
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("", "field.csv:1:1: given a table without the columns position_mm, velocity"),
+        ("", "field.csv:1:1: given the columns of an empty file"),
         (
             "place,speed\n0,1\n",
-            "field.csv:1:1: given a table without the columns position_mm, velocity; allowed: position_mm, velocity",
+            "field.csv:1:1: given the columns place,speed; allowed: position_mm, velocity, once each",
         ),
+        ("position_mm,velocity,velocity\n0,1,2\n", "field.csv:1:1: given the columns position_mm,velocity,velocity"),
         ("position_mm,velocity\n0,1\nx,2\n", "field.csv:3:1: given 'x,2'; allowed: two finite numbers"),
         ("position_mm,velocity\n0,1\n1,nan\n", "field.csv:3:1: given '1,nan'"),
         ("position_mm,velocity\n0,1\n", "field.csv:1:1: given 1 points; allowed: at least 2"),
         ("position_mm,velocity\n0,1\n\n-1,2\n", "field.csv:4:1: given -1 mm after 0 mm"),
+        ("position_mm,velocity\n0,true\n1,1\n", "field.csv:2:1: given '0,true'; allowed: two finite numbers"),
+        ("position_mm,velocity\n0,0x1\n1,1\n", "field.csv:2:1: given '0,0x1'; allowed: two finite numbers"),
+        (
+            "position_mm,velocity,note\n0,0,5,near\n",
+            "field.csv:2:1: given '0,0,5,near'; allowed: two finite numbers; a decimal comma splits a number into two",
+        ),
+        (
+            "position_mm,velocity,\n0,0,5\n",
+            "field.csv:2:1: given '0,0,5'; allowed: two finite numbers; a decimal comma",
+        ),
+        (
+            "position_mm;velocity\n1;-20;0.5\n",
+            "field.csv:2:1: given '1;-20;0.5'; allowed: two finite numbers; name every",
+        ),
+        (
+            "position_mm;velocity\n-20;0,5\n",
+            "field.csv:2:1: given '-20;0,5'; allowed: two finite numbers; write 0.5, with a decimal point",
+        ),
+        ('position_mm,velocity,note\n0,1,"two\nlines"\n1,x,\n', "field.csv:4:1: given '1,x,'"),
+        ('position_mm,velocity,note\n0,1,\n1,2,"left\n2,3,\n', "field.csv:3:1: given an unpaired quotation mark"),
     ],
 )
 def test_faults_in_a_csv_have_their_line(edit: Edit, text: str, said: str) -> None:
@@ -117,6 +139,23 @@ def test_faults_in_a_csv_have_their_line(edit: Edit, text: str, said: str) -> No
     file = sampled(edit, "file: field.csv")
     (file.parent / "field.csv").write_text(text, encoding="utf-8")
     assert any(each.startswith(said) for each in faults(file)), faults(file)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "position_mm,velocity\n-20,0.5,\n0,1,\n20,.5,\n",
+        "position_mm,velocity,,,\n-20,0.5,,,\n0,1,,,\n20,.5,,,\n,,,,\n",
+        "note,position_mm,velocity,note\na,-20,0.5,b\na,0,1,b\na,20,.5,b\n",
+        "position_mm,velocity,note\n-20,0.5\n0,1,peak\n20,.5,left, near\n",
+        'position_mm,velocity,note\n-20,0.5,"two\nlines"\n0,1,5" off\n20,.5,\n',
+        "position_mm;velocity\n-20;0.5\n0;1\n20;.5\n",
+        "position_mm\tvelocity\n-20\t0.5\n0\t1\n20\t.5\n",
+    ],
+)
+def test_only_the_two_columns_of_a_csv_matter(text: str) -> None:
+    """As spreadsheets save it: empty columns, notes of any kind, semicolons or tabs."""
+    assert read_points(Source(Path("field.csv"), text)) == (((-20, 0.5), (0, 1), (20, 0.5)), [])
 
 
 def test_foci_must_be_different_zones(edit: Edit) -> None:

@@ -77,56 +77,48 @@ def without_derived(reading: Reading[Any]) -> tuple[Problem, ...]:
     return tuple(each for each in reading.problems if not each.path.startswith(derived))
 
 
-_Line = tuple[int, dict[str, tuple[str, int]]]
-"""Number of a line, and its fields by column, each with its start column."""
-
-
 def _read_table(source: Source) -> tuple[Node, list[Problem]]:
     """Return the rows of a table of cells in the form of a protocol's list, and the problems of the table."""
-    lines, problems = _read_lines(source, _REQUIRED, COLUMNS)
-    return Node([_row(str(source.path), *line) for line in lines], 1, 1, file=str(source.path)), problems
-
-
-def _read_lines(
-    source: Source, required: Sequence[str], known: Sequence[str] = ()
-) -> tuple[list[_Line], list[Problem]]:
-    """Return the lines of a table with its fields, and its problems; without `known` columns, it may have any."""
-    path, rows, problems = str(source.path), list[_Line](), list[Problem]()
+    path, rows, problems = str(source.path), list[Node](), list[Problem]()
     lines = source.text.splitlines()
     header = lines[0] if lines else ""
-    separator = next((mark for mark in ",;\t" if mark in header), ",")
+    separator = _separator(header)
     names = [name for name, _ in _fields(header, separator)]
-    missing, allowed = [name for name in required if name not in names], ", ".join(known or required)
+    missing = [name for name in _REQUIRED if name not in names]
     for name, column in _fields(header, separator):
-        if names.count(name) > 1 or (known and name not in known):
-            meant = suggest(name, set(known) - set(names))
+        if name not in COLUMNS or names.count(name) > 1:
+            meant = suggest(name, set(COLUMNS) - set(names))
             missing = [each for each in missing if each != meant]
             remedy = f"did you mean '{meant}'?" if meant else "remove it"
             if name in StimulusVariant.model_fields:
                 remedy = f"give it to the `stimuli` of the protocol ({name}), and name one in the column stimulus"
-            problems.append(Problem(path, 1, column, "", f"the column {name!r}", f"once each: {allowed}", remedy))
+            problems.append(
+                Problem(path, 1, column, "", f"the column {name!r}", f"once each: {', '.join(COLUMNS)}", remedy)
+            )
     if missing:
         given = f"a table without the column{'s' * (len(missing) > 1)} {', '.join(missing)}"
-        problems.append(Problem(path, 1, 1, "", given, allowed, "name the columns in the first line"))
-    if problems:
-        return rows, problems
+        problems.append(Problem(path, 1, 1, "", given, ", ".join(COLUMNS), "name the columns in the first line"))
     for number, line in enumerate(lines[1:], start=2):
         fields = _fields(line, separator)
-        if not line.strip():
+        if not line.strip() or problems and problems[0].line == 1:
             continue
-        if len(fields) == len(names):
-            rows.append((number, dict(zip(names, fields, strict=True))))
+        if len(fields) != len(names):
+            given, allowed = f"{len(fields)} field{'s' * (len(fields) != 1)}", f"{len(names)}, one for each column"
+            remedy = "correct the line"
+            if line.count('"') % 2:
+                given, allowed, remedy = "an unpaired quotation mark", "quotation marks in pairs", "close it"
+            elif separator == "," and len(fields) > len(names):
+                remedy += "; a decimal comma splits a number into two fields: write 80.5"
+            problems.append(Problem(path, number, 1, "", given, allowed, remedy))
             continue
-        given, wanted = f"{len(fields)} field{'s' * (len(fields) != 1)}", f"{len(names)}, one for each column"
-        remedy = "correct the line"
-        if line.count('"') % 2:
-            given, wanted, remedy = "an unpaired quotation mark", "quotation marks in pairs", "close it"
-        elif separator == "," and len(fields) > len(names):
-            remedy += "; a decimal comma splits a number into two fields: write 80.5"
-        problems.append(Problem(path, number, 1, "", given, wanted, remedy))
+        rows.append(_row(path, number, dict(zip(names, fields, strict=True))))
     if not rows and not problems:
-        problems.append(Problem(path, 1, 1, "", "a table without rows", "at least one", "write one to a line"))
-    return rows, problems
+        problems.append(Problem(path, 1, 1, "", "a table without rows", "at least one cell", "write one to a line"))
+    return Node(rows, 1, 1, file=path), problems
+
+
+def _separator(header: str) -> str:
+    return next((mark for mark in ",;\t" if mark in header), ",")
 
 
 def _fields(line: str, separator: str) -> list[tuple[str, int]]:
@@ -260,26 +252,63 @@ def are_crossed(conditions: Mapping[str, Any], stimuli: Iterable[str] = ()) -> b
 
 
 def read_points(source: Source) -> tuple[Points, list[Problem]]:
-    """Read the points in a file, positions [mm] and relative velocities; return points and problems."""
-    path, remedy = str(source.path), "write one line per point, such as `-20,0.5`"
-    rows, problems = _read_lines(source, POINT_COLUMNS)
-    points, lines = list[tuple[float, float]](), list[int]()
-    for line, fields in rows:
-        position, velocity = (_number(fields[name][0]) for name in POINT_COLUMNS)
-        if math.isfinite(position) and math.isfinite(velocity):
-            points.append((position, velocity))
-            lines.append(line)
+    """Read the points in a file, positions [mm] and relative velocities; return points and problems.
+
+    Other columns, and text beyond the last column, may contain anything.
+    """
+    path, lines = str(source.path), source.text.splitlines()
+    separator = _separator(lines[0] if lines else "")
+    # The empty line at the end is a row of its own unless a quotation mark is left open.
+    rows = csv.reader([*lines, ""], delimiter=separator, skipinitialspace=True)
+    header = [name.strip() for name in next(rows)]
+    if any(header.count(name) != 1 for name in POINT_COLUMNS):
+        given = f"the columns {separator.join(header) or 'of an empty file'}"
+        allowed = f"{', '.join(POINT_COLUMNS)}, once each"
+        return (), [Problem(path, 1, 1, "", given, allowed, "name them in the first line")]
+    places = [header.index(name) for name in POINT_COLUMNS]
+    n_named = max(place for place, name in enumerate(header, start=1) if name)
+    points, problems, numbers = list[tuple[float, float]](), list[Problem](), list[int]()
+    end = rows.line_num
+    for row in rows:
+        begin, end = end + 1, rows.line_num
+        words = [word.strip() for word in row]
+        if not any(words):
+            continue
+        own = [words[place] if place < len(words) else "" for place in places]
+        after = words[max(places) + 1] if any(words[n_named:]) else ""
+        if end > len(lines):
+            given, allowed, remedy = "an unpaired quotation mark", "quotation marks in pairs", "close it"
         else:
-            given = repr(",".join(word for word, _ in fields.values()))
-            problems.append(Problem(path, line, 1, "", given, "two finite numbers", remedy))
+            given, allowed, remedy = repr(lines[begin - 1]), "two finite numbers", _mend(own, after, separator)
+        if remedy:
+            problems.append(Problem(path, begin, 1, "", given, allowed, remedy))
+        else:
+            points.append((_number(own[0]), _number(own[1])))
+            numbers.append(begin)
     if len(points) < 2 and not problems:
+        remedy = f"write one line per point, such as `-20{separator}0.5`"
         problems.append(Problem(path, 1, 1, "", f"{len(points)} points", "at least 2", remedy))
     problems += [
-        Problem(path, lines[index], 1, "", given, "increasing positions", "sort the lines")
+        Problem(path, numbers[index], 1, "", given, "increasing positions", "sort the lines")
         for index, given in unordered(points)
     ]
     return tuple(points), problems
 
 
-def _number(word: str) -> float:
-    return float(number) if isinstance(number := resolve(word), (int, float)) else math.nan
+def _mend(point: Sequence[str], after: str, separator: str) -> str:
+    """Return the remedy for a line without the two numbers of a point, given the field after them; empty if it has."""
+    if math.isfinite(_number(after)):
+        split = "a decimal comma splits a number into two fields: write 0.5; or " if separator == "," else ""
+        return f"{split}name every column in the first line"
+    wrong = [word for word in point if not math.isfinite(_number(word))]
+    pointed = wrong[0].replace(",", ".") if wrong else ""
+    if math.isfinite(_number(pointed)):
+        return f"write {pointed}, with a decimal point"
+    return f"write one line per point, such as `-20{separator}0.5`" if wrong else ""
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan

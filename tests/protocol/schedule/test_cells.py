@@ -154,7 +154,7 @@ def test_every_order_presents_the_same_cells(folder: Path, order: str) -> None:
             "cells.csv:2:1 given 6 fields; allowed: 5, one for each column; correct the",
         ),
         (TABLE.replace("A,C,80,", 'A,"C,80,'), "cells.csv:2:1 given an unpaired quotation mark; allowed: q"),
-        (TABLE.splitlines()[0] + "\n", "cells.csv:1:1 given a table without rows; allowed: at least one"),
+        (TABLE.splitlines()[0] + "\n", "cells.csv:1:1 given a table without rows; allowed: at least one cell"),
     ],
 )
 def test_a_fault_in_a_table_has_its_line_and_column(folder: Path, table: str, told: str) -> None:
