@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -301,11 +301,17 @@ LEAST_SAMPLES_PER_CYCLE = 2.5
 """Fewest samples per cycle of the highest modelled mode: the 2 of the sampling theorem plus 25 % [1]."""
 
 
-def check_fit(protocol: Reading[Protocol], apparatus: Reading[Apparatus]) -> list[Problem]:
-    """Return a problem for each requirement of a protocol that its apparatus fails to meet, as far as valid."""
+def check_fit(protocol: Reading[Protocol], apparatus: Reading[Apparatus] | None) -> list[Problem]:
+    """Return a problem for each requirement of a protocol that its apparatus, if any, fails to meet, if valid."""
+    n_modes = 0 if apparatus is None else apparatus.length("modes") or 0
+    labels = [] if apparatus is None else [apparatus.sound("modes", index, "label") for index in range(n_modes)]
+    modes = _check_modes(protocol, labels)
+    if apparatus is None:
+        return [*modes]
     return [
+        *modes,
         *_check_zones(protocol, apparatus),
-        *_check_modes(protocol, apparatus),
+        *_check_sampling(protocol, apparatus, n_modes),
         *_check_delay(protocol, apparatus),
         *_check_levels(protocol, apparatus),
         *check_masking(protocol, apparatus),
@@ -339,10 +345,9 @@ def _check_zones(protocol: Reading[Protocol], apparatus: Reading[Apparatus]) -> 
                 break
 
 
-def _check_modes(protocol: Reading[Protocol], apparatus: Reading[Apparatus]) -> Iterator[Problem]:
-    if not (n_modes := apparatus.length("modes")):
-        return
-    labels = [apparatus.sound("modes", index, "label") for index in range(n_modes)]
+def _check_modes(protocol: Reading[Protocol], labels: Sequence[int | None]) -> Iterator[Problem]:
+    """Yield selected modes that are not decomposed or, as far as the labels of the modes are known, not modelled."""
+    n_modes = len(labels) or math.inf
     path, n_decomposed = ("stimulus", "selected_modes"), protocol.sound("stimulus", "decomposed_modes") or math.inf
     selection = protocol.sound(*path)
     if isinstance(selection, int) and selection > min(n_modes, n_decomposed):
@@ -352,15 +357,14 @@ def _check_modes(protocol: Reading[Protocol], apparatus: Reading[Apparatus]) -> 
         given = f"{selection}, more than the {most} {kind} modes"
         yield protocol.problem(path, given, f"1 to {most}", f"select fewer or {raised}")
     allowed = ", ".join(map(str, labels))
-    for index, label in protocol.items(*path) if None not in labels else ():
-        if label not in labels:
+    for index, label in protocol.items(*path):
+        if labels and None not in labels and label not in labels:
             yield protocol.problem((*path, index), f"{label}, which is not a modelled mode", allowed)
         elif label > n_decomposed:
             given = f"{label}, which is beyond the {n_decomposed} decomposed modes"
             yield protocol.problem(
                 (*path, index), given, f"1 to {n_decomposed}", "raise decomposed_modes or leave it out"
             )
-    yield from _check_sampling(protocol, apparatus, n_modes)
 
 
 def _check_sampling(protocol: Reading[Protocol], apparatus: Reading[Apparatus], n_modes: int) -> Iterator[Problem]:

@@ -279,7 +279,8 @@ class Findings:
         apparatus, texts, found = None, None, {*problems, *protocol.problems, *check_protocol(protocol)}
         if (source := files["apparatus"]) is not None:
             apparatus, faults = examine_apparatus(source)
-            found.update(faults, check_fit(protocol, apparatus))
+            found.update(faults)
+        found.update(check_fit(protocol, apparatus))
         if (source := files["texts"]) is not None:
             texts = read(source, Texts)
             found.update(texts.problems, check_words(protocol, texts))

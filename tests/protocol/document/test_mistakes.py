@@ -107,6 +107,25 @@ def test_a_mode_that_cannot_be_selected_has_one_reason(edit: Edit, selected: str
     assert [each.given for each in Findings.read(file).problems] == [given]
 
 
+@pytest.mark.parametrize(
+    ("old", "new"), [("", ""), ("modes:\n", "modez:\n"), ("label: 1,", "label: one,")], ids=["file", "modes", "label"]
+)
+@pytest.mark.parametrize(
+    ("selected", "path"), [("8", "stimulus.selected_modes"), ("[1, 3, 15]", "stimulus.selected_modes[2]")]
+)
+def test_modes_that_are_not_decomposed_are_reported_beside_a_fault_of_the_beam(
+    edit: Edit, selected: str, path: str, old: str, new: str
+) -> None:
+    """The number of decomposed modes is in the protocol itself."""
+    if old:
+        edit(BEAM, (old, new))
+    changes = ("selected_modes: 6", f"selected_modes: {selected}"), ("decomposed_modes: 50", "decomposed_modes: 6")
+    file = edit(FILE, *changes, *([] if old else [("apparatus/beam", "apparatus/nobeam")]))
+    problems = Findings.read(file).problems
+    assert len(problems) == 2
+    assert path in [each.path for each in problems if "6 decomposed modes" in each.given]
+
+
 def test_the_faults_of_every_stimulus_come_with_all_others(edit: Edit) -> None:
     """An unknown focus of one stimulus does not wait until a faulty key and another stimulus are corrected."""
     stimuli = "\nstimuli: {one: {}, two: {focus: Q}, three: {repetition_rate_Hz: 300}}\n\nconditions:"
