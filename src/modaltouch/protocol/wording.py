@@ -130,19 +130,22 @@ def _remedy(reading: Any, path: tuple[Step, ...], node: Node | None) -> str:
     allowed = describe(reading.model, path)
     if node is None:
         return ""
-    item = allowed.partition(", each ")[2] if allowed.startswith("a list of at least") else ""
     words = _BETWEEN.split(node.text)
-    if item and not item.startswith(("a list", "a mapping")) and words[0]:
-        return f"write [{', '.join(words)}]"
+    values = [resolve(word) for word in words]
+    if node.text and allowed.startswith("a list") and _fits(reading.model, path, values):
+        # Names of keys are checked later, so these may be wrong.
+        is_key = allowed.endswith("the name of a key")
+        return "write names in brackets, as in [left, num_4]" if is_key else f"write [{', '.join(words)}]"
     if isinstance(node.content, str):
         number, after = suggest_number(node.content) if "number" in allowed else ("", "")
         if number:
             unit = unit_of(path)
-            if after == "%" != unit:
+            if after == "%" and not unit and _fits(reading.model, path, float(number) / 100):
                 return f"write it as a share: {float(number) / 100:g}"
             only = f"write only the number: {number}" + ("; the unit is part of the key" if unit and after else "")
             return f"write the number in {unit}, without the unit" if unit and after not in ("", unit) else only
-        if "number" in allowed and len(words) > 1 and all(isinstance(resolve(word), int | float) for word in words):
+        is_item = bool(path) and isinstance(path[-1], int)
+        if is_item and "number" in allowed and all(_fits(reading.model, path, value) for value in values):
             return f"write each number by itself, as in {', '.join(words)}"
         meant = suggest(node.content, allowed.split(", "))
         return f"did you mean '{meant}'?" if meant else ""
@@ -151,6 +154,15 @@ def _remedy(reading: Any, path: tuple[Step, ...], node: Node | None) -> str:
     if isinstance(node.content, float) and "whole number" in allowed and node.content == node.content // 1:
         return f"write {node.content:.0f}"
     return ""
+
+
+def _fits(model: type[BaseModel], path: tuple[Step, ...], value: object) -> bool:
+    """Test whether a value is allowed at a path of a model."""
+    known = adapter(model, path)
+    try:
+        return known is not None and known.validate_python(value) is not None
+    except ValidationError:
+        return False
 
 
 _BETWEEN = re.compile(r"\s*[;,]\s*|\s+")
