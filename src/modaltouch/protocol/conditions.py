@@ -9,7 +9,7 @@ from pydantic import ConfigDict, Field
 
 from modaltouch.protocol.reading import Reading
 from modaltouch.protocol.section import Count, FileName, Positive, Section, Text, Word, described
-from modaltouch.protocol.source import Problem
+from modaltouch.protocol.source import Problem, suggest
 from modaltouch.protocol.stimulus_sections import ZoneName
 from modaltouch.protocol.trial import FINGERS, SIDES, AnswerList, Condition
 
@@ -283,7 +283,9 @@ def check_contacts(reading: Reading[Any]) -> Iterator[Problem]:
     yield from _check_number(reading, used)
     for number in dict.fromkeys(used.values()):
         yield from _check_answers(reading, [name for name, own in used.items() if own == number], number)
-    for name in used:
+    # A name misspelt under `ways` is reported there.
+    misspelt = {suggest(key, named) for key in reading.keys("answers", "ways") or () if key not in named}
+    for name in used.keys() - misspelt:
         if name not in _SHIPPED and len({finger.split()[0] for finger in known[name]}) == 2:
             yield from check_way(reading, name)
     yield from reading.unlisted(("answers", "ways"), "a finger condition here", named, at_key=True)

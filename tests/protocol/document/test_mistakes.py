@@ -60,6 +60,21 @@ def test_a_mistake_in_a_protocol_is_reported_once(edit: Edit, old: str, new: str
     assert found(file) == [(line_of(file, new.strip()), path, remedy)]
 
 
+def test_a_condition_misspelt_under_ways_is_reported_once(edit: Edit) -> None:
+    """Not that the condition has no way to answer as well; another one that has none is still found."""
+    own = (
+        "finger_conditions: [mine, other]\n  fingers: {mine: [left index, right index], other: [left ring, right ring]}"
+    )
+    file = edit(
+        FILE, ("finger_conditions: [one_hand, two_hands]", own), ("  keys:\n", "  ways: {mne: lifting}\n  keys:\n")
+    )
+    problems = Findings.read(file).problems
+    assert [(each.path, each.remedy) for each in problems if "answers" in each.path] == [
+        ("answers", "write `ways: {other: lifting}` under answers"),
+        ("answers.ways.mne", "did you mean 'mine'?"),
+    ]
+
+
 def test_a_misspelt_key_elsewhere_does_not_hide_a_missing_one(edit: Edit) -> None:
     """Both are reported in one run."""
     paths = [path for _, path, _ in found(edit(FILE, (f"  {PAIRS}\n", ""), ("duration_ms:", "durations_ms:")))]
