@@ -12,6 +12,8 @@ from modaltouch.lab.identification.files import ResponseFormat, read_responses
 VELOCITY = ResponseFormat("velocity")
 OVER_TIME, RATE = "time_s,set,position_mm,drive,motion", 20e3
 OVER_FREQUENCY = "frequency_Hz,set,position_mm,real,imag"
+SEMICOLONS = OVER_FREQUENCY.replace(",", ";")
+SPLIT = "more fields than columns: a decimal comma splits a number"
 HEAD = "***End_of_Header***\nY_Unit_Label\tm/s^2\tN\nDelta_X\t5E-5\t5E-5\n***End_of_Header***\nX_Value\ta\tf\n"
 
 
@@ -65,17 +67,53 @@ def test_a_motion_of_zeros_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        (f'{OVER_FREQUENCY}\n"{"x" * 200_000}"', r"a.csv:2: 'x{80}' does not give a number"),
+        (f'{OVER_FREQUENCY}\n"{"x" * 200_000}"', r"a.csv: is damaged or incomplete \(field larger"),
         (f"{OVER_FREQUENCY},real\n1,s,0,1,2,3", "a.csv:1: a column appears twice in frequency_Hz, set, position_mm"),
         (f"{OVER_FREQUENCY}\n1,s,0,1,2\nnan,s,0,1,2", "a.csv:3: 'nan,s,0,1,2' does not give a number for each column"),
         (f"{OVER_FREQUENCY}\n1,s,0,1,2", "a.csv: it has 1 bins; at least 32 are needed"),
+        (f"{OVER_FREQUENCY}\n1,s,0,1,2,,\n2,s,0,0,1,5", f"a.csv:3: '2,s,0,0,1,5' has {SPLIT}"),
+        (f"{OVER_FREQUENCY},,\n1,s,0,0,1,5", f"a.csv:2: '1,s,0,0,1,5' has {SPLIT}"),
+        (SEMICOLONS + "\n999;s;0;0.5;2\n1,000;s;0;1.5;2", "a.csv:3: '1,000;s;0;1.5;2': commas and points are mixed"),
+        (SEMICOLONS + "\n999;s;0;0,5;2\n1.000;s;0;1,5;2", "a.csv:3: '1.000;s;0;1,5;2': commas and points are mixed"),
+        (f"{OVER_FREQUENCY}\n1,s,0,1,n/a", "a.csv:2: '1,s,0,1,n/a' does not give a number"),
+        (f"{OVER_FREQUENCY}\n1,s,nan,1,2", "a.csv:2: '1,s,nan,1,2' does not give a number"),
     ],
 )
 def test_faulty_tables_are_reported(tmp_path: Path, text: str, words: str) -> None:
-    """An unclosed quotation mark, two columns with one name, an invalid frequency, a single bin."""
+    """An unclosed quotation mark, two columns with one name, split or grouped numbers, words in place of numbers."""
     (tmp_path / "a.csv").write_text(text)
     with pytest.raises(ValueError, match=words):
         read_responses([tmp_path / "a.csv"], VELOCITY)
+
+
+def write_responses(path: Path, undefined: int, real: str = "NaN", coherence: str = "nan") -> Path:
+    """Write responses from 0 Hz on at six places, undefined at one frequency."""
+    rng = np.random.default_rng(1)
+    lines = [f"{OVER_FREQUENCY},coherence"]
+    for place in range(6):
+        lines += [f"{bin},s,{place},{each:.6f},1,0.9" for bin, each in enumerate(rng.standard_normal(40))]
+        lines[place * 40 + 1 + undefined] = f"{undefined},s,{place},{real or 1},1,{coherence or 1}"
+    path.write_text("\n".join(lines))
+    return path
+
+
+@pytest.mark.parametrize(("real", "coherence"), [("NaN", "nan"), ("", " -nan"), ("-Inf", "")])
+def test_a_response_may_be_undefined_where_it_is_not_used(tmp_path: Path, real: str, coherence: str) -> None:
+    """H1 and coherence are 0/0 at 0 Hz if nothing is driven there; programs export them as NaN."""
+    responses = read_responses([write_responses(tmp_path / "a.csv", 0, real, coherence)], VELOCITY)
+    assert np.isfinite(responses.response).all()
+    assert responses.frequency[0] == 1
+    path, words = write_responses(tmp_path / "b.csv", 7, real, coherence), "a value that is not finite|has a coherence"
+    with pytest.raises(ValueError, match=f"b.csv: the response to s at 0 mm (contains )?({words})"):
+        read_responses([path], VELOCITY)
+
+
+def test_an_undefined_value_hides_no_other_fault(tmp_path: Path) -> None:
+    """Magnitudes in place of real parts, of which that at 0 Hz is 0/0."""
+    path = write_responses(tmp_path / "a.csv", 0)
+    path.write_text(path.read_text().replace("-", ""))
+    with pytest.raises(ValueError, match="a.csv: no response has a negative real part: magnitudes were exported"):
+        read_responses([path], VELOCITY)
 
 
 def test_an_axis_with_nan_is_reported_as_such(tmp_path: Path) -> None:

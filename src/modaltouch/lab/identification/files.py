@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -234,7 +235,8 @@ def _quantity(path: Path, part: Part, how: ResponseFormat) -> Quantity:
 
 def _refuse_amplitudes(path: Path, part: Part) -> None:
     """Refuse numbers that cannot be complex responses of a beam."""
-    values = np.array([each.values for each in part.responses])
+    # Undefined values count as none, as those at 0 Hz often are.
+    values = np.nan_to_num([each.values for each in part.responses], posinf=0.0, neginf=0.0)
     size, places = np.abs(values), {key[1] for key, *_ in part.responses if key[1] is not None}
     typical = float(np.median(size))
     faults = {
@@ -328,7 +330,7 @@ def _read(path: Path, how: ResponseFormat) -> Part:
         return reader(path, how)
     except UnicodeDecodeError as error:
         raise ValueError(f"{path}: is not text in UTF-8 (byte {error.start}); export it again") from None
-    except (IndexError, KeyError) as error:
+    except (csv.Error, IndexError, KeyError) as error:
         raise ValueError(f"{path}: is damaged or incomplete ({error}); export it again") from None
 
 
@@ -372,31 +374,45 @@ def _table(path: Path) -> DataFrame:
     """Read a CSV file, also with semicolons or tabs and decimal commas; an unknown position is NaN."""
     import pandas as pd
 
-    with path.open(encoding="utf-8-sig") as file:
+    with path.open(encoding="utf-8-sig", newline="") as file:
         heading = file.readline()
-    separator = max(",;\t", key=heading.count)
-    names = [name.strip(' "\n') for name in heading.split(separator)]
+        separator = max(",;\t", key=heading.count)
+        rows = list(csv.reader(file, delimiter=separator))
+    names = [name.strip(' "') for name in heading.rstrip(f"{separator} \r\n").split(separator)]
     needed = TIME_COLUMNS if TIME_COLUMNS[0] in names else CSV_COLUMNS
     missing = [name for name in needed if name not in names]
     if missing:
         raise ValueError(f"{path}:1: the column {missing[0]} is missing; it needs {', '.join(needed)}")
     if len(set(names)) < len(names):
         raise ValueError(f"{path}:1: a column appears twice in {', '.join(names)}; export each once")
-    try:
-        given = pd.read_csv(
-            path, sep=separator, names=names, header=0, index_col=False, dtype=str, keep_default_na=False,
-            skip_blank_lines=False, encoding="utf-8-sig",
-        ).fillna("")  # fmt: skip
-    except pd.errors.ParserError as error:
-        raise ValueError(f"{path}: is damaged or incomplete ({str(error).strip()}); export it again") from None
+    for line, row in enumerate(rows, start=2):
+        if "".join(row[len(names) :]).strip():
+            cause = ": a decimal comma splits a number" if separator == "," else ""
+            raise ValueError(
+                f"{path}:{line}: {separator.join(row)[:80]!r} has more fields than columns{cause}; export points in "
+                "numbers, and quotation marks around a name that contains a separator"
+            )
+    given = pd.DataFrame([[*row, *[""] * len(names)][: len(names)] for row in rows], columns=names, dtype=object)
     given = given[(given != "").any(axis=1)]
     if given.empty:
         raise ValueError(f"{path}: there is no line below the header")
     used = [name for name in names if name in {*needed, "across_mm", "coherence"} - {"set"}]
+    marked = [given[used].sum(axis=1).str.contains(mark, regex=False).to_numpy(dtype=bool) for mark in ",."]
+    mixed = np.logical_and(*np.logical_or.accumulate(marked, axis=1))
+    if mixed.any():
+        line = given.index[mixed.argmax()]
+        raise ValueError(
+            f"{path}:{line + 2}: {separator.join(given.loc[line])[:80]!r}: commas and points are mixed in the numbers "
+            "of the file; export one decimal mark for all, and no mark between thousands"
+        )
     comma = "." if separator == "," else ","
     table: DataFrame = given[used].apply(lambda cells: pd.to_numeric(cells.str.replace(comma, "."), errors="coerce"))
-    # A place may be empty if it is unknown.
-    faulty = ~(np.isfinite(table) | (given[used] == "") & [name.endswith("_mm") for name in used]).all(axis=1)
+    # A place may be unknown, and a ratio undefined where nothing is excited, as at 0 Hz.
+    undefined = {
+        name: [""] if name.endswith("_mm") else ["nan", "-nan", "inf", "-inf"] for name in used if name != needed[0]
+    }
+    cells = given[used].apply(lambda cells: cells.str.strip().str.lower())
+    faulty = ~(np.isfinite(table) | cells.isin(undefined)).all(axis=1)
     if faulty.any():
         line = given.index[np.flatnonzero(faulty)[0]]
         raise ValueError(
