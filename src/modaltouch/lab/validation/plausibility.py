@@ -99,7 +99,7 @@ FEWEST_INSTANTS = 64
 """Minimum number of samples around the focusing instant."""
 
 UNSTEADY = 0.1
-"""Largest deviation of a record's size from that of the mean of the records at its point [1]."""
+"""Largest standard deviation of the sizes of the records at a point, relative to that of their mean [1]."""
 
 INVERTED = (
     "the velocity has the opposite sign of the predicted one: invert the signal of the vibrometer, or the drive of all "
@@ -175,9 +175,11 @@ class ModalFit:
         # Near a node the velocity is mostly that of modes which are not predicted.
         known = power > 0.25 * np.median(power)
 
-        mean = mean_velocity(scan)
-        size = np.einsum("prt,pt->pr", scan.velocity, mean) / np.maximum(np.square(mean).sum(axis=1), 1e-30)[:, None]
-        odd = known & (np.abs(size - 1).max(axis=1) > UNSTEADY)
+        # Sway and hum, of another phase in each record, hardly vary within it.
+        moving = scan.velocity - scan.velocity.mean(axis=2, keepdims=True)
+        mean = moving.mean(axis=1)
+        size = np.einsum("prt,pt->pr", moving, mean) / np.maximum(np.square(mean).sum(axis=1), 1e-30)[:, None]
+        odd = known & (size.std(axis=1) > UNSTEADY)
         differ = np.ptp(size, axis=1).max(where=odd, initial=0.0)
         yield (
             odd,
