@@ -177,6 +177,24 @@ def test_a_range_that_is_too_small_is_widened_once(prober):
     assert measuring.hands_on(expected)["misfit"] < 5
 
 
+@pytest.mark.parametrize(("range_mm_s", "n_records"), [(12.0, 1), (1e3, 2)])
+def test_the_widest_range_is_not_tried_twice(prober, monkeypatch, range_mm_s, n_records):
+    """A record takes long if another scope saves it."""
+    bench, measuring = prober
+    acquisition, asked, record = bench.apparatus.acquisition, list[float](), type(bench).record
+
+    def overloaded(self, position, velocity, wanted):
+        asked.append(wanted.velocity_range)
+        return replace(record(self, position, velocity, wanted), overloaded=("velocity",))
+
+    monkeypatch.setattr(type(bench), "record", overloaded)
+    narrow = acquisition.model_copy(update={"range_mm_s": range_mm_s})
+    bench = replace(bench, apparatus=bench.apparatus.model_copy(update={"acquisition": narrow}))
+    with pytest.raises(ValueError, match="velocity is overloaded; check that nothing knocks on the beam"):
+        measuring._excitation.probe(bench, measuring.laser, SPEED, None)
+    assert len(set(asked)) == len(asked) == n_records
+
+
 def test_a_table_that_hardly_fits_is_named_when_fingers_do_not_fit(prober, monkeypatch):
     """An unlisted amplifier corner of 170 to 200 kHz gives a misfit of nearly 10 with hands off."""
     bench, measuring = prober
