@@ -14,7 +14,7 @@ from modaltouch.lab.calibration.plausibility import mark_of
 from modaltouch.preflight import Preflight
 from modaltouch.preflight.single_design import design_to_fit
 from modaltouch.protocol.apparatus import Apparatus
-from modaltouch.protocol.apparatus_sections import TrueAmplifier, Vibrometer
+from modaltouch.protocol.apparatus_sections import TrueAmplifier, UnlistedMode, Vibrometer
 from modaltouch.rig.interface import RigError
 from modaltouch.rig.scope import Acquisition, Recording
 
@@ -171,6 +171,27 @@ def test_another_beam_is_reported(preflight: Preflight, shipped_apparatus: Appar
     bench = make_bench(shipped_apparatus.model_copy(update={"modes": higher}), 1)
     with pytest.raises(RigError, match=r"mode \d+ .*; the outputs are off"):
         CalibrationLoop(bench, shipped_apparatus, preflight.inputs).run()
+
+
+def test_a_wrong_gain_next_to_a_mode_that_is_not_listed_is_no_drift(
+    preflight: Preflight, shipped_apparatus: Apparatus, make_bench: Callable
+) -> None:
+    """Two resonances share the gain: one that is three times the listed gain does not come from them."""
+    near = UnlistedMode(
+        family="torsion", label=1, natural_frequency_Hz=7350, damping_ratio=0.012, gain_mm_s2_per_V={"side": 900}
+    )
+    others = [mode for mode in shipped_apparatus.twin.unlisted_modes if (mode.family, mode.label) != ("torsion", 1)]
+    twin = shipped_apparatus.twin.model_copy(update={"unlisted_modes": (*others, near)})
+    bench = make_bench(shipped_apparatus.model_copy(update={"twin": twin}), 1)
+    modes = tuple(
+        mode.model_copy(update={"gain_mm_s2_per_V": mode.gain_mm_s2_per_V | {"side": 2100.0}})
+        if mode.label == 5
+        else mode
+        for mode in shipped_apparatus.modes
+    )
+    listed = shipped_apparatus.model_copy(update={"modes": modes})
+    with pytest.raises(RigError, match="the gain of mode 5 by output 2 is 6.* but 2100 is listed: allowed 0.4 to 2.5"):
+        CalibrationLoop(bench, listed, replace(preflight.inputs, apparatus=listed)).run()
 
 
 def test_too_small_a_range_is_reported(

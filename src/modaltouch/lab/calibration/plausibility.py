@@ -184,7 +184,8 @@ def refuse_implausible_plant(plant: Plant, listed: ModalModel, margin: float) ->
     refuse_common_factor(found, listed, SPEEDS)
     for row, channel in np.argwhere((ratio < 0.4) | (ratio > 2.5)).tolist():
         # A frequency that changes from point to point looks like two resonances, which share the gain.
-        if (np.abs(plant.unlisted - found.exponent[row]) < -2 * found.exponent[row].real).any():
+        near = np.abs(plant.unlisted - found.exponent[row]) < -2 * found.exponent[row].real
+        if ratio[row, channel] < 0.4 and near.any():
             raise RigError(
                 f"mode {listed.label[row]} near {found.natural_frequency[row]:.0f} Hz looks like two resonances; "
                 f"{CHANGING}"
