@@ -4,12 +4,12 @@ Each score has one of a few distributions (`laws`), so a test is a row of counts
 distribution.
 
 `Sums.tails` convolves test by test. Small problems are convolved directly: all terms are positive, so even the smallest
-p is accurate to machine precision. Large problems use the FFT, with an absolute error near 1e-14.
+p is accurate to machine precision. Large problems use the FFT, with an absolute error
+below 1e-13.
 
 `Sums.quick_tails` multiplies characteristic functions, as the product of the counts and a table of logarithms shared by
 all tests. Its absolute error is near 1e-14, negligible at any significance level, and thousands of tests take
 milliseconds.
-
 """
 
 from __future__ import annotations
@@ -200,7 +200,7 @@ def _add_term(pmf: FloatArray, steps: IntArray, weights: FloatArray) -> FloatArr
 
 
 def _transformed_tails(terms: Sequence[Term], lower: int, upper: int) -> float:
-    """Compute `tail_probability` by FFT, with an absolute error near 1e-14."""
+    """Compute `tail_probability` by FFT, with an absolute error below 1e-13."""
     means = [float(steps @ weights) for steps, weights, _ in terms]
     mean = sum(count * each for (_, _, count), each in zip(terms, means, strict=True))
     variance = sum(
