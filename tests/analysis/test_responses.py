@@ -237,6 +237,13 @@ def test_kinds_of_session_are_analysed_unless_they_say_otherwise() -> None:
     assert kinds_of({"schedule": {"sessions": 3}}) == kinds_of({"schedule": None}) == kinds_of({}) == {}
 
 
+def test_a_heading_names_the_protocol_if_it_is_known() -> None:
+    """A protocol may have no title, and a table no protocol."""
+    designs = ({"title": "Focused"}, {"title": ""})
+    headings = [Responses(TWO, (), (), SOURCE, design=design).heading("Analysis") for design in designs]
+    assert headings == ["Analysis: Focused", "Analysis of answers"]
+
+
 def test_a_third_interval_is_not_guessed_evenly() -> None:
     """Of two alternatives either is as likely by chance."""
     frame = TWO.assign(response=pd.Categorical(TWO["response"], ["left", "both", "right"]))

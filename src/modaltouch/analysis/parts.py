@@ -259,7 +259,7 @@ def render_parts(analysis: PartsAnalysis) -> dict[str, Any]:
         "modaltouch.analysis",
         "parts",
         shown,
-        title=f"Analysis: {responses.title}",
+        title=responses.heading("Analysis"),
         n_participants=responses.frame["participant"].nunique(),
         n_answers=len(responses.frame),
         counts=analysis.counts.to_dict("records"),

@@ -71,7 +71,7 @@ def report_files(analysis: Analysis, pictures: Sequence[ReportFigure]) -> dict[s
         "modaltouch.analysis",
         "report",
         pictures,
-        title=f"Analysis: {analysis.responses.title}" + f", stimulus {chosen}" * bool(chosen),
+        title=analysis.responses.heading("Analysis") + f", stimulus {chosen}" * bool(chosen),
         source=analysis.responses.source,
         answers=answers,
         n_answers=int(answers.counts.sum()),

@@ -204,10 +204,10 @@ class Responses:
 
         return TrialTask.of(self.design)
 
-    @property
-    def title(self) -> str:
-        """Title or name of the protocol; ``answers`` if it is unknown."""
-        return str(self.design.get("title") or self.start.get("protocol") or "answers")
+    def heading(self, what: str) -> str:
+        """Return a heading with the title or name of the protocol, as in ``Analysis of answers`` without one."""
+        name = self.design.get("title") or self.start.get("protocol")
+        return f"{what}: {name}" if name else f"{what} of answers"
 
     @property
     def command(self) -> str:

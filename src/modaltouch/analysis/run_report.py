@@ -194,7 +194,7 @@ def _page_files(
         "modaltouch.analysis",
         "runs",
         pictures,
-        title=f"Thresholds: {responses.title}",
+        title=responses.heading("Thresholds"),
         source=responses.source,
         runs=[{"run": run, "words": in_words(run.fitted.threshold) if run.fitted.threshold else None}
               for run in analysis.runs],
