@@ -20,6 +20,10 @@ _MOST_MISSING = 0.25
 # their number from which all but one will do: in that many, the counts of chance are rarely all even but for one.
 _MOST_ROWS, _ALL_BUT_ONE = 0.95, 10
 
+# Columns by which trials are usually numbered anew, and those that never tell when.
+_RESTARTS = ("stimulus", "session_kind", "session", "block")
+_NO_RESTART = {"lab", "trial", "response", "response_time", "n"}
+
 # Minimum number of distinct reaction times for which a full match cannot be coincidence.
 _FEWEST_TIMES = 4
 
@@ -76,7 +80,7 @@ def check_balance(table: Table, frame: pd.DataFrame, *, is_crossed: bool = True)
     far = lacks.sum(axis=1) >= _MOST_MISSING * usual * len(cells)
     fewer = list(answers.index[far | ((counts == 0) & (counts == 0).all(axis=0)).any(axis=1)])
     if rare := _rare(table, frame) if fewer else []:
-        return rare, usual
+        return [*again, *rare], usual
     more = [(answers.index[who], *cells[cell]) for who, cell in np.argwhere(counts > usual).tolist()]
     problems = [
         *again,
@@ -87,7 +91,7 @@ def check_balance(table: Table, frame: pd.DataFrame, *, is_crossed: bool = True)
 
 
 def _rare(table: Table, frame: pd.DataFrame) -> list[Problem]:
-    """Report finger conditions, zones and levels that hardly anybody has, such as a mistyped or a measured level."""
+    """Report finger conditions, zones and levels that few participants have, such as a mistyped or a measured level."""
     level, problems, n = scale_of(frame.columns).column, list[Problem](), frame["participant"].nunique()
     levels = frame[level].map("{:.12g}".format)
     columns = {
@@ -97,19 +101,20 @@ def _rare(table: Table, frame: pd.DataFrame) -> list[Problem]:
     }
     for name, column in columns.items():
         n_met = column.map(frame["participant"].groupby(column).nunique())
-        is_measured = name == level and 2 * column.nunique() > len(frame)
+        is_measured = name == level and 2 * column.nunique() > len(frame) and n > 1
         rare = column[(2 * n_met < n) | is_measured].drop_duplicates()
-        if rare.empty:
+        if rare.empty or (len(rare) == column.nunique() and not is_measured):
             continue
         given = ", ".join(f"{value} (line {line})" for line, value in rare[:3].items())
-        given += f" and {len(rare) - 3} more" * (len(rare) > 3) + ", which hardly any participant has"
+        given += f" and {len(rare) - 3} more" * (len(rare) > 3)
+        given += ", which fewer than half of the participants have" * (not is_measured)
         remedy = "correct them" + f"; put measured levels into a column not named {level}" * (name == level)
         problems.append(table.problem(int(rare.index[0]), name, given, "the same for all participants", remedy))
     return problems
 
 
 def check_doubling(table: Table, frame: pd.DataFrame, most: int | None) -> tuple[list[Problem], list[str]]:
-    """Refuse a table whose every row is duplicated, but for a few; up to the planned repetitions, note it instead.
+    """Refuse trials that occur again, and a table whose every row is duplicated, but for a few; note planned ones.
 
     Repetitions of a participant who always answers alike look like copies, so unplanned ones need numbers.
 
@@ -122,12 +127,15 @@ def check_doubling(table: Table, frame: pd.DataFrame, most: int | None) -> tuple
     most : int or None
         Most answers of a participant in a cell, according to the protocol; None if unknown.
     """
-    counts = pd.util.hash_pandas_object(table.fields, index=False).value_counts().to_numpy()
+    again = _renumbered(table, frame)
+    if again or frame.empty:
+        return again, []
+    counts = pd.util.hash_pandas_object(table.fields.loc[frame.index], index=False).value_counts().to_numpy()
     least = min(_MOST_ROWS, 1 - 1 / len(counts)) if len(counts) >= _ALL_BUT_ONE else _MOST_ROWS
     multiples = (times for times in range(int(counts.max()), 1, -1) if (counts % times == 0).mean() >= least)
     times = next(multiples, 1)
     every = "every row" if (counts % times == 0).all() else "nearly every row"
-    if times < 2 or frame.empty:
+    if times < 2:
         return [], []
     cell = [*cell_of(frame.columns), *({"stimulus"} & {*frame.columns})]
     found = int(frame.groupby(["participant", *cell], observed=True)["n"].sum().max())
@@ -141,32 +149,42 @@ def check_doubling(table: Table, frame: pd.DataFrame, most: int | None) -> tuple
     return [Problem(table.file, 1, 1, "", given, allowed, remedy)], []
 
 
-def check_unit(table: Table, frame: pd.DataFrame) -> list[Problem]:
-    """Report levels below 1 mm/s throughout, presumably given in m/s; with a protocol, `check_planned` tells more."""
+def check_unit(table: Table, frame: pd.DataFrame, table_format: TableFormat) -> list[Problem]:
+    """Report levels below 1 mm/s throughout, presumably given in m/s, unless the protocol has such levels."""
     highest = frame[VELOCITY.column].max() if VELOCITY.column in frame else math.inf
-    if not highest < 1:
+    planned = [level for *_, level, _ in table_format.planned]
+    if not highest < 1 <= max(planned, default=1):
         return []
-    remedy = "multiply them by 1000 if they are in m/s; if not, name their protocol with --protocol"
+    remedy = "multiply them by 1000 if they are in m/s"
+    remedy += "; if not, name their protocol with --protocol" * (not planned)
     given, allowed = f"levels of at most {highest:g}", "peak velocities in mm/s"
     return [table.problem(int(frame.index[0]), VELOCITY.column, given, allowed, remedy)]
 
 
 def _doubled(table: Table, frame: pd.DataFrame) -> list[Problem]:
-    """Report rows that repeat a repetition, a count or a trial: copies, sessions, or two people of one name."""
+    """Report rows that repeat a repetition or a count."""
     counted = [name for name, column in (("repetition", "repetition"), ("response", "n")) if column in table.fields]
-    marks = ("finger_condition", "stimulus", "session_kind", "session", "block", "repetition")
-    problems: list[Problem] = []
-    if counted:
-        problems += _repeated(table, frame, [*keys_of(frame.columns), *counted, *({"session"} & {*frame.columns})])
-    if "trial" in frame and (frame["n"] == 1).all():
-        keys = ["participant", *(name for name in marks if name in frame and frame[name].nunique() > 1), "trial"]
-        problems += _repeated(table, frame.dropna(subset=["trial"]), keys)
-    return problems
+    keys = [*keys_of(frame.columns), *counted, *({"session"} & {*frame.columns})]
+    return _repeated(table, frame, keys) if counted else []
+
+
+def _renumbered(table: Table, frame: pd.DataFrame) -> list[Problem]:
+    """Report trials that occur again, unless columns such as the zones or the day tell when their numbers restart."""
+    if "trial" not in frame or (frame["n"] != 1).any():
+        return []
+    frame = frame.dropna(subset=["trial"])
+    n_times = frame.groupby(["participant", "trial"], observed=True)["n"].transform("size")
+    again = frame[n_times.groupby(frame["participant"], observed=True).transform("median") > 1]
+    # A trial number occurs once for each value of the column by which trials are numbered anew. The lab of two people
+    # of one name tells them apart, too, but makes them one participant.
+    n_values = again.drop(columns=_NO_RESTART & {*again.columns}).groupby("participant", observed=True).nunique().max()
+    marks = n_values.index[(n_values > 1) & ((n_values <= n_times.max()) | n_values.index.isin(_RESTARTS))]
+    return _repeated(table, again, ["participant", *marks, "trial"])
 
 
 def _repeated(table: Table, frame: pd.DataFrame, keys: list[str]) -> list[Problem]:
     """Report rows equal to an earlier one in some columns."""
-    words = frame[keys].astype("str")
+    words = frame.dropna(subset=keys)[keys].astype("str")
     remedy = "remove copies, number repetitions or sessions, and give two people two names"
 
     def problem(line: int) -> Problem:
@@ -203,17 +221,19 @@ def _copied(table: Table, frame: pd.DataFrame) -> list[Problem]:
 def check_planned(table: Table, frame: pd.DataFrame, table_format: TableFormat) -> list[Problem]:
     """Report finger conditions, zones and levels that the protocol does not have, such as those of swapped columns."""
     planned, scale = table_format.planned, scale_of(frame.columns)
+    own = (table_format.design.get("conditions") or {}).get("sensation_levels") or {}
+    levels = own.get("multiples") or [level for *_, level, _ in planned]
     known = {
         "finger_condition": [condition for _, condition, *_ in planned],
         "zone_left": ["-".join(zones) for _, _, zones, *_ in planned],
-        scale.column: [f"{level:g}" for *_, level, _ in planned],
+        scale.column: [f"{level:g}" for level in levels],
     }
     given = {
         "finger_condition": frame["finger_condition"].astype("str"),
         "zone_left": label_zones(frame).rename("zone_left"),
         scale.column: frame[scale.column].map("{:g}".format),
     }
-    if (table_format.design.get("conditions") or {}).get("sensation_levels"):
+    if own and scale == VELOCITY:
         del given[scale.column]  # levels are each participant's own
     remedy = "write them as the protocol does, or name the protocol of these answers"
     problems: list[Problem] = []

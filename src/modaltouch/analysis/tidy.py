@@ -41,6 +41,9 @@ _LEAST_LEVEL, _MOST = 0.001, 100_000
 _LONGEST, _LONG = 86_400.0, 60.0
 """Maximum reaction time, and maximum median [s]; longer times are presumably in milliseconds."""
 
+_MILLISECONDS = 100.0
+"""Ratio to the others' median above which one participant's times are presumably in milliseconds [1]."""
+
 _CAUGHT = "catch trials, counted apart"
 _CATCH_COLUMNS = ["participant", "finger_condition", "session_kind", "response", "n"]
 _LEFT_OUT = ("excluded", "exclude", "withdrawn", "invalid")
@@ -82,7 +85,7 @@ def read_csv(
     caught, counts = apart[_CAUGHT], ~pd.DataFrame(apart).any(axis=1)
     frame, answers = _frame_of(columns, fields, counts, table_format)
     columns.check_words(counts, table_format.design)
-    columns.problems += [] if table_format.design else check_unit(table, frame[counts])
+    columns.problems += check_unit(table, frame[counts], table_format)
     if not columns.problems:
         asked = unmirror(frame[counts], answers)
         columns.problems += check_planned(table, asked, table_format)
@@ -202,7 +205,7 @@ def _frame_of(
         elif listed := asked.get(name, {}).get("keys"):
             frame[name] = columns.answers(name, tuple(listed), "leave it empty, or see --missing", table_format)
         elif name == "response_time":
-            frame[name] = columns.times(name)
+            frame[name] = columns.times(name, counts)
         elif name in NUMBERS:
             frame[name] = columns.numbers(name, "a number, or nothing", empty=True)
         else:
@@ -331,16 +334,17 @@ class _Columns:
         self.problems += table.check_words(column, is_fit, allowed, say)
         return self._values(name, lambda word: math.nan if word in missing else _number(word, table.separator))
 
-    def times(self, name: str) -> pd.Series:
-        """Return a column of times in seconds."""
+    def times(self, name: str, where: pd.Series) -> pd.Series:
+        """Return a column of times in seconds; check the median of all rows `where`, and of each participant."""
         values = self.numbers(
             name, f"0 to {_LONGEST:g} s, or nothing", lambda value: 0 <= value <= _LONGEST, empty=True
         )
-        middle = values.groupby(self._table.fields["participant"], observed=True).transform("median")
-        if slow := list(values.index[(middle > _LONG) & (values > _LONG)][:1]):
-            given = (
-                f"a median time of {middle[slow[0]]:g} s from participant {self._table.fields['participant'][slow[0]]}"
-            )
+        people, own = self._table.fields["participant"], values[where]
+        middle = own.groupby(people, observed=True).transform("median")
+        others = own[middle <= _LONG].median()
+        least = _LONG if own.median() > _LONG else max(_LONG, _MILLISECONDS * others)
+        if slow := list(own.index[(middle > least) & (own > _LONG)][:1]):
+            given = f"a median time of {middle[slow[0]]:g} s from participant {people[slow[0]]}"
             allowed, remedy = f"seconds, with a median of at most {_LONG:g}", "divide times in milliseconds by 1000"
             self.problems.append(self._table.problem(slow[0], name, given, allowed, remedy))
         return values
@@ -402,17 +406,14 @@ class _Columns:
                     fields.loc[where, column], names.__contains__, ", ".join(names),
                     lambda word: (repr(word), "write one of them, as the protocol does"),
                 )  # fmt: skip
-        for column in {"group", "lab"} & {*fields}:
-            self.check_one(fields.loc[where, ["participant", column]].astype("str"), column)
-
-    def check_one(self, own: pd.DataFrame, column: str) -> None:
-        """Refuse participants in several groups or labs."""
-        odd = own[own[column] != own.groupby("participant")[column].transform("first")]
-        self.problems += self._table.check_words(
-            (odd[column].map(repr) + " of participant " + odd["participant"]).rename(column), lambda word: False,
-            f"one {column} of each participant", lambda word: (
-                f"{word}, who was in another {column} before", "correct one of them, or give two people two names"),
-        )  # fmt: skip
+        if "group" in fields:
+            own = fields.loc[where, ["participant", "group"]].astype("str")
+            odd = own[own["group"] != own.groupby("participant")["group"].transform("first")]
+            self.problems += table.check_words(
+                (odd["group"].map(repr) + " of participant " + odd["participant"]).rename("group"), lambda word: False,
+                "one group of each participant", lambda word: (
+                    f"{word}, who was in another group before", "correct one of them, or give two people two names"),
+            )  # fmt: skip
 
     def _values(self, name: str, read: Callable[[str], float]) -> pd.Series:
         column = self._table.fields[name]
