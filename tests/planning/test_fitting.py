@@ -144,6 +144,15 @@ def test_the_words_of_a_table_are_mapped_as_by_analyse(tmp_path: Path, preflight
         fit_answers(preflight, tmp_path, Observer(), words=words)
 
 
+def test_a_pilot_at_other_levels_is_fitted(tmp_path: Path, preflight: Preflight) -> None:
+    """An observer is a function of speed, so levels between the protocol's inform about it, too."""
+    cells = product(("one_hand", "two_hands"), ("A,C", "B,D", "C,E"), (90, 160))
+    rows = [f"p1,{condition},{zones},{level},both,1" for condition, zones, level in cells]
+    (tmp_path / "a.csv").write_text("\n".join([HEADER, *rows]), encoding="utf-8")
+    fitted = fit_answers(preflight, tmp_path / "a.csv", Observer())
+    assert (fitted.n_participants, fitted.n_answers) == (1, 12)
+
+
 def test_answers_about_another_beam_are_refused(tmp_path: Path, preflight: Preflight) -> None:
     """Expected: the zones in the table, those of the protocol, and what to do."""
     (tmp_path / "a.csv").write_text(f"{HEADER}\np1,one_hand,A,Z,80,left,1\n", encoding="utf-8")

@@ -233,8 +233,8 @@ def check_planned(table: Table, frame: pd.DataFrame, table_format: TableFormat) 
         "zone_left": label_zones(frame).rename("zone_left"),
         scale.column: frame[scale.column].map("{:g}".format),
     }
-    if own and scale == VELOCITY:
-        del given[scale.column]  # levels are each participant's own
+    if table_format.is_pilot or (own and scale == VELOCITY):
+        del given[scale.column]  # levels are each participant's own, or the pilot's
     remedy = "write them as the protocol does, or name the protocol of these answers"
     problems: list[Problem] = []
     for name, column in given.items() if planned else ():

@@ -51,6 +51,8 @@ class TableFormat:
     planned : dict of tuple to int
         Answers of a participant in all analysed sessions of the protocol, by group, finger condition, zones, level and
         stimulus; empty if no protocol is given.
+    is_pilot : bool
+        Whether the answers may be to other levels than those of the protocol.
     """
 
     answers: AnswerList | None = None
@@ -58,6 +60,7 @@ class TableFormat:
     missing: tuple[str, ...] = ()
     design: Mapping[str, Any] = field(default_factory=dict)
     planned: Mapping[tuple[Any, ...], int] = field(default_factory=dict)
+    is_pilot: bool = False
 
     @classmethod
     def of(cls, findings: Findings, words: Mapping[str, str] | None = None, missing: tuple[str, ...] = ()) -> Self:

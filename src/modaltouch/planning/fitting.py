@@ -371,7 +371,8 @@ def fit_answers(
             ]
         )
     is_table = any(words) or (path.is_file() and path.suffix != ".jsonl")
-    table_format = TableFormat.of(preflight.findings, *words) if is_table else None
+    # An observer is a function of speed, so a pilot at other levels informs about it as well.
+    table_format = replace(TableFormat.of(preflight.findings, *words), is_pilot=True) if is_table else None
     taken = {
         name: read_responses(path, mode=mode, stimulus=name or None, table_format=table_format)
         for name in preflight.parts
