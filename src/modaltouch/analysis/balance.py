@@ -149,7 +149,7 @@ def check_doubling(table: Table, frame: pd.DataFrame, most: int | None) -> tuple
     return [Problem(table.file, 1, 1, "", given, allowed, remedy)], []
 
 
-def check_unit(table: Table, frame: pd.DataFrame, table_format: TableFormat) -> list[Problem]:
+def _in_metres(table: Table, frame: pd.DataFrame, table_format: TableFormat) -> list[Problem]:
     """Report levels below 1 mm/s throughout, presumably given in m/s, unless the protocol has such levels."""
     highest = frame[VELOCITY.column].max() if VELOCITY.column in frame else math.inf
     planned = [level for *_, level, _ in table_format.planned]
@@ -219,7 +219,9 @@ def _copied(table: Table, frame: pd.DataFrame) -> list[Problem]:
 
 
 def check_planned(table: Table, frame: pd.DataFrame, table_format: TableFormat) -> list[Problem]:
-    """Report finger conditions, zones and levels that the protocol does not have, such as those of swapped columns."""
+    """Report levels in m/s, or finger conditions, zones (of swapped columns) and levels that the protocol lacks."""
+    if problems := _in_metres(table, frame, table_format):
+        return problems
     planned, scale = table_format.planned, scale_of(frame.columns)
     own = (table_format.design.get("conditions") or {}).get("sensation_levels") or {}
     levels = own.get("multiples") or [level for *_, level, _ in planned]
@@ -236,7 +238,6 @@ def check_planned(table: Table, frame: pd.DataFrame, table_format: TableFormat) 
     if table_format.is_pilot or (own and scale == VELOCITY):
         del given[scale.column]  # levels are each participant's own, or the pilot's
     remedy = "write them as the protocol does, or name the protocol of these answers"
-    problems: list[Problem] = []
     for name, column in given.items() if planned else ():
         allowed = ", ".join(dict.fromkeys(known[name]))
         problems += table.check_words(column, known[name].__contains__, allowed, lambda word: (repr(word), remedy))

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from modaltouch.analysis.balance import check_balance, check_doubling, check_planned, check_unit
+from modaltouch.analysis.balance import check_balance, check_doubling, check_planned
 from modaltouch.analysis.columns import OWN_THRESHOLD, VELOCITY, zones_of
 from modaltouch.analysis.csv_table import Table, TableFormat, read_table
 from modaltouch.analysis.responses import (
@@ -85,7 +85,6 @@ def read_csv(
     caught, counts = apart[_CAUGHT], ~pd.DataFrame(apart).any(axis=1)
     frame, answers = _frame_of(columns, fields, counts, table_format)
     columns.check_words(counts, table_format.design)
-    columns.problems += check_unit(table, frame[counts], table_format)
     if not columns.problems:
         asked = unmirror(frame[counts], answers)
         columns.problems += check_planned(table, asked, table_format)

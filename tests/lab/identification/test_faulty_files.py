@@ -132,7 +132,7 @@ def test_a_universal_file_with_too_few_coordinates_is_damaged(tmp_path: Path) ->
     sets += [response | {"rsp_node": node} for node in (1, 2)]
     (tmp_path / "a.uff").write_text("")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("modaltouch.lab.identification.files._read_sets", lambda path: sets)
+        patch.setattr("modaltouch.lab.identification.universal_file._read_sets", lambda path: sets)
         with pytest.raises(ValueError, match=r"a.uff: is damaged or incomplete \(list index out of range\)"):
             read_responses([tmp_path / "a.uff"], VELOCITY)
 
@@ -221,7 +221,7 @@ def test_directions_of_a_universal_file_are_signs(tmp_path: Path) -> None:
     sets = [nodes, *({**common, "rsp_node": n + 1, "rsp_dir": 3 - 6 * n, "data": values[n]} for n in range(2))]
     (tmp_path / "a.uff").write_text("")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("modaltouch.lab.identification.files._read_sets", lambda path: sets)
+        patch.setattr("modaltouch.lab.identification.universal_file._read_sets", lambda path: sets)
         read = read_responses([tmp_path / "a.uff"])
         assert read.response[0] == pytest.approx(np.array([[1], [-1]]) * values[:, 1:])
         sets[1]["orddenom_spec_data_type"] = 12
