@@ -271,7 +271,9 @@ def test_small_jitter_is_approximated_along_the_slope(apparatus: Apparatus) -> N
     with simulator:
         drive = sine(105e3, cycles=100, n=5000)
         time, shifts = np.arange(200) * 0.4e-6, np.linspace(-1e-8, 1e-8, 5)
-        motions = motions_of(simulator.twin, [None, drive], 0.05, offset=0.0, bandwidth=None, touched=())
+        motions = motions_of(
+            simulator.twin, [None, drive], 0.05, offset=0.0, bandwidth=None, touched=(), span=(-1e-8, 8e-5)
+        )
         together = _moved(motions, time, shifts)
     for moved, shift in zip(together, shifts, strict=True):
         alone = motions[0].at(time + shift)

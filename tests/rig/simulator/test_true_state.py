@@ -87,7 +87,7 @@ def test_motion_between_samples_agrees_with_the_exact_state(
     """Cubics against exact states at 60 random instants of burst and decay: within 1e-5 of the peak."""
     known = with_twin(apparatus, amplifier=TrueAmplifier(bandwidth_kHz=bandwidth and bandwidth * 1e-3))
     twin = Twin(known, 1)
-    (motion,) = motions_of(twin, shipped_burst, 0.0, offset=0.0, bandwidth=None, touched=())
+    (motion,) = motions_of(twin, shipped_burst, 0.0, offset=0.0, bandwidth=None, touched=(), span=(0.0, 1.0))
     instants = np.sort(rng.uniform(0.023, 0.06, 60))
     system, (held,) = twin.system(), twin.held_of(shipped_burst)
     row = twin.beam.shapes(0.0)[:, 0] @ system.velocity
@@ -108,7 +108,7 @@ def test_the_low_pass_of_the_vibrometer_is_first_order(
     time = np.arange(2000) * (1 / hertz / 200)
     tones = []
     for corner in (None, hertz):
-        (motion,) = motions_of(twin, [sine, None], 0.0, offset=0.0, bandwidth=corner, touched=())
+        (motion,) = motions_of(twin, [sine, None], 0.0, offset=0.0, bandwidth=corner, touched=(), span=(0.0, 1.0))
         tones.append(np.mean(motion.at(time) * np.exp(-2j * np.pi * hertz * time)))
     assert tones[1] / tones[0] == pytest.approx(1 / (1 + 1j), rel=1e-4)
 
@@ -121,7 +121,9 @@ def test_amplifier_and_vibrometer_may_have_equal_poles(
     time = np.linspace(0.01, 0.04, 500)
     courses: list[Motion] = []
     for corner in (250e3, 250.25e3):
-        courses += motions_of(twin, [playback(n=20_000), None], 0.0, offset=0.0, bandwidth=corner, touched=())
+        courses += motions_of(
+            twin, [playback(n=20_000), None], 0.0, offset=0.0, bandwidth=corner, touched=(), span=(0.0, 0.05)
+        )
     same, beside = (course.at(time) for course in courses)
     np.testing.assert_allclose(same, beside, atol=1e-3 * np.abs(beside).max())
 

@@ -17,6 +17,9 @@ SAME_POLE = 1e-6
 AT_ONCE = 32768
 """Number of instants per batch: limits the memory and keeps intermediate results in the cache."""
 
+SPARE = 64
+"""Number of instants computed beyond the last one requested, for records with another jitter."""
+
 PLAYS = (0.2, 0.4, 0.6, 0.8)
 """Half-widths of the play operators of an actuator, as fractions of the amplifier's limit [1]."""
 
@@ -61,6 +64,8 @@ class StateHistory:
         States before each block of instants.
     last : (n_states,) complex array
         State at the end of a burst.
+    end : float
+        End of the computed instants, from the first sample of a burst at the beam [s]; infinite for a whole burst.
     sides : dict
         Cached intermediate results shared by the motions of all points.
     """
@@ -71,19 +76,30 @@ class StateHistory:
     voltage: FloatArray
     begin: ComplexArray
     last: ComplexArray
+    end: float
     sides: dict[Any, Any] = field(default_factory=dict, repr=False)
 
     @classmethod
-    def of(cls, system: DiagonalSystem, held: Held) -> Self:
-        """Return the states after many bursts."""
+    def of(cls, system: DiagonalSystem, held: Held, span: tuple[float, float]) -> Self:
+        """Return the states after many bursts, for a span of instants since a first sample reached the beam [s]."""
         voltage, hold = refined(system, held)
+        n_instants, end = voltage.shape[1], math.inf
+        # Before a burst or after its period, another burst decays, which requires a whole burst.
+        if span[0] >= 0 and span[1] < held.period:
+            n_needed = int(span[1] / hold) + 2 + SPARE
+            if n_needed < n_instants:
+                n_instants, end = n_needed, (n_needed - 2) * hold
         state = start_state(system, held)
         kernel = BlockKernel.of(system, np.empty((0, state.size), dtype=complex), hold)
         # One extra sample, so that the last instant is the end of the burst.
-        voltage = np.pad(voltage, ((0, 0), (0, 1)))
+        voltage = np.pad(voltage[:, :n_instants], ((0, 0), (0, 1)))
         begin, _ = kernel.states(BlockKernel.blocks(voltage), state)
         last = system.held_states(held.voltage, held.hold).sum(axis=0) + state * np.exp(system.exponent * held.duration)
-        return cls(system, held, hold, voltage, begin, last)
+        return cls(system, held, hold, voltage, begin, last, end)
+
+    def covers(self, span: tuple[float, float]) -> bool:
+        """Test whether every instant of a span is computed."""
+        return math.isinf(self.end) or (span[0] >= 0 and span[1] < self.end)
 
     def motion(self, output: ComplexArray) -> Motion:
         """Return the motion of the output ``Re(output @ state)``; `output` is an (n_states,) complex array."""

@@ -138,6 +138,8 @@ class SimulatedScope(Scope):
         elapsed = nominal / (1 + true.scope.clock_offset_ppm * 1e-6) + true.scope.trigger_latency_us * 1e-6
         elapsed -= self._twin.amplifier.delay
         jitter = true.scope.trigger_jitter_ns * 1e-9 * self._rng.standard_normal(n_records)
+        late = true.vibrometer.delay_us * 1e-6
+        reach = late + float(np.abs(jitter).max())
         motions = motions_of(
             self._twin,
             playbacks,
@@ -145,9 +147,10 @@ class SimulatedScope(Scope):
             offset=across + true.vibrometer.offset_mm * 1e-3,
             bandwidth=None if true.vibrometer.bandwidth_kHz is None else true.vibrometer.bandwidth_kHz * 1e3,
             touched=self._touched(),
+            span=(float(elapsed[0] - reach), float(elapsed[-1] + reach)),
         )
         drives = [drive_voltage(self._twin, playbacks, number - 1) for number in asked.drives]
-        velocity = _moved(motions, elapsed - true.vibrometer.delay_us * 1e-6, jitter)
+        velocity = _moved(motions, elapsed - late, jitter)
         voltage = np.zeros((n_records, len(drives), asked.n_samples))
         over = [self._see_velocity(record) for record in velocity]
         overloaded = {"velocity": any(over)}
@@ -279,6 +282,7 @@ def motions_of(
     offset: float,
     bandwidth: float | None,
     touched: Sequence[Finger],
+    span: tuple[float, float],
 ) -> list[Motion]:
     """Return the low-passed velocity of a point, one part for each group of channels with equal timing [m/s].
 
@@ -290,6 +294,8 @@ def motions_of(
         Position along and across the beam, relative to its middle [m].
     bandwidth : float or None
         Corner frequency of the low-pass [Hz]; None for no low-pass.
+    span : (float, float)
+        First and last instant that will be requested, from the first sample of a burst at the beam [s].
     """
     if twin.tripped:
         return []
@@ -299,8 +305,8 @@ def motions_of(
     system, output = low_passed(system, output, bandwidth)
     key = tuple(playbacks), tuple(touched), bandwidth, stretch
     # The states describe the whole beam, so they can be reused for the next point of a scan.
-    if twin.histories is None or twin.histories[0] != key:
-        twin.histories = key, [StateHistory.of(system, held) for held in twin.forces_of(playbacks)]
+    if twin.histories is None or twin.histories[0] != key or not all(h.covers(span) for h in twin.histories[1]):
+        twin.histories = key, [StateHistory.of(system, held, span) for held in twin.forces_of(playbacks)]
     return [history.motion(output) for history in twin.histories[1]]
 
 
