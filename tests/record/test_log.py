@@ -90,7 +90,9 @@ def test_a_torn_log_is_continued_and_keeps_its_remains(tmp_path, cut):
     whole = path.read_bytes()
     path.write_bytes(whole[:-cut])
     with SessionLog.reopen(path) as log:
+        assert log.ends_cleanly is False
         log.append("resume")
+        assert log.ends_cleanly is True
     assert path.read_bytes().startswith(whole[:-cut])
     chain = read_chain(path)
     assert chain.problems == ()

@@ -172,9 +172,14 @@ def _check_drive(start: dict[str, Any], given: Expectation, place: str) -> tuple
     if found != stated or (hashes is not None and hashes != given.preflight.content_hashes):
         return False, f"{place} the recomputed drive has the hash {found[:12]}, but the record says {stated[:12]}"
     if recorded.get("amplitude_Vpp", list(burst.amplitude)) != list(burst.amplitude):
-        return False, f"{place} the recomputed drive has the amplitudes {burst.amplitude} Vpp, but the record others"
-    drives = f"drives of {len(hashes)} stimuli" if hashes else "drive"
-    return True, f"{drives} recomputed: identical codes ({found[:12]})"
+        return (
+            False,
+            f"{place} the recomputed drive has the amplitudes {burst.amplitude} Vpp, but the record has others",
+        )
+    return (
+        True,
+        f"{f'drives of {len(hashes)} stimuli' if hashes else 'drive'} recomputed: identical codes ({found[:12]})",
+    )
 
 
 def _check_shown(start: dict[str, Any], given: Expectation, place: str) -> tuple[bool, str]:

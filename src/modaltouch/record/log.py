@@ -38,8 +38,9 @@ class SessionLog(AbstractContextManager["SessionLog"]):
         self._failure = ""
         self._table: tuple[tuple[dict[str, Any], ...], str] = (), ""
         self._counting: dict[int, dict[str, Any]] = {}
+        self._of_trials: dict[tuple[str, str], list[dict[str, Any]]] = {}
         for event in self.events:
-            count(self._counting, event)
+            self._sort(event)
         self._unsettled: tuple[dict[str, Any], str, int, int] | None = None
         self.listener: Callable[[dict[str, Any]], None] = lambda line: None
         """Called with each event once it is on disk."""
@@ -122,7 +123,7 @@ class SessionLog(AbstractContextManager["SessionLog"]):
         if is_current and not session.chain.problems:
             return session
         with cls.reopen(place.log, timed_by=timed_by) as log:
-            if session.chain.problems:  # its last line was cut
+            if not log.ends_cleanly:
                 log.append("stop", reason="finished", complete=True, n_answered=log.session.n_answered)
             log.write_view(place)
         return read_session(place.log)
@@ -133,6 +134,10 @@ class SessionLog(AbstractContextManager["SessionLog"]):
         session = Session(self.path, tuple(self.events))
         vars(session)["trials"] = tuple(self._counting.values())  # avoids collecting them again after each answer
         return session
+
+    def events_of(self, trial: dict[str, Any]) -> list[dict[str, Any]]:
+        """Return the events so far of a trial, identified by ``practice`` and ``index``."""
+        return self._of_trials.get(_key(trial), [])
 
     def write_view(self, place: SessionFolder) -> None:
         """Update the session's BIDS table and its sidecar file.
@@ -184,6 +189,11 @@ class SessionLog(AbstractContextManager["SessionLog"]):
         return line
 
     @property
+    def ends_cleanly(self) -> bool:
+        """Whether the log ends in a complete line."""
+        return not (self._torn or self._needs_newline)
+
+    @property
     def head(self) -> dict[str, Any]:
         """Number of lines so far and check of the last line."""
         return {"lines": len(self.events), "check": self._check}
@@ -230,8 +240,17 @@ class SessionLog(AbstractContextManager["SessionLog"]):
         if written:
             self._check, self._torn, self._needs_newline = check, b"", False
             self.events[line["n"] - 1 :] = [line]
-            count(self._counting, line)
+            self._sort(line)
         self._unsettled = None
+
+    def _sort(self, event: dict[str, Any]) -> None:
+        """Assign an event to its trial and update the answers that count."""
+        count(self._counting, event)
+        trial = event.get("trial")
+        if isinstance(trial, dict):
+            own = self._of_trials.setdefault(_key(trial), [])
+            if event not in own[-1:]:  # an exception from a signal may cause a second call
+                own.append(event)
 
     def _write(self, data: bytes) -> None:
         try:
@@ -244,6 +263,10 @@ class SessionLog(AbstractContextManager["SessionLog"]):
         if written != len(data):
             self._failure = f"{self.path}: the disk is full; all earlier events are on it, this one is not"
             raise RecordError(self._failure)
+
+
+def _key(trial: dict[str, Any]) -> tuple[str, str]:
+    return str(trial.get("practice")), str(trial.get("index"))
 
 
 def _open_log(path: Path) -> int:

@@ -89,7 +89,7 @@ def describe_answer(
 
     `speeds` returns the predicted peak speeds under the fingers, from left to right [m/s]. Of the `firings`, one for
     each interval, that of `trial.interval` has the trial's condition. `masked` is None if the protocol has no noise,
-    and `events` are those of the record so far.
+    and `events` are those of this trial in the record so far.
     """
     values, last = trial.as_dict(), firings[-1]
     answered = last.onset + response.counted_from + response.reaction_time
@@ -105,7 +105,7 @@ def describe_answer(
     return {
         "trial": values,
         "presentation": sum(
-            event["event"] == "fired" and event.get("interval", 1) == 1 and event["trial"] == values for event in events
+            event["event"] == "fired" and event["trial"] == values and event.get("interval", 1) == 1 for event in events
         ),
         "fingers": list(protocol.conditions.fingers_of(trial.condition)),
         **({"catch": True} if trial.condition.is_catch else {}),

@@ -361,7 +361,7 @@ def _write_down(
         response,
         firings,
         masked=sitting.masking.is_on,
-        events=sitting.log.events,
+        events=sitting.log.events_of(trial.as_dict()),
     )
     return int(sitting.log.append(event, **facts, **further)["n"])
 
