@@ -7,11 +7,12 @@ and orders can be counted or found by rejection; otherwise by a random walk.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Sequence
 from operator import itemgetter
 
 from modaltouch.protocol.conditions import Cell
-from modaltouch.protocol.schedule_section import LIMITS
+from modaltouch.protocol.schedule_section import LIMITS, least_limit
 from modaltouch.protocol.sections import Protocol
 from modaltouch.protocol.streams import ALGORITHM, Stream
 
@@ -33,6 +34,21 @@ def order_cells(
     from modaltouch.protocol.latin_squares import order_by_square
 
     return order_by_square(protocol, cells, turn, stream, algorithm)
+
+
+def are_certain(protocol: Protocol) -> bool:
+    """Test whether every draw is certain to find an order, known without a search only for a limit on pairs alone."""
+    schedule, limit = protocol.schedule, protocol.schedule.max_same_pair_running
+    others = schedule.catch_trials or protocol.intervals or any(getattr(schedule, key) for key in LIMITS[1:])
+    if schedule.order != "shuffled" or others:
+        return False
+    for name in protocol.conditions.finger_conditions:
+        counts = [*Counter(cell[0] for cell in protocol.cells(name) * protocol.scheduled_repetitions).values()]
+        if limit is None or limit >= max(counts):
+            continue
+        if limit < least_limit(counts) or (limit > 1 and n_states_at_most(counts) > STATE_LIMIT):
+            return False
+    return True
 
 
 STATE_LIMIT = 40_000

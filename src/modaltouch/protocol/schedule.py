@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from modaltouch.protocol.conditions import Cell, Placement
-from modaltouch.protocol.orders import order_cells
+from modaltouch.protocol.orders import are_certain, order_cells
 from modaltouch.protocol.schedule_section import NoOrderError
 from modaltouch.protocol.sections import Protocol
 from modaltouch.protocol.source import InputError, Problem
@@ -316,10 +316,11 @@ class Schedule:
 
     @classmethod
     def check(cls, findings: Findings) -> tuple[Problem, ...]:
-        """Return a problem if no order can be drawn, by drawing one."""
+        """Return a problem if no order can be drawn; draws one only if the outcome is not certain beforehand."""
         try:
-            # A quarter of the effort, so that with full effort an order is found for nearly every participant.
-            cls.draw_from(findings, "p01", 0, effort=0.25)
+            if not are_certain(findings.experiment().protocol):
+                # A quarter of the effort, so that with full effort an order is found for nearly every participant.
+                cls.draw_from(findings, "p01", 0, effort=0.25)
         except InputError as error:
             return error.problems
         return ()

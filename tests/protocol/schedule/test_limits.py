@@ -14,6 +14,7 @@ from scipy.stats import chi2, chi2_contingency
 from modaltouch.preflight import examine
 from modaltouch.protocol import Findings, InputError, Protocol, Schedule, limited_orders
 from modaltouch.protocol.limited_orders import Limit, draw_by_walk, limits_of, longest_run
+from modaltouch.protocol.orders import are_certain
 from modaltouch.protocol.schedule_section import NoOrderError
 from modaltouch.protocol.streams import Stream
 from modaltouch.session import wire_run
@@ -207,8 +208,22 @@ def test_a_limit_that_is_too_hard_is_refused_with_its_value() -> None:
 @pytest.mark.parametrize("repetitions", [1, 2, 9, 30])
 @pytest.mark.parametrize("limit", [None, 1, 2, 3])
 def test_certain_orders_exist_for_every_participant(limit: int | None, repetitions: int) -> None:
-    """Two pairs with equal counts always have an order."""
+    """The check then draws nothing: two pairs with equal counts always have an order."""
     protocol = limited(max_same_pair_running=limit, repetitions=repetitions)
+    assert are_certain(protocol)
     for participant in ("p01", "p02", "p03"):
         for block in Schedule.draw(protocol, participant, 1).blocks:
             assert longest_run([each.condition.zones for each in block.trials]) <= (limit or len(block.trials))
+
+
+@pytest.mark.parametrize(
+    "limits",
+    [{"max_same_level_running": 2}, {"min_same_cell_distance": 2}, {"catch_trials": 2}, {"order": "blocked"}],
+    ids=lambda given: next(iter(given)),
+)
+def test_orders_that_need_a_search_are_not_certain(limits: dict[str, Any]) -> None:
+    """Nor are impossible limits on pairs, or orders that are too many to count."""
+    assert not are_certain(limited(**limits))
+    uneven = TWO.conditions.model_copy(update={"zone_pairs": (("A", "C"),)})
+    assert not are_certain(limited(max_same_pair_running=1).model_copy(update={"conditions": uneven}))
+    assert not are_certain(limited(max_same_pair_running=2, repetitions=10_000))
