@@ -46,18 +46,23 @@ State = tuple[int, tuple[int, ...]]
 @lru_cache(maxsize=8)
 def count_states(counts: tuple[int, ...], limit: int) -> dict[State, int]:
     """Return the number of ways to continue from every reachable state."""
-    states, waiting = set[State](), list(_next_states(tuple(sorted(counts)), None, limit))
-    while waiting:
-        if (state := waiting.pop()) not in states:
-            states.add(state)
-            waiting += _next_states(state[1], state[0], limit)
+    layers: dict[int, set[State]] = {}
+    open_states = set(_next_states(tuple(sorted(counts)), None, limit))
+    while open_states:
+        following: set[State] = set()
+        for state in open_states:
+            layers.setdefault(state[0] + sum(state[1]), set()).add(state)
+            following.update(_next_states(state[1], state[0], limit))
+        open_states = {s for s in following if s not in layers.get(s[0] + sum(s[1]), ())}
     table: dict[State, int] = {}
-    for last, others in sorted(states, key=lambda state: state[0] + sum(state[1])):
-        ways = int(not last and not any(others))
-        for count, multiplicity in Counter(others).items():
-            rest = _without(others, count, last)
-            ways += multiplicity * sum(table[count - run, rest] for run in range(1, min(limit, count) + 1))
-        table[last, others] = ways
+    for _, states in sorted(layers.items()):
+        for last, others in states:
+            done = not last and not any(others)
+            ways = 0
+            for count, multiplicity in Counter(others).items():
+                rest = _without(others, count, last)
+                ways += multiplicity * sum(table[count - run, rest] for run in range(1, min(limit, count) + 1))
+            table[last, others] = 1 if done else ways
     return table
 
 
@@ -103,7 +108,7 @@ def draw_unlike_neighbours(counts: tuple[int, ...], stream: Stream) -> list[int]
     for kind, count in enumerate(counts):
         like = [place for place, (one, other) in enumerate(pairwise(order), start=1) if one == other]
         unlike = sorted(set(range(len(order) + 1)) - set(like))
-        spreads = _spreads(counts, kind, len(like), _ways_to_finish(counts)[kind + 1])
+        spreads = _spreads(counts, kind, len(like))
         n_groups, n_like = spreads[stream.weighted([weight for *_, weight in spreads])][:2]
         gaps = stream.chosen(like, n_like) + stream.chosen(unlike, n_groups - n_like)
         # Group sizes: cut the row of items at random positions, drawn without replacement.
@@ -116,18 +121,17 @@ def draw_unlike_neighbours(counts: tuple[int, ...], stream: Stream) -> list[int]
     return order
 
 
-def _spreads(counts: tuple[int, ...], kind: int, n_like: int, after: Sequence[int]) -> list[tuple[int, int, int]]:
-    """Return the groupings of a kind: number of groups, how many are between like neighbours, and number of orders.
-
-    `after` has the number of ways to finish once it is inserted, by number of like neighbours.
-    """
-    count, n_unlike, spreads = counts[kind], sum(counts[:kind]) + 1 - n_like, []
+def _spreads(counts: tuple[int, ...], kind: int, n_like: int) -> list[tuple[int, int, int]]:
+    """Return the groupings of a kind: number of groups, how many are between like neighbours, and number of orders."""
+    count, after = counts[kind], _ways_to_finish(counts)[kind + 1]
+    n_unlike = sum(counts[:kind]) + 1 - n_like
+    spreads = []
     for n_groups in range(1, count + 1):
-        lowest = max(0, n_groups - n_unlike, n_like + count - n_groups - len(after) + 1)
-        for filled in range(lowest, min(n_groups, n_like) + 1):
-            ways = after[n_like - filled + count - n_groups]
-            ways *= comb(count - 1, n_groups - 1) * comb(n_like, filled) * comb(n_unlike, n_groups - filled)
+        for filled in range(min(n_groups, n_like) + 1):
+            left = n_like - filled + count - n_groups
+            ways = after[left] if left < len(after) and n_groups - filled <= n_unlike else 0
             if ways:
+                ways *= comb(count - 1, n_groups - 1) * comb(n_like, filled) * comb(n_unlike, n_groups - filled)
                 spreads.append((n_groups, filled, ways))
     return spreads
 
@@ -137,8 +141,19 @@ def _ways_to_finish(counts: tuple[int, ...]) -> list[list[int]]:
     """Return the number of ways to finish, by the kind to insert next (not the first) and number of like neighbours."""
     table: list[list[int]] = [[] for _ in counts] + [[1]]
     for kind in reversed(range(1, len(counts))):
-        for n_like in range(sum(counts[:kind])):
-            table[kind].append(sum(ways for *_, ways in _spreads(counts, kind, n_like, table[kind + 1])))
+        count, after, placed = counts[kind], table[kind + 1], sum(counts[:kind])
+        row = []
+        for n_like in range(placed):
+            n_unlike = placed + 1 - n_like
+            total = 0
+            for n_groups in range(1, count + 1):
+                lowest = max(0, n_groups - n_unlike, n_like + count - n_groups - len(after) + 1)
+                total += comb(count - 1, n_groups - 1) * sum(
+                    comb(n_like, filled) * comb(n_unlike, n_groups - filled) * after[n_like - filled + count - n_groups]
+                    for filled in range(lowest, min(n_groups, n_like) + 1)
+                )
+            row.append(total)
+        table[kind] = row
     return table
 
 
