@@ -23,7 +23,7 @@ from typing import Generic, TypeVar
 from modaltouch.protocol.conditions import Cell
 from modaltouch.protocol.schedule_section import LIMITS, NoOrderError, least_limit
 from modaltouch.protocol.sections import Protocol
-from modaltouch.protocol.streams import Stream
+from modaltouch.protocol.streams import Cuts, Stream
 
 
 def refuse_runs(counts: Sequence[int], limit: int, key: str, n_others: int = 0) -> None:
@@ -203,12 +203,12 @@ def _draw_word(counts: tuple[int, ...], limit: int, stream: Stream) -> list[int]
 
 
 @lru_cache(maxsize=8)
-def _totals_of_runs(length: int, n_kinds: int, limit: int) -> list[list[int]]:
+def _totals_of_runs(length: int, n_kinds: int, limit: int) -> list[Cuts]:
     """Return the cumulative number of ways to continue with a run of 1, 2, ..., by number of places left."""
-    ways, rows = [1], list[list[int]]()
+    ways, rows = [1], list[Cuts]()
     for rest in range(1, length + 1):
         totals = list(accumulate((n_kinds - 1) * ways[rest - run] for run in range(1, min(limit, rest) + 1)))
-        rows.append(totals)
+        rows.append(Cuts.of(totals))
         ways.append(totals[-1])
     return rows
 

@@ -10,8 +10,9 @@ from __future__ import annotations
 import hashlib
 from bisect import bisect_right
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from itertools import accumulate
-from typing import TypeVar
+from typing import Self, TypeVar
 
 import numpy as np
 
@@ -32,6 +33,27 @@ def key_of(name: str) -> int:
 def seed_sequence(seed: int, participant: str, session: int, purpose: str) -> np.random.SeedSequence:
     """Return the seed of one stream."""
     return np.random.SeedSequence([seed, key_of(participant), session, key_of(purpose)])
+
+
+@dataclass(frozen=True, slots=True)
+class Cuts:
+    """Increasing integers that divide a range up to the last, and numbers of words and of spare bits of a draw.
+
+    Of each total, the leading word, aligned as in a draw, is nearly always enough to locate a drawn number.
+    """
+
+    totals: list[int]
+    n_words: int
+    n_spare: int
+    words: list[int]
+
+    @classmethod
+    def of(cls, totals: list[int]) -> Self:
+        """Return the cuts at the given totals."""
+        n_bits = (totals[-1] - 1).bit_length()
+        n_words = (n_bits + 63) // 64
+        n_spare = 64 * n_words - n_bits
+        return cls(totals, n_words, n_spare, [total << n_spare >> max(0, 64 * n_words - 64) for total in totals])
 
 
 class Stream:
@@ -56,9 +78,20 @@ class Stream:
             if value < bound:
                 return value
 
-    def among(self, totals: Sequence[int]) -> int:
-        """Return the place among increasing totals of a uniform integer below the last of them."""
-        return bisect_right(totals, self.below(totals[-1]))
+    def among(self, cuts: Cuts) -> int:
+        """Return the place of a uniform integer among totals, like `bisect_right(totals, below(totals[-1]))`."""
+        n_words, words = cuts.n_words, cuts.words
+        while True:
+            if self._read + n_words > self._end:
+                self._refill(n_words)
+            read = self._read
+            self._read = read + n_words
+            word = self._words[read] if n_words else 0
+            place = bisect_right(words, word)
+            if place and word == words[place - 1]:  # the words after the first decide
+                place = bisect_right(cuts.totals, self._number(read) >> cuts.n_spare)
+            if place < len(words):
+                return place
 
     def _refill(self, n_words: int) -> None:
         """Provide at least `n_words` unread words."""
@@ -86,4 +119,5 @@ class Stream:
 
     def weighted(self, weights: Sequence[int]) -> int:
         """Return an index drawn with probabilities exactly proportional to integer weights."""
-        return self.among(list(accumulate(weights)))
+        totals = list(accumulate(weights))
+        return bisect_right(totals, self.below(totals[-1]))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import itertools
+from bisect import bisect_right
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ from modaltouch.protocol.latin_squares import latin_square
 from modaltouch.protocol.limited_orders import longest_run
 from modaltouch.protocol.orders import order_cells
 from modaltouch.protocol.schedule import Schedule, Turn
-from modaltouch.protocol.streams import ALGORITHM, FORMER_ALGORITHM, Stream
+from modaltouch.protocol.streams import ALGORITHM, FORMER_ALGORITHM, Cuts, Stream
 
 SHIPPED = Path(__file__).parents[3] / "protocols"
 ORDERS = ["shuffled", "by_pair", "by_velocity", "latin_square"]
@@ -391,3 +392,32 @@ def test_the_record_lists_all_trials() -> None:
     assert (given["turn"], given["turn_by"]) == (5, "fewest filled it")
     adaptive = Findings.read(SHIPPED / "threshold.yaml").experiment().protocol
     assert Schedule.draw(adaptive, "p01", 7).as_dict()["levels"] == "adaptive"
+
+
+@pytest.mark.parametrize(
+    "totals",
+    [
+        [1],
+        [0, 1],
+        [1, 2],
+        [3, 5, 6],
+        [2**63, 2**64],
+        [2**64, 2**64 + 1],
+        [1, 2**65],
+        [2**64 - 1, 2**130 + 7],
+        [5, 10**400],
+    ],
+)
+def test_the_first_word_usually_locates_a_number_among_totals(totals: list[int]) -> None:
+    """Reference: the whole number drawn from the same words, then looked up."""
+    one, other = (Stream(7, "p01", 1, "a test") for _ in range(2))
+    cuts = Cuts.of(totals)
+    assert all(one.among(cuts) == bisect_right(totals, other.below(totals[-1])) for _ in range(10_000))
+    assert one.below(10**30) == other.below(10**30)
+
+
+@pytest.mark.parametrize(("more", "place"), [(-1, 1), (0, 1), (1, 0), (2**63, 0)])
+def test_later_words_decide_if_the_first_is_equal(more: int, place: int) -> None:
+    """A total whose first word equals that of the number drawn."""
+    number = Stream(7, "p01", 1, "a test").below(2**128)
+    assert Stream(7, "p01", 1, "a test").among(Cuts.of([number + more, 2**128])) == place
