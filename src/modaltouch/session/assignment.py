@@ -179,14 +179,14 @@ def _tally(place: SessionFolder, kind_of: Callable[[Session], Any]) -> tuple[Any
         if kind is not None and folder.name == f"sub-{place.participant}":
             own = kind
         elif kind is not None:
-            state = logs[-1].stat()
-            is_filled = _is_complete(logs[-1], state.st_size, state.st_mtime_ns) or Session.peek(logs[-1]).is_running
+            changed = logs[-1].stat().st_mtime_ns if logs[-1].exists() else 0  # a broken link is reported when read
+            is_filled = _is_complete(logs[-1], changed) or Session.peek(logs[-1]).is_running
             (filled if is_filled else left)[kind] += 1
     return own, filled, left
 
 
 @lru_cache(maxsize=4096)
-def _is_complete(log: Path, size: int, mtime_ns: int) -> bool:
+def _is_complete(log: Path, changed: int) -> bool:
     """Test whether a session is complete; a whole cohort asks of each unchanged log only once."""
     return read_session(log).complete
 
