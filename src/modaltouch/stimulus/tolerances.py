@@ -132,7 +132,7 @@ def scatter(
     field : (n_draws, n_points) array
         Velocity at the points at the focusing instant [m/s].
     modal_error : (n_draws,) array
-        Largest of |velocity - target| and |w eta| over the modes [m/s].
+        Largest of ``|velocity - target|`` and ``|w eta|`` over the modes [m/s].
     """
     rng = np.random.default_rng(seed)
     model = stimulus.model
